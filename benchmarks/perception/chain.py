@@ -52,7 +52,7 @@ def run_chain(
             with progress_bar(f"{policy}, {words}", 1.0) as show:
                 tried = evaluate(robot, objects, policy, threads=threads, progress=show)
             success[words] = tried.outcomes.success
-        each[policy] = chain_figures(*success.values(), rows, sure)
+        each[policy] = chain_figures(success["true grasps"], success["perceived grasps"], rows, sure)
     figures = {"hand": hand.name, "policy": policies[0]} | each[policies[0]]
     return figures if len(policies) == 1 else figures | {"policies": each}
 

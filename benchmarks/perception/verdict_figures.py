@@ -12,11 +12,12 @@ from benchmarks.perception.figures import rate_of
 from benchmarks.perception.verdict_fit import RIGHT_HAND_MM, evidence_of, trial_weights
 from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
 from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.perception.hand.joint_confidence import SURE, WITHIN, joint_confidences
 from fungrasp.perception.object_pose.confidence import ACCEPT, features
 from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.verdict import ACCEPTED_HAND
 
-EDGES = np.array([0.0, 0.05, 0.2, 0.4, 0.6, ACCEPT, 0.93, 0.98, 1.0])
+EDGES = np.array([0.0, 0.05, 0.2, 0.4, 0.7, 0.9, ACCEPT, 1.0])
 """Ranges of probabilities."""
 
 SIZE, LEFT, TOP = 300, 60, 20
@@ -58,7 +59,10 @@ def verdict_figures(
     hands = [one for one in hands if one.found]
     of_hands = np.array([weights["HAND_WEIGHTS"].probability(one.features) for one in hands])
     sure = of_hands >= ACCEPTED_HAND
-    far = np.array([one.far for one in hands])
+    said_of_joints = np.concatenate([np.zeros(0), *(joint_confidences(_arrays(one.each)) for one in hands)])
+    off = np.concatenate([np.zeros(0), *(_joint_errors(one) for one in hands)])
+    judged = np.isfinite(off)
+    sure_joints, far = said_of_joints[judged] >= SURE, off[judged] > WITHIN
     return {
         "captures": len({one.capture for one in answers}),
         "answers": len(answers),
@@ -76,7 +80,9 @@ def verdict_figures(
             "sure_right": rate_of(
                 [one.mean_mm < RIGHT_HAND_MM for one, s in zip(hands, sure, strict=True) if s]
             ),
-            "joints_far_of_sure": float(far[sure].mean()) if sure.any() else None,
+            "joints_sure": rate_of(sure_joints.tolist()),
+            "joints_far": rate_of(far.tolist()),
+            "joints_far_of_sure": rate_of(far[sure_joints].tolist()),
         },
     }
 
@@ -90,11 +96,19 @@ def verdict_rows(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
         names = ("right_pose", "right_accepted", "wrong_pose_accepted", "wrong_mesh_accepted")
         rows.append((hint, *(_part(row[name]) for name in names)))
     hands = figures["hands"]
-    far = hands["joints_far_of_sure"]
-    rows.append(
-        ("hands", _part(hands["right"]), _part(hands["right_sure"]), f"joints far off {_percent(far)}", "")
-    )
+    rows.append(("hands", _part(hands["right"]), _part(hands["right_sure"]), "", ""))
+    far, all_far = _part(hands["joints_far_of_sure"]), _part(hands["joints_far"])
+    rows.append(("joints", f"sure {_part(hands['joints_sure'])}", f"far off {far}", f"of all {all_far}", ""))
     return rows
+
+
+def _arrays(each: Mapping[str, Sequence[float]]) -> dict[str, np.ndarray]:
+    return {name: np.array(values) for name, values in each.items()}
+
+
+def _joint_errors(one: HandTrial) -> np.ndarray:
+    """How far each joint is off [m], NaN where that is not known, shape [21]."""
+    return np.linalg.norm(np.array(one.joints["refined"]) - np.array(one.joints["true"], float), axis=1)
 
 
 def reliability(
@@ -170,7 +184,3 @@ def _part(rate: Mapping[str, Any] | None) -> str:
     if rate is None:
         return "none"
     return f"{round(rate['rate'] * rate['count'])} of {rate['count']}"
-
-
-def _percent(part: float | None) -> str:
-    return "?" if part is None else f"{100 * part:.1f} %"

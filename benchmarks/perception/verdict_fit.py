@@ -13,20 +13,16 @@ from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import Logistic
 
 OBJECT_SIGNS: Mapping[str, int] = {
-    "explained": 1,
+    "agreement": 1,
     "other_size": -1,
-    "other_length": -1,
     "other_side": -1,
-    "stretch": -1,
-    "color": 1,
     "rival": -1,
-    "unexplained": -1,
 }
 """Whether more of a number speaks for the answer, or against it."""
 
 HAND_SIGNS: Mapping[str, int] = {
     "hand_score": 1,
-    "worst_finger_m": -1,
+    "joints": 1,
 }
 
 OBJECT_PRIOR: Mapping[str, float] = {"rival": -3.0}

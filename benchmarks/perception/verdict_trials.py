@@ -16,10 +16,11 @@ from benchmarks.perception.recorded_captures import RecordedCapture
 from benchmarks.perception.recorded_figures import hinted_captures
 from benchmarks.perception.wrong_meshes import searched_mesh, with_colors, wrong_meshes
 from fungrasp.errors import FungraspError
+from fungrasp.formats.file_bytes import one_line
 from fungrasp.formats.mesh_file import read_colored_mesh
-from fungrasp.formats.record_json import record_from_json
 from fungrasp.objects import HeldObject, ObjectModel
 from fungrasp.perception.hand.detected_hand import HandDetector
+from fungrasp.perception.hand.joint_confidence import joint_features
 from fungrasp.perception.object_pose.estimate import search_object_pose
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
@@ -76,11 +77,10 @@ class HandTrial:
     features: dict[str, float]
     """What its probability is made of, see ``hand_features``."""
     joints: dict[str, list[list[float]]]
-    """Joints [m], shape [21, 3] each: "true", "refined", and "fitted", before the object was known."""
+    """Joints [m], shape [21, 3] each: "true" (NaN: not known), "refined", and "fitted", before the object
+    was known."""
     each: dict[str, list[float]]
-    """Numbers of each joint, shape [21]: "spread" and "fitted_spread" are the standard deviations of the fits
-    [m], "landmark" is how far the refined joint is from its landmark, "windows" how far landmarks of other
-    windows are from it in the median, both as parts of the hand's extent in the image."""
+    """What the probabilities of the joints are made of, see ``joint_features``, shape [21] each."""
 
 
 def _hand_trial(recorded: RecordedCapture, seen: Perceived) -> HandTrial | None:
@@ -96,35 +96,19 @@ def _hand_trial(recorded: RecordedCapture, seen: Perceived) -> HandTrial | None:
         bool(apart < 0.5 * np.linalg.norm(np.ptp(pixels, axis=0))),
         float(off.mean()),
         float((off > 20.0).mean()),
-        hand_features(seen.hand, seen.quality),
+        hand_features(seen.hand),
         {
             "true": truth.tolist(),
             "refined": seen.hand.joints_camera.tolist(),
             "fitted": seen.trace.candidate.hand.joints_camera.tolist(),
         },
-        _joint_numbers(recorded, seen),
+        {name: values.tolist() for name, values in _joint_features(seen).items()},
     )
 
 
-def _joint_numbers(recorded: RecordedCapture, seen: Perceived) -> dict[str, list[float]]:
-    detected = seen.trace.candidate.detected
-    assert detected is not None
-    off = np.linalg.norm(
-        recorded.capture.intrinsics.project(seen.hand.joints_camera) - seen.hand.pixels, axis=1
-    )
-    others = np.array([one.pixels for one in detected.others]).reshape(-1, 21, 2)
-    apart = np.linalg.norm(others - detected.pixels, axis=2)
-    windows = np.median(apart, axis=0) if len(apart) else np.zeros(21)
-    spreads = [
-        np.sqrt(np.trace(one.covariance, axis1=1, axis2=2) / 3)
-        for one in (seen.hand, seen.trace.candidate.hand)
-    ]
-    return {
-        "spread": spreads[0].tolist(),
-        "fitted_spread": spreads[1].tolist(),
-        "landmark": (off / detected.extent).tolist(),
-        "windows": (windows / detected.extent).tolist(),
-    }
+def _joint_features(seen: Perceived) -> dict[str, np.ndarray]:
+    candidate = seen.trace.candidate
+    return joint_features(seen.capture, candidate.hand, seen.hand, candidate.object.accepted)
 
 
 def measure_trials(
@@ -202,12 +186,15 @@ def read_trials(path: str | Path) -> tuple[list[VerdictTrial], list[HandTrial]]:
         FungraspError: it is none.
     """
     answers, hands = [], []
-    for line in Path(path).read_text().splitlines():
-        entry = json.loads(line)
-        if "told" in entry:
-            answers.append(record_from_json(VerdictTrial, entry, "a trial"))
-        else:
-            hands.append(record_from_json(HandTrial, entry, "a trial"))
+    try:
+        for line in Path(path).read_text().splitlines():
+            entry = json.loads(line)
+            if "told" in entry:
+                answers.append(VerdictTrial(**entry))
+            else:
+                hands.append(HandTrial(**entry))
+    except (TypeError, ValueError) as error:
+        raise FungraspError(f"{path} holds no trials: {one_line(error)}") from error
     return answers, hands
 
 

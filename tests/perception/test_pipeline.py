@@ -17,13 +17,14 @@ from fungrasp.objects import HeldObject, ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
+from fungrasp.perception.hand.joint_confidence import joint_confidences, joint_features
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.io.scene_folders import write_folder
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
-from fungrasp.perception.perceived import Perceived, measure_quality
+from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.table import table_under
 
@@ -346,19 +347,20 @@ def test_the_wrong_mesh_is_not_believed():
     assert perceived.grasp.object_name == "hammer"
 
 
-def test_a_finger_far_behind_what_is_seen_is_counted():
+def test_joints_that_nothing_speaks_for_are_not_sure():
     scene, _ = mug()
     found = seen()
-    surface = scene.model.signed_distance
-    right = measure_quality(scene.capture, found.hand, found.object, surface)
+    features = joint_features(scene.capture, found.trace.candidate.hand, found.hand, True)
+    np.testing.assert_array_equal(joint_confidences(features), found.hand.confidence)
     behind = found.hand.joints_camera.copy()
     behind[17:] += 0.055 * behind[17:] / np.linalg.norm(behind[17:], axis=1, keepdims=True)
+    behind[17:, 0] += 0.02
     moved = dataclasses.replace(found.hand, joints_camera=behind)
-    wrong = measure_quality(scene.capture, moved, found.object, surface)
-    assert right.worst_finger_m < 0.015
-    assert wrong.worst_finger_m > 0.035
-    # The median of the whole hand hardly knows.
-    assert wrong.hand_residual_m < 0.015
+    wrong = joint_confidences(joint_features(scene.capture, found.trace.candidate.hand, moved, True))
+    assert wrong[17:].mean() < 0.6 < found.hand.confidence[17:].min()
+    assert (wrong < found.hand.confidence).all()
+    unknown = joint_confidences(joint_features(scene.capture, found.trace.candidate.hand, found.hand, False))
+    assert (unknown < found.hand.confidence).all()
 
 
 def test_a_mesh_in_millimetres_is_refused():

@@ -9,6 +9,7 @@ import pytest
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
+from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.several_looks import best_of_looks, together
 from fungrasp.perception.verdict import PerceptionVerdict
 
@@ -36,20 +37,20 @@ def look(probability: float, turn: float = 0.0, shift: float = 0.0, hand: float 
     camera = np.concatenate([[0.02, 0.1, 0.6], quaternion_from_rotation_vector(np.array([0.3, turn, 0.1]))])
     pose = compose(camera, HELD + np.concatenate([[shift], np.zeros(6)]))
     return Look(
-        PerceptionVerdict(probability >= 0.9, probability, hand, (), ()),
+        PerceptionVerdict(probability >= ACCEPT, probability, hand, (), ()),
         SimpleNamespace(joints_camera=transform_points(camera, JOINTS)),
         SimpleNamespace(pose_camera_object=pose),
     )
 
 
 def test_looks_that_agree_are_surer_together_however_the_camera_moved():
-    both = together([look(0.87), look(0.89, turn=1.0)])
-    assert both.verdict.object > 0.9 and both.verdict.sure and both.verdict.looks == 2
-    best = look(0.89, turn=1.0).object.pose_camera_object
+    both = together([look(0.95), look(0.96, turn=1.0)])
+    assert both.verdict.object > ACCEPT and both.verdict.sure and both.verdict.looks == 2
+    best = look(0.96, turn=1.0).object.pose_camera_object
     assert both.object.pose_camera_object.tobytes() == best.tobytes()
     assert "2 looks" in both.verdict.words
-    three = together([look(0.87), look(0.89, turn=1.0), look(0.88, turn=-0.5)])
-    assert both.verdict.object < three.verdict.object < 0.96, "they err alike, so three are not much surer"
+    three = together([look(0.95), look(0.96, turn=1.0), look(0.955, turn=-0.5)])
+    assert both.verdict.object < three.verdict.object < 0.995, "they err alike, so three are not much surer"
 
 
 def test_a_look_that_says_no_or_sees_it_elsewhere_counts_against():
@@ -65,10 +66,10 @@ def test_no_further_look_where_one_is_sure():
         seen.append(probability)
         return look(probability)
 
-    assert best_of_looks(iter([0.95, 0.2]), perceived, 2).verdict.looks == 1 and seen == [0.95]
+    assert best_of_looks(iter([0.98, 0.2]), perceived, 2).verdict.looks == 1 and seen == [0.98]
     seen.clear()
     assert best_of_looks(iter([0.8, 0.85, 0.1]), perceived, 2).verdict.object == pytest.approx(0.87, abs=0.02)
     assert seen == [0.8, 0.85], "two were asked for"
     assert best_of_looks(iter([0.6]), perceived, 5).verdict == look(0.6).verdict
-    weak = [replace(look(0.95), verdict=replace(look(0.95).verdict, hand=0.2, sure=False)) for _ in range(2)]
+    weak = [replace(look(0.98), verdict=replace(look(0.98).verdict, hand=0.2, sure=False)) for _ in range(2)]
     assert not together(weak).verdict.sure, "the hand is not"

@@ -9,37 +9,35 @@ from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception.object_pose.confidence import ACCEPT, confidence
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
-from fungrasp.perception.perceived import PerceptionQuality
 from fungrasp.perception.verdict import ACCEPTED_HAND, PerceptionVerdict, perception_verdict
 
 GOOD = PoseEvidence(
     told=1.0,
     explained=0.96,
+    visible=0.95,
     hidden=0.2,
     pixels=2000.0,
     rival=0.0,
     other_size=-0.35,
-    other_length=-0.3,
     other_side=-0.06,
-    stretch=0.0,
-    color=0.0,
+    colored=0.0,
     edge_width=2.0,
     foreign=0.0,
 )
 
 
-def hand(score: float = 0.9) -> HandEstimate:
+def hand(score: float = 0.9, joints_sure: float = 0.9) -> HandEstimate:
     joints = np.arange(63.0).reshape(21, 3) * 0.001 + [0.0, 0.0, 0.5]
     covariance = np.tile(np.eye(3) * 1e-5, (21, 1, 1))
-    return HandEstimate(joints, np.zeros((21, 2)), np.ones(21), covariance, "right", score)
+    return HandEstimate(joints, np.zeros((21, 2)), np.full(21, joints_sure), covariance, "right", score)
 
 
-def verdict(evidence: PoseEvidence, score: float = 0.9, worst_finger: float = 0.004) -> PerceptionVerdict:
+def verdict(evidence: PoseEvidence, score: float = 0.9, joints_sure: float = 0.9) -> PerceptionVerdict:
     probability = confidence(evidence)
     thing = ObjectEstimate(
         np.array([0, 0, 0.5, 1.0, 0, 0, 0]), probability, probability >= ACCEPT, evidence=evidence
     )
-    return perception_verdict(thing, hand(score), PerceptionQuality(3.0, 0.001, 0.003, worst_finger, 0.004))
+    return perception_verdict(thing, hand(score, joints_sure))
 
 
 def test_good_evidence_is_sure_and_needs_no_help():
@@ -53,9 +51,10 @@ def test_good_evidence_is_sure_and_needs_no_help():
 @pytest.mark.parametrize(
     ("changes", "help"),
     [
-        ({"other_size": 0.3, "stretch": 0.3}, "a mesh of the right size"),
-        ({"other_size": -0.02, "other_length": 0.0, "other_side": 0.0}, "another view"),
+        ({"other_size": 0.3}, "a mesh of the right size"),
+        ({"other_size": 0.02, "other_side": 0.04}, "another view"),
         ({"explained": 0.3}, "the mesh of this very object"),
+        ({"visible": 0.4}, "the mesh of this very object"),
         ({"told": 0.0, "explained": 0.6}, "a click at the object"),
         ({"explained": 0.5, "hidden": 0.8}, "another view"),
         ({"explained": 0.5, "edge_width": 9.0}, "filters turned off"),
@@ -69,8 +68,8 @@ def test_evidence_against_says_what_would_help(changes, help):
     assert help in "; ".join(said.help)
 
 
-def test_a_finger_far_from_what_is_seen_makes_the_hand_unsure():
-    said = verdict(GOOD, worst_finger=0.055)
+def test_joints_that_are_not_sure_make_the_hand_unsure():
+    said = verdict(GOOD, joints_sure=0.2)
     assert not said.sure and said.hand < ACCEPTED_HAND < said.object
     assert said.help == ("a view in which more of the hand is seen, bare and well lit",)
 
@@ -83,8 +82,8 @@ def test_terminal_and_json_have_the_same_numbers():
     for row, entry in zip(rows, record["evidence"], strict=True):
         assert row[1].startswith(f"{entry['value']:.3g}") and row[3] == f"{entry['share']:+.1f}"
     assert record["sure"] == said.sure and record["probability"] == said.probability
-    explained = next(entry for entry in record["evidence"] if entry["name"] == "explained")
-    assert explained["value"] == pytest.approx(70.0)
+    agreement = next(entry for entry in record["evidence"] if entry["name"] == "agreement")
+    assert agreement["value"] == pytest.approx(70.0)
 
 
 def test_shares_add_up_to_the_odds():
@@ -95,15 +94,13 @@ def test_shares_add_up_to_the_odds():
 
 
 def test_each_number_counts_one_way_only():
-    against = ("other_size", "other_length", "other_side", "stretch", "rival", "unexplained")
+    against = ("other_size", "other_side", "rival")
     assert all(weight <= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name in against)
     assert all(weight >= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name not in against)
 
 
 def test_a_fitted_shape_is_said_to_be_one():
     thing = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.7, True)
-    said = perception_verdict(
-        thing, hand(), PerceptionQuality(3.0, 0.001, 0.003, 0.004, 0.004), "box:60x28x30"
-    )
+    said = perception_verdict(thing, hand(), "box:60x28x30")
     assert said.sure and said.words.startswith("unknown object: a box of 60 x 28 x 30 mm explains 70 %")
     assert said.as_json()["fitted"] == "box:60x28x30"

@@ -49,8 +49,8 @@ LEVEL = np.concatenate([[0.0, -0.5, 0.4], TURN])
 
 
 METERS = (
-    Meter("explained", 93.0, 95.0, "%", -0.3),
-    Meter("worst_finger_m", float("nan"), 6.0, "mm", 0.4),
+    Meter("agreement", 93.0, 95.0, "%", -0.3),
+    Meter("joints", float("nan"), 90.0, "%", 0.4),
 )
 
 
@@ -59,7 +59,7 @@ def perceived(**changes) -> Perceived:
     hand = HandEstimate(
         TRUTH.joints_camera,
         CAPTURE.intrinsics.project(TRUTH.joints_camera),
-        np.full(21, 0.9),
+        np.full(21, 0.97),
         np.tile(np.eye(3) * 0.004**2, (21, 1, 1)),
         "right",
         0.9,
@@ -84,7 +84,7 @@ def perceived(**changes) -> Perceived:
             "object": ObjectEstimate(pose, 0.95, True),
             "table": np.array([0.0, -1.0, 0.0, 0.4]),
             "table_found": True,
-            "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.004, 0.003),
+            "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.003),
             "warnings": (),
             "verdict": PerceptionVerdict(True, 0.95, 0.9, METERS, ()),
             **changes,
@@ -203,11 +203,11 @@ def test_a_left_hand_and_a_guessed_table_are_told(tmp_path, no_pictures):
 
 
 def test_joints_that_are_not_trusted_are_counted(tmp_path, no_pictures):
-    confidence = np.full(21, 0.9)
+    confidence = np.full(21, 0.97)
     confidence[[3, 4]] = 0.2
     seen = perceived()
     said = words(page(tmp_path, replace(seen, hand=replace(seen.hand, confidence=confidence))))
-    assert "2 of the hand's 21 joints" in said
+    assert "19 of the hand's 21 joints are sure" in said
 
 
 def test_another_pose_that_fits_as_well_is_told():

@@ -216,6 +216,7 @@ class GraspPreparer:
         self, grasp: RobotGraspSet, object_pose: np.ndarray, start: np.ndarray, fingers: np.ndarray
     ) -> Belief:
         belief = Belief.nominal(object_pose[None], grasp.object_mass.copy(), start[None], fingers[None])
+        belief = replace(belief, object_mass_spread=grasp.object_mass_spread)
         d = self._dynamics
         if d is None:
             return belief

@@ -43,6 +43,8 @@ class HumanGrasp:
     """What the grasp is for: "drink", "cut", ...; empty if not known."""
     hand_qpos: np.ndarray | None = None
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
+    object_mass_spread: float | None = None
+    """Standard deviation of the logarithm of the object's mass, where that was guessed."""
 
     def __repr__(self) -> str:
         return f"<HumanGrasp: object {self.object_name!r}, task {self.task!r}>"
@@ -73,6 +75,8 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """Given as None it becomes N empty strings."""
     hand_qpos: np.ndarray | None = None
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [N, 51]."""
+    object_mass_spread: np.ndarray | None = None
+    """Standard deviation of the logarithm of each object's mass, where that was guessed, shape [N]."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -83,6 +87,7 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         "link_contacts": ArrayField("flag", ("N", 16)),
         "task": ArrayField("text", ("N",), optional=True),
         "hand_qpos": ArrayField("number", ("N", 51), optional=True),
+        "object_mass_spread": ArrayField("positive", ("N",), optional=True),
     }
     GRASP: ClassVar = HumanGrasp
 

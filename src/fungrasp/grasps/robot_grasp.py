@@ -17,6 +17,9 @@ from fungrasp.hands import Hand, load_hand
 SQUEEZE = "squeeze_positions"
 """The name in ``extra`` of the grasps' own squeeze targets."""
 
+MASS_SPREAD = "object_mass_spread"
+"""The name in ``extra`` of how uncertain guessed masses are."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotGrasp:
@@ -135,6 +138,12 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         [N, M]; NaN where a grasp has none of its own."""
         own = self.extra.get(SQUEEZE)
         return np.full_like(self.joint_positions, np.nan) if own is None else own
+
+    @property
+    def object_mass_spread(self) -> np.ndarray | None:
+        """Standard deviation of the logarithm of each object's mass, shape [N]; None where masses are
+        known."""
+        return self.extra.get(MASS_SPREAD)
 
     def load_hand(self) -> Hand:
         """The hand of the grasps.

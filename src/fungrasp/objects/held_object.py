@@ -26,6 +26,10 @@ DENSITIES = (190.0, 940.0)
 """Between these lie eight of ten [kg/m^3]."""
 
 
+EIGHT_OF_TEN = 1.28
+"""Of normal numbers eight of ten are within so many standard deviations."""
+
+
 @dataclass(frozen=True, eq=False)
 class HeldObject:
     """An object, and what perception can make use of beyond its shape."""
@@ -39,6 +43,13 @@ class HeldObject:
     """Assumptions that were made, as sentences to print."""
     mass_range: tuple[float, float] | None = None
     """Between which the mass lies in eight of ten cases, where it was guessed [kg]."""
+
+    @property
+    def mass_spread(self) -> float | None:
+        """Standard deviation of the logarithm of the mass, where it was guessed."""
+        if self.mass_range is None:
+            return None
+        return float(np.log(self.mass_range[1] / self.mass_range[0])) / (2 * EIGHT_OF_TEN)
 
 
 def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> HeldObject:

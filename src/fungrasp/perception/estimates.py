@@ -88,7 +88,8 @@ class HandEstimate:
     pixels: np.ndarray
     """Where the joints were seen in the image [pixels], shape [21, 2]."""
     confidence: np.ndarray
-    """How much each joint can be trusted, 0 to 1, shape [21]."""
+    """Probability that each joint is where it was found, shape [21]: within 20 mm, of the hand that
+    ``perceive`` gives."""
     covariance: np.ndarray
     """Covariance of each joint's position [m^2], camera frame, shape [21, 3, 3]."""
     side: Side

@@ -27,9 +27,6 @@ from fungrasp.perception.verdict import PerceptionVerdict
 FARTHEST_OFF = 0.1
 """Skin is taken to be off by this at most [m]: what is seen there is another thing, but not the hand."""
 
-LEAST_SEEN = 5
-"""A finger of fewer samples that should be seen is hidden."""
-
 STEP = 2
 """Every so many rows and columns are looked at for the object."""
 
@@ -53,8 +50,6 @@ class PerceptionQuality:
     """Median distance of the object's measured points from its mesh [m]; NaN if not known."""
     hand_residual_m: float
     """Median distance between the depth measured at the hand and its skin [m]; NaN where none is seen."""
-    worst_finger_m: float
-    """The same of the finger, or the palm, for which it is largest [m]."""
     penetration_m: float
     """How deep the hand is in the object at the deepest [m]; soft pads that press give a few mm."""
 
@@ -73,15 +68,13 @@ def measure_quality(
     pose = thing.pose_camera_object
     off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
     surroundings = HandSurroundings(surface, pose)
-    whole, worst = _hand_residuals(capture, hand.joints_camera, surroundings)
     residual = thing.residual_m
     if not np.isfinite(residual):
         residual = _object_residual(capture, pose, surroundings)
     return PerceptionQuality(
         reprojection_px=float(np.nanmedian(off)),
         depth_residual_m=residual,
-        hand_residual_m=whole,
-        worst_finger_m=worst,
+        hand_residual_m=_hand_residual(capture, hand.joints_camera, surroundings),
         penetration_m=max(0.0, -float(link_gaps(hand.joints_camera, surface, pose).min())),
     )
 
@@ -98,11 +91,8 @@ def _object_residual(capture: Capture, pose: np.ndarray, surroundings: HandSurro
     return float(np.median(distance[near])) if near.any() else float("nan")
 
 
-def _hand_residuals(
-    capture: Capture, joints: np.ndarray, surroundings: HandSurroundings
-) -> tuple[float, float]:
-    """How far the skin is from what is seen at its pixels, median [m]: of the hand, and of the finger where
-    it is most. NaN where nothing is seen.
+def _hand_residual(capture: Capture, joints: np.ndarray, surroundings: HandSurroundings) -> float:
+    """How far the skin is from what is seen at its pixels, median [m]; NaN where nothing is seen.
 
     What the object shows or hides does not count; all else is the hand, as little else is in front of it.
     """
@@ -116,12 +106,7 @@ def _hand_residuals(
     off = np.minimum(np.abs(points[:, 2] - SURFACE_SAMPLES.radius - measured), FARTHEST_OFF)
     distance = surroundings.object_distance(k.deproject(pixels, measured))[0]
     seen &= distance > OBJECT
-    if not seen.any():
-        return float("nan"), float("nan")
-    finger = np.where(SURFACE_SAMPLES.near > 0, (SURFACE_SAMPLES.near - 1) // 4, -1)
-    parts = [off[seen & (finger == one)] for one in range(-1, 5)]
-    medians = [float(np.median(part)) for part in parts if len(part) >= LEAST_SEEN]
-    return float(np.median(off[seen])), max(medians, default=float(np.median(off[seen])))
+    return float(np.median(off[seen])) if seen.any() else float("nan")
 
 
 @dataclass(frozen=True)

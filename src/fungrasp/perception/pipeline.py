@@ -29,6 +29,7 @@ from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Percepti
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
 from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands
 from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
+from fungrasp.perception.hand.joint_confidence import joint_confidences, joint_features
 from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands, object_box
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.image_source import ImageSource, as_capture
@@ -152,6 +153,8 @@ def perceive(
     # 5: the hand again, touching the object.
     with watch.stage("refinement"):
         refined = _refined_hand(scene, capture, model, side, seed)
+        of_joints = joint_features(capture, scene.hand, refined, scene.object.accepted)
+        refined = replace(refined, confidence=joint_confidences(of_joints))
     # 6: the grasp in the world.
     with watch.stage("grasp"):
         plane = scene.table
@@ -160,7 +163,7 @@ def perceive(
             plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
         center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
         pose_world_camera = world_from_table(plane, center)
-        grasp = _grasp(model, refined, scene.object, pose_world_camera, task)
+        grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
         quality = measure_quality(capture, refined, scene.object, model.signed_distance)
         warnings = (*scene.warnings, *_warnings(scene, refined, model))
     return Perceived(
@@ -174,7 +177,7 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        verdict=perception_verdict(scene.object, refined, quality, "" if fitted is None else fitted.name),
+        verdict=perception_verdict(scene.object, refined, "" if fitted is None else fitted.name),
         notes=held.notes,
         mass_range=held.mass_range,
         fitted=fitted,
@@ -283,13 +286,13 @@ def _warnings(scene: HandCandidate, refined: HandEstimate, model: ObjectModel) -
 
 
 def _grasp(
-    model: ObjectModel,
+    held: HeldObject,
     hand: HandEstimate,
     thing: ObjectEstimate,
     pose_world_camera: np.ndarray,
     task: str,
 ) -> HumanGrasp:
-    pose = in_world(pose_world_camera, thing.pose_camera_object)
+    model, pose = held.model, in_world(pose_world_camera, thing.pose_camera_object)
     grasp = HumanGrasp(
         object_name=model.name,
         object_mass=model.mass,
@@ -298,6 +301,7 @@ def _grasp(
         hand_joints=transform_points(pose_world_camera, hand.joints_camera),
         link_contacts=touching_links(hand.joints_camera, model.signed_distance, thing.pose_camera_object),
         task=task,
+        object_mass_spread=held.mass_spread,
     )
     if hand.side == "right":
         return grasp

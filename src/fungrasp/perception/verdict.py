@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from math import exp, expm1, isfinite
+from math import exp, isfinite, log
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.perception.object_pose.confidence import ACCEPT, features
@@ -16,7 +16,6 @@ from fungrasp.perception.scene.depth_edges import SMOOTHED
 
 if TYPE_CHECKING:
     from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
-    from fungrasp.perception.perceived import PerceptionQuality
 
 ACCEPTED_HAND = 0.7
 """Hands of a lower probability are not called right."""
@@ -41,25 +40,20 @@ AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
 ROWS: Mapping[str, tuple[str, float, str]] = {
-    "explained": ("pixels of the object that the mesh explains", 100.0, "%"),
-    "unexplained": ("pixels that it does not, as many as say something of their own", 1.0, ""),
+    "agreement": ("pixels that mesh and image have in common, of those of either", 100.0, "%"),
     "other_size": ("fit of the mesh in another size", 100.0, "%"),
-    "other_length": ("fit of it longer or shorter", 100.0, "%"),
-    "other_side": ("fit of it with another side changed", 100.0, "%"),
-    "stretch": ("by how much the best size differs", 100.0, "%"),
-    "color": ("agreement of colors (0 without colors)", 1.0, ""),
+    "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
     "rival": ("fit of the best other pose, 80 or less", 100.0, "%"),
     "hand_score": ("hand: detector's score and agreement", 1.0, ""),
-    "worst_finger_m": ("hand: depth from the skin, worst finger", 1000.0, "mm"),
+    "joints": ("hand: joints within 20 mm of where they are, expected", 100.0, "%"),
 }
 """Words, factor and unit of each number."""
 
 SHOWN: Mapping[str, Callable[[float], float]] = {
-    "explained": lambda value: 1.0 - exp(-value),
-    "unexplained": expm1,
-    "stretch": expm1,
+    "agreement": lambda value: 1.0 - exp(-value),
     "rival": lambda value: 0.8 + 0.2 * value,
-    **dict.fromkeys(("other_size", "other_length", "other_side"), exp),
+    "joints": lambda value: 1.0 / (1.0 + exp(-value)),
+    **dict.fromkeys(("other_size", "other_side"), exp),
 }
 """From what the odds are made of to what people read."""
 
@@ -152,27 +146,21 @@ class PerceptionVerdict:
         }
 
 
-def hand_features(hand: HandEstimate, quality: PerceptionQuality) -> dict[str, float]:
+def hand_features(hand: HandEstimate) -> dict[str, float]:
     """What the probability of the hand is made of, by the names of ``HAND_WEIGHTS``."""
-    worst = quality.worst_finger_m if isfinite(quality.worst_finger_m) else 0.05
-    return {
-        "hand_score": hand.score,
-        "worst_finger_m": min(worst, 0.06),
-    }
+    part = min(max(float(hand.confidence.mean()), 0.01), 0.99)
+    return {"hand_score": hand.score, "joints": log(part / (1.0 - part))}
 
 
-def perception_verdict(
-    thing: ObjectEstimate, hand: HandEstimate, quality: PerceptionQuality, fitted: str = ""
-) -> PerceptionVerdict:
+def perception_verdict(thing: ObjectEstimate, hand: HandEstimate, fitted: str = "") -> PerceptionVerdict:
     """The verdict.
 
     Args:
         thing: the object's pose.
         hand: as it was refined.
-        quality: how well both agree with the image.
         fitted: shape that stands for an object without a mesh.
     """
-    of_hand = hand_features(hand, quality)
+    of_hand = hand_features(hand)
     probability = HAND_WEIGHTS.probability(of_hand)
     evidence = []
     if thing.evidence is not None:
@@ -203,8 +191,8 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
     if e is None or thing.accepted:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
-    size = sum(shares[name] for name in ("other_size", "other_length", "other_side", "stretch"))
-    covered = shares["explained"] + shares["unexplained"]
+    size = shares["other_size"] + shares["other_side"]
+    covered = shares["agreement"]
     found = []
     if max(e.other_size, e.other_side) > BETTER and size < covered:
         found.append("a mesh of the right size: another one fits better; is its unit right?")
@@ -216,7 +204,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         found.append("another view, in which more of the object is seen")
     if e.edge_width > SMOOTHED:
         found.append("the camera's spatial and hole-filling filters turned off")
-    if e.color == 0.0 and e.rival > ALIKE:
+    if e.colored == 0.0 and e.rival > ALIKE:
         found.append("a mesh with colors: another pose fits nearly as well")
     if covered < AGAINST:
         found.append("the mesh of this very object: this one does not cover what is seen")

@@ -16,6 +16,7 @@ from fungrasp.grasps.human_hand import HUMAN_FINGERS
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.builtin_image import BuiltinTruth
+from fungrasp.perception.hand.joint_confidence import SURE, WITHIN
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.verdict import PerceptionVerdict
@@ -227,11 +228,10 @@ def _figures(verdict: PerceptionVerdict, truth: Sequence[Quantity]) -> str:
 
 def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
     """Joints that are not trusted, and the object's other poses."""
-    unsure = int((perceived.hand.confidence < 0.5).sum())
+    confidence = perceived.hand.confidence
     joints = (
-        f"{unsure} of the hand's 21 joints may well be more than 15 mm off."
-        if unsure
-        else "If the hand is right, all of its 21 joints are probably within 15 mm."
+        f"{int((confidence >= SURE).sum())} of the hand's 21 joints are sure "
+        f"(within {1000 * WITHIN:.0f} mm); {float(confidence.sum()):.0f} are expected to be so near."
     )
     return (
         '<article id="uncertain" aria-labelledby="uncertain-title">'

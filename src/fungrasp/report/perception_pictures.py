@@ -15,6 +15,7 @@ from fungrasp.grasps.human_hand import BONES, HUMAN_FINGERS, mirror_points
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.mirroring import mirrored_object
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
+from fungrasp.perception.hand.joint_confidence import SURE
 from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.rendering.grasp_scenes import grasp_scene
 from fungrasp.report.pictures import four_views
@@ -30,9 +31,6 @@ FINGER_COLORS = {
 
 ACCEPTED_LINE, REJECTED_LINE = (255, 255, 255), (255, 90, 60)
 """Color of the outline of an object whose pose is accepted, and of one whose pose is not; sRGB."""
-
-TRUSTED = 0.5
-"""Joints of a lower confidence are drawn hollow."""
 
 DEPTH_COLORS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 """Colors from far to near: dark violet to yellow, brightness rising evenly; sRGB."""
@@ -257,7 +255,7 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
         if shown[joint]:
             disc(joint, 13, _DARK)
             disc(joint, 10, colors[joint])
-            if hand.confidence[joint] < TRUSTED:
+            if hand.confidence[joint] < SURE:
                 disc(joint, 5.5, _DARK)
     return np.asarray(sheet.reduce(_FINE))
 

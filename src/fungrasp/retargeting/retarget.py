@@ -14,6 +14,7 @@ import numpy as np
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
+from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
@@ -137,6 +138,7 @@ def retarget(
         keypoints=keypoints,
         link_contacts=contacts,
         task=human.task,
+        extra={} if human.object_mass_spread is None else {MASS_SPREAD: human.object_mass_spread},
     )
 
 

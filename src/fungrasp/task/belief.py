@@ -29,6 +29,9 @@ class Belief(BatchRecord):
     object_pose_covariance: np.ndarray | None = None
     """Covariance of the object's pose error: position [m], world frame, and rotation vector [rad], shape
     [N, 6, 6]; what rollouts draw by themselves if None."""
+    object_mass_spread: np.ndarray | None = None
+    """Standard deviation of the logarithm of the object's mass, shape [N]; what rollouts draw by themselves
+    if None."""
     joint_damping: np.ndarray | None = None
     """Identified joint damping, as a factor on the hand model's, shape [N, M]; 1 if None."""
     servo_stiffness: np.ndarray | None = None

@@ -108,6 +108,7 @@ class LiftEnvironment:
         belief = Belief.nominal(
             seen, grasps.object_mass.copy(), setpoints.wrist.pose.copy(), setpoints.fingers.copy()
         )
+        belief = replace(belief, object_mass_spread=grasps.object_mass_spread)
         covariance = self.randomization.object_pose_covariance
         if not covariance.any():
             return belief

@@ -143,31 +143,11 @@ def test_a_mesh_of_another_size_is_known_by_the_size_that_fits() -> None:
     there = mug_scene()
     capture = there.capture.with_object(mask=there.mask)
     right = estimate_object_pose(capture, MUG, there.hand).evidence
-    assert right is not None and right.other_size < -0.1 and right.stretch == 0.0
+    assert right is not None and right.other_size < -0.1
     for factor in (0.67, 1.4):
         found = estimate_object_pose(capture, scaled_object(MUG, factor), there.hand)
         assert found.evidence is not None and not found.accepted
-        assert found.evidence.other_size > 0.1 and found.evidence.stretch > 0.15
-
-
-def test_a_mesh_of_one_color_is_made_use_of() -> None:
-    there = mug_scene()
-    color = there.capture.color.copy()
-    color[there.mask] = [40, 60, 190]
-    capture = Capture(color, there.capture.depth, there.capture.intrinsics, there.mask)
-
-    def agreement(rgb: list[int]) -> float:
-        painted = trimesh.Trimesh(
-            MUG.vertices, MUG.faces, process=False, vertex_colors=np.tile([*rgb, 255], (len(MUG.vertices), 1))
-        )
-        found = estimate_object_pose(capture, painted, there.hand).evidence
-        assert found is not None
-        return found.color
-
-    assert agreement([50, 80, 230]) > 1.0
-    assert agreement([220, 60, 40]) < -1.0
-    # One gray is what programs write for a mesh without color.
-    assert agreement([150, 150, 150]) == 0.0
+        assert found.evidence.other_size > 0.1
 
 
 def test_a_loose_mask_and_smoothed_depth_are_measured() -> None:

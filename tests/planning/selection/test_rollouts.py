@@ -190,6 +190,14 @@ def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
         assert np.abs(errors[grasp, :, 2:5]).max() < 1e-4, "what is sure is not varied"
 
 
+def test_guessed_masses_are_drawn_by_their_spread(monkeypatch):
+    beliefs = replace(belief(), object_mass_spread=np.full(2, 0.62))
+    drawn = np.log(np.concatenate([sample.mass for sample in drawn_in_rollouts(monkeypatch, beliefs)]))
+    known = np.concatenate([sample.mass for sample in drawn_in_rollouts(monkeypatch, belief())])
+    assert np.abs(drawn).max() <= 2 * 0.62 + 1e-9
+    assert drawn.std() > 1.5 * np.log(known).std()
+
+
 def test_without_a_covariance_errors_are_those_of_the_rollouts(monkeypatch):
     believed = drawn_in_rollouts(monkeypatch, belief())
     spread = np.concatenate([sample.object_bias for sample in believed]).std(axis=0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fungrasp.perception.object_pose.object_view import ObjectView
-from fungrasp.perception.object_pose.scoring import PoseScorer, color_evidence
+from fungrasp.perception.object_pose.scoring import PoseScorer
 from fungrasp.perception.object_pose.stretching import other_sizes
 
 SIZE_RAYS = 170
@@ -22,6 +22,8 @@ class PoseEvidence:
     """1 where a mask says which pixels show the object, 0.5 for a box or a click, else 0."""
     explained: float
     """Part of the pixels that show the object whose depth the mesh explains."""
+    visible: float
+    """Part of the mesh's silhouette beside skin that agrees with the measurement."""
     hidden: float
     """Part of the silhouette that skin hides."""
     pixels: float
@@ -30,14 +32,10 @@ class PoseEvidence:
     """Quality of the best different pose, as a part of this one's."""
     other_size: float
     """How well another size of the mesh explains the image, see ``OtherSizes.whole``."""
-    other_length: float
-    """The same of another length of its longest side."""
     other_side: float
     """The same of another length of any side."""
-    stretch: float
-    """By how much the best stretched mesh is stretched, see ``OtherSizes.stretch``."""
-    color: float
-    """Logarithm by how much likelier the colors seen are with the mesh's than with any; 0 without colors."""
+    colored: float
+    """1 where the mesh has colors, else 0."""
     edge_width: float
     """How many pixels outlines are wide in the depth image."""
     foreign: float
@@ -69,14 +67,13 @@ def pose_evidence(
     return PoseEvidence(
         told=told,
         explained=float(scores.explained[0]),
+        visible=float(scores.visible[0]),
         hidden=float(scores.hidden[0]),
         pixels=float(scores.pixels[0]),
         rival=rival / max(float(scores.quality[0]), 1e-6),
         other_size=sizes.whole,
-        other_length=sizes.longest,
         other_side=sizes.side,
-        stretch=sizes.stretch,
-        color=color_evidence(view.known, capture, pose, view.support > 0.25),
+        colored=float(view.known.colors is not None),
         edge_width=view.seen.edge_width,
         foreign=view.foreign,
     )

@@ -12,7 +12,6 @@ from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.scene.depth_edges import SHARP
-from fungrasp.perception.scene.pixel_classes import TONE, tone
 from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 
 UNSEEN = 0.1
@@ -35,12 +34,6 @@ SHIFT_COST = 0.2
 
 LEAST_SAMPLES = 30
 """Fewer samples of the surface don't tell its colors."""
-
-FAR_TONE = 9.0
-"""Squared distance of tones, in ``TONE``, from which on they are simply different: a highlight, a print."""
-
-ANY_TONE = 0.16
-"""Tones of things vary by about 0.4 in each direction: the square of that."""
 
 CONTACT = 0.05
 """Fingertips as far from the surface as this [m] halve the quality."""
@@ -236,27 +229,6 @@ def color_agreement(
         if np.square(model).sum() > 1e-3 * len(model) and spread > 0:
             result[i] = float((model * image).sum()) / spread
     return result
-
-
-def color_evidence(known: KnownObject, capture: Capture, pose: np.ndarray, allowed: np.ndarray) -> float:
-    """How much likelier the tones seen are with the mesh's colors than with any (logarithm, mean of the
-    samples); 0 where the mesh has no colors or too little of it is seen.
-
-    Args:
-        known: the object.
-        capture: the image.
-        pose: object in the camera frame, shape [7].
-        allowed: pixels that may show the object, shape [H, W] bool.
-    """
-    for model, image in _seen_colors(known, capture, pose[None], allowed):
-        if not len(model):
-            return 0.0
-        off = tone(255.0 * image) - tone(255.0 * model)
-        # Light and white balance shift all alike.
-        shift = np.clip(np.median(off, axis=0), -TONE, TONE)
-        apart = np.minimum(np.square((off - shift) / TONE).sum(axis=1), FAR_TONE)
-        return float(np.log(ANY_TONE / TONE**2) - 0.5 * apart.mean())
-    return 0.0
 
 
 def _seen_colors(

@@ -30,39 +30,50 @@ class Logistic:
 
 
 OBJECT_WEIGHTS = Logistic(
-    2.95,
+    4.07,
     {
-        "explained": 0.857,
-        "other_size": -3.69,
-        "other_length": -1.4,
-        "other_side": -5.63,
-        "stretch": -5.33,
-        "color": 0.151,
-        "rival": -3.11,
-        "unexplained": -0.26,
+        "agreement": 2.25,
+        "other_size": -5.3,
+        "other_side": -10.0,
+        "rival": -3.0,
     },
     {
-        "explained": 2.5,
-        "other_size": -0.322,
-        "other_length": -0.245,
-        "other_side": -0.0456,
-        "stretch": 0,
-        "color": 0,
+        "agreement": 2.34,
+        "other_size": -0.257,
+        "other_side": -0.029,
         "rival": 0,
-        "unexplained": 3.18,
     },
 )
 """Of ``fungrasp.perception.object_pose.confidence.features``."""
 
 HAND_WEIGHTS = Logistic(
-    3.32,
+    3.11,
     {
-        "hand_score": 5.62,
-        "worst_finger_m": -58.8,
+        "hand_score": 4.56,
+        "joints": 1.11,
     },
     {
-        "hand_score": 0.875,
-        "worst_finger_m": 0.00496,
+        "hand_score": 0.894,
+        "joints": 1.83,
     },
 )
 """Of ``fungrasp.perception.verdict.hand_features``."""
+
+JOINT_WEIGHTS = Logistic(
+    4.18,
+    {
+        "fit_spread": -3.57,
+        "landmark_finger": -23.6,
+        "landmark_hand": -49.0,
+        "object_known": 3.16,
+        "depth_off": -31.0,
+    },
+    {
+        "fit_spread": 1.57,
+        "landmark_finger": 0.0468,
+        "landmark_hand": 0.0363,
+        "object_known": 1.0,
+        "depth_off": 0.0075,
+    },
+)
+"""Of ``fungrasp.perception.hand.joint_confidence.joint_features``."""

@@ -35,6 +35,10 @@ LARGEST_SLIP = 10.0
 """Slip beyond this counts no more [mm/s]."""
 
 
+MOST = 2.0
+"""Guessed masses are drawn within so many standard deviations: a box that is all lead is not planned for."""
+
+
 @dataclass(frozen=True)
 class RolloutSettings:
     """How plans are tried."""
@@ -107,6 +111,7 @@ def try_candidates(
     number = sum(each for _, each in rounds)
     sample = draw(s.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed))
     pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
+    mass_errors = random_stream("believed mass errors", *seed).normal(size=number)
     best, done = statistics.order, 0
     for most, each in rounds:
         # Rows of ``best`` [K, G] are candidates; each round keeps the leading ones of the round before.
@@ -115,7 +120,7 @@ def try_candidates(
         flat = (best * count + np.arange(count)).ravel()
         rows, draws = np.repeat(flat, each), np.tile(done + np.arange(each), len(flat))
         beliefs = candidates.beliefs.select(rows % count)
-        drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws])
+        drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws], mass_errors[draws])
         tasks = candidates.grasps.select(rows).task if s.for_use else None
         held = None if parts is None else [parts[row] for row in rows % count]
         found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks, held)
@@ -213,14 +218,20 @@ def _without_jitter(randomization: Randomization) -> Randomization:
     return replace(randomization, **still, tracker_dropout=0.0)
 
 
-def _with_estimated_errors(sample: EpisodeSample, beliefs: Belief, z: np.ndarray) -> EpisodeSample:
-    """Object pose errors as large as the belief says they may be: ``e = L z`` with ``L L^T`` its covariance.
+def _with_estimated_errors(
+    sample: EpisodeSample, beliefs: Belief, z: np.ndarray, mass: np.ndarray
+) -> EpisodeSample:
+    """Object pose errors as large as the belief says they may be, ``e = L z`` with ``L L^T`` its covariance;
+    and masses as far from the believed ones as it says.
 
     Args:
-        sample: R rows; returned as it is if the belief knows no covariance.
+        sample: R rows; returned as it is if the belief knows neither covariance nor spread.
         beliefs: R rows.
         z: standard normal numbers, shape [R, 6].
+        mass: the same, shape [R].
     """
+    if beliefs.object_mass_spread is not None:
+        sample = replace(sample, mass=np.exp(beliefs.object_mass_spread * np.clip(mass, -MOST, MOST)))
     if beliefs.object_pose_covariance is None:
         return sample
     factor = np.linalg.cholesky(beliefs.object_pose_covariance + 1e-12 * np.eye(6))
