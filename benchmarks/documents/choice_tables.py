@@ -1,14 +1,16 @@
-"""Tables of variants compared on the part "choose" of the grasp set."""
+"""Tables of variants compared on the grasp set."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.documents.measured import NONE, RESULTS, Table, percent, read
+import numpy as np
+
+from benchmarks.documents.measured import HANDS, NONE, RESULTS, Table, percent, read
 
 PEERS = {
     "mink": "mink",
-    "dexi-rs": "dexi",
+    "dexi-rs": "dexi-rs",
     "dex-retargeting": "dex-retargeting",
     "`dexgraspnet`": "dexgraspnet",
     "`angle-copy`": "angle-copy",
@@ -35,14 +37,9 @@ DECISION_TESTS = {**TESTS, "faive": "not adapted, Faive P0"}
 """The same of ``DECISIONS``."""
 
 
-def chosen_peers() -> Table:
-    """Other methods beside ours before 0073, on the same grasps."""
-    return _peers("choose")
-
-
-def chosen_firm_peers() -> Table:
-    """Other methods beside ours of today, on the same grasps."""
-    return _peers("choose-firm")
+def confirmed_peers() -> Table:
+    """Other methods beside ours on the part "confirm"."""
+    return _peers("confirm")
 
 
 def _peers(prefix: str) -> Table:
@@ -66,13 +63,12 @@ def _peers(prefix: str) -> Table:
     return Table(head, [("ours (`contact`)", *mean), *rows], files)
 
 
-def chosen_strata() -> Table:
-    """Not adapted, by kind of object."""
-    files = {name: f"choose-{file}-unadapted" for name, file in PEERS.items()}
-    files = {name: file for name, file in files.items() if (RESULTS / f"{file}.json").is_file()}
-    rates = {}
-    for name, file in files.items():
-        rates[name] = {rate["stratum"]: rate for rate in read(file).header["rates"]}
+def confirmed_strata() -> Table:
+    """The same, not adapted, by kind of object."""
+    files = {name: f"confirm-{file}-unadapted" for name, file in PEERS.items()}
+    rates = {
+        name: {rate["stratum"]: rate for rate in read(file).header["rates"]} for name, file in files.items()
+    }
     first = next(iter(rates.values()))
     rows = [
         (
@@ -84,6 +80,31 @@ def chosen_strata() -> Table:
         for stratum, rate in first.items()
     ]
     return Table(("objects", "grasps", "ours", *files), rows, list(files.values()))
+
+
+def confirmed_hands() -> Table:
+    """Ours by each hand, not adapted and adapted, by kind of object."""
+    found = {name: read(f"confirm-{name}").header["rates"] for name in HANDS}
+    shares = {
+        name: np.array([(rate["first"], rate["second"]) for rate in rates]) for name, rates in found.items()
+    }
+    first = found["allegro"]
+    rows = [
+        (
+            rate["stratum"],
+            f"{rate['grasps']} of {rate['objects']}",
+            *(_both(shares[name][row]) for name in HANDS),
+        )
+        for row, rate in enumerate(first)
+    ]
+    # The last row is of all grasps, which are more of some kinds.
+    rows.append(("mean of kinds", "", *(_both(shares[name][:-1].mean(axis=0)) for name in HANDS)))
+    return Table(("objects", "grasps", *HANDS.values()), rows, [f"confirm-{name}" for name in HANDS])
+
+
+def _both(shares: np.ndarray) -> str:
+    """Two shares, not adapted and adapted, shape [2]."""
+    return f"{100 * shares[0]:.1f}, {100 * shares[1]:.1f} %"
 
 
 def chosen_decisions() -> Table:

@@ -17,6 +17,10 @@ from benchmarks.documents.measured import (
     with_interval,
 )
 from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.task.use import load_use_motions, motion_of
+
+USED = ("allegro", "shadow", "inspire")
+"""Hands of the use test."""
 
 
 def hands() -> Table:
@@ -112,24 +116,23 @@ def failures() -> Table:
 
 
 def use_test() -> Table:
-    """The use test of built-in grasps that nothing was tuned to."""
-    results = read("use-test").rows
-    motions = sorted({row["motion"] for row in results})
+    """The use test of the built-in grasps whose task has a motion, by hand; of all, not of those held."""
+    known = load_use_motions().values()
     rows = []
-    for hand, policy in dict.fromkeys((row["hand"], row["policy"]) for row in results):
-        group = [row for row in results if (row["hand"], row["policy"]) == (hand, policy)]
-        held = [row for row in group if row["held"]]
-        cells = [f"{HANDS[hand]}, `{policy}`", str(len(group)), str(len(held))]
-        for of in (held, group):
-            passed = sum(row["passed"] for row in of)
-            low, high = wilson_interval(passed, len(of))
-            cells.append(f"{passed}: {100 * passed / len(of):.0f} % ({100 * low:.0f} – {100 * high:.0f})")
-        for motion in motions:
-            mine = [row["passed"] for row in held if row["motion"] == motion]
-            cells.append(f"{sum(mine)} / {len(mine)}" if mine else "")
-        rows.append(cells)
-    head = ("hand, policy", "grasps", "held", "of these pass", "of all")
-    return Table((*head, *(motion.replace("_", " ") for motion in motions)), rows, ["use-test"])
+    for hand in USED:
+        counts: dict[str, list[bool]] = {motion.name: [] for motion in known}
+        held = []
+        for row in read(f"use-{hand}").rows:
+            if (motion := motion_of(row["task"], known)) is not None:
+                counts[motion.name].append(row["use_success"])
+                held.append(row["success"])
+        number, used = len(held), sum(map(sum, counts.values()))
+        low, high = wilson_interval(used, number)
+        whole = f"{used}: {100 * used / number:.0f} % ({100 * low:.0f} – {100 * high:.0f})"
+        each = (f"{sum(passed)} of {len(passed)}" for passed in counts.values())
+        rows.append((HANDS[hand], str(number), str(sum(held)), whole, *each))
+    motions = (motion.name.replace("_", " ") for motion in known)
+    return Table(("hand", "grasps", "held", "used", *motions), rows, [f"use-{hand}" for hand in USED])
 
 
 def methods() -> Table:
