@@ -37,8 +37,8 @@ class ChosenPage:
     """Of the browser's tab."""
     make: Maker
     """Makes what a browser sees."""
-    prepare: Callable[[], None] = lambda: None
-    """What is loaded once is then there when the first browser comes."""
+    prepare: Callable[[], None] | None = None
+    """Loads what is to be there when the first browser comes; None if nothing is."""
 
 
 def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str | Hand) -> ChosenPage:

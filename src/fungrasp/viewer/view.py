@@ -68,8 +68,9 @@ def view(
 
     page = choose_page(what, objects, hand)
     viewer = Viewer(page.make, page.title, host, port)
-    # Python can't end in the middle of a compilation: it waits for this thread.
-    threading.Thread(target=page.prepare, name="fungrasp prepares").start()
+    if page.prepare is not None:
+        # Python can't end in the middle of a compilation: it waits for this thread.
+        threading.Thread(target=page.prepare, name="fungrasp prepares").start()
     if browser:
         webbrowser.open(viewer.url)
     if wait is None:
