@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 ACCEPTED_HAND = 0.7
 """Hands of a lower probability are not called right."""
 
+ENOUGH = 0.88
+"""More joints than this part do not make up for a low score: something else may look like a hand."""
+
 LOOSE_MASK = 0.25
 """A mask with a larger part of other things is loose: 6 pixels too many around an object of 50 make 40 %,
 true masks of the images looked at had up to 20 %."""
@@ -45,7 +48,7 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
     "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
     "rival": ("fit of the best other pose, 80 or less", 100.0, "%"),
     "hand_score": ("hand: detector's score and agreement", 1.0, ""),
-    "joints": ("hand: joints within 20 mm of where they are, expected", 100.0, "%"),
+    "joints": ("hand: joints within 20 mm of where they are, expected, 88 or less", 100.0, "%"),
 }
 """Words, factor and unit of each number."""
 
@@ -148,7 +151,7 @@ class PerceptionVerdict:
 
 def hand_features(hand: HandEstimate) -> dict[str, float]:
     """What the probability of the hand is made of, by the names of ``HAND_WEIGHTS``."""
-    part = min(max(float(hand.confidence.mean()), 0.01), 0.99)
+    part = min(max(float(hand.confidence.mean()), 0.01), ENOUGH)
     return {"hand_score": hand.score, "joints": log(part / (1.0 - part))}
 
 
