@@ -198,5 +198,5 @@ _KEPT = (
 
 def _one_sided(human: HumanGrasp, hand: Hand) -> HumanGraspSet:
     """The grasp as a set, of a left hand for a left one."""
-    one = HumanGraspSet.of([replace(human, probability=None, hand_qpos=None)])
+    one = HumanGraspSet.of([replace(human, hand_qpos=None)])
     return one if hand.side == "right" else mirrored_grasps(one)
