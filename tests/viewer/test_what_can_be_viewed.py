@@ -12,10 +12,14 @@ import pytest
 import fungrasp
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
+from fungrasp.grasps import builtin_grasps
+from fungrasp.hands import load_hand
+from fungrasp.objects import builtin_object
 from fungrasp.viewer.choose_page import choose_page
 from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import Worker
 from fungrasp.viewer.result_page import ShownResult
+from fungrasp.viewer.robot_view import RobotView
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -39,6 +43,27 @@ def test_it_listens_where_only_this_machine_reaches_it():
         if own != "127.0.0.1":
             with pytest.raises(OSError), socket.create_connection((own, port), timeout=2):
                 pass
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_a_hand_imitates_follows_and_is_judged(side, request):
+    """What the page of a grasp does with a hand, in a scene of no browser."""
+    import viser
+
+    server = viser.ViserServer("127.0.0.1", port=0, verbose=False)
+    request.addfinalizer(server.stop)
+    human, model = builtin_grasps().select(np.array([0]))[0], builtin_object(builtin_grasps().object_name[0])
+    hand = load_hand("inspire")
+    hand = hand if side == "right" else replace(hand, side="left")
+    view = RobotView(server.scene, "/robot", np.zeros(3), hand, model)
+    view.imitate(human, "angle-copy")
+    before = view.grasp
+    assert view.touch is not None and view.quality(human) is not None
+    away = human.object_pose + np.array([0.1, 0, 0, 0, 0, 0, 0])
+    view.follow(replace(human, object_pose=away, hand_joints=human.hand_joints + np.array([0.1, 0, 0])))
+    moved = view.grasp.wrist_pose[:3] - before.wrist_pose[:3]
+    assert 0.05 < np.linalg.norm(moved) < 0.2
+    assert len(view.grasp_set()) == 1
 
 
 @pytest.mark.parametrize(
