@@ -90,12 +90,19 @@ def moments(episode: Trajectory) -> list[int]:
 
 def pictures(episode: Trajectory, hand: Hand, thing: ObjectModel) -> list[np.ndarray]:
     """Frames of an episode, all from one side."""
-    states = moments(episode)
+    states, place = moments(episode), episode.object_pose[:, :3]
+    # The view is chosen for the lift, and frames whatever stays near.
+    near = [i for i in (*states, states[1]) if np.linalg.norm(place[i] - place[0]) < FARTHEST]
+    return frames_of(episode, hand, thing, states, near)
+
+
+def frames_of(
+    episode: Trajectory, hand: Hand, thing: ObjectModel, states: list[int], framed: list[int]
+) -> list[np.ndarray]:
+    """Pictures of some states, from the side that suits those of ``framed``."""
     wrist, joints, things = episode.palm_pose, episode.joint_positions, episode.object_pose
     model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
-    # The view is chosen for the lift, and frames whatever stays near.
-    near = [i for i in (*states, states[1]) if np.linalg.norm(things[i, :3] - things[0, :3]) < FARTHEST]
-    camera = look_at_grasp(model, robot_scene_states(model, hand, wrist, joints, things)[near], **SIZE)
+    camera = look_at_grasp(model, robot_scene_states(model, hand, wrist, joints, things)[framed], **SIZE)
     frames: list[np.ndarray] = []
     for i in states:
         model, qpos = robot_grasp_scene(hand, wrist[i], joints[i], thing, things[i], episode.link_contacts[i])
