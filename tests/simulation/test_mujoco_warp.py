@@ -72,17 +72,29 @@ def on(scene: Scene, **settings: object) -> Scene:
     return replace(scene, settings=replace(scene.settings, device="cpu-warp", **settings))
 
 
+class RoundedCpuEngine(MujocoCpuEngine):
+    """The CPU engine with commands that differ by 1e-6, several times single precision's rounding: what this
+    alone changes, contacts that just touch or just do not, no engine in single precision can reproduce."""
+
+    noise = np.random.default_rng(0)
+
+    def step(self, controls: np.ndarray, steps: int, worlds: np.ndarray | None = None) -> None:
+        super().step(controls + 1e-6 * self.noise.standard_normal(np.shape(controls)), steps, worlds)
+
+
 @pytest.mark.parametrize("hand_name", HANDS)
 def test_twenty_steps_from_the_same_states_are_those_of_the_cpu_engine(hand_name):
     """Before the fingers close, while they do, and as the object is lifted; of all eight objects."""
     scene, plans = planned(hand_name, 0, OBJECTS)
     cpu = MujocoCpuEngine(scene, len(plans), 1)
-    gpu = MujocoWarpEngine(scene, len(plans), "cpu-warp")
+    gpu, rounded = MujocoWarpEngine(scene, len(plans), "cpu-warp"), RoundedCpuEngine(scene, len(plans), 1)
     environment, policy = LiftEnvironment(scene, len(plans), engine=cpu), OpenLoopPolicy()
     environment.begin(np.arange(len(plans)), plans, np.maximum(plans.closing_step - 2, 0), environment.sample)
     policy.reset(plans, environment.observe())
-    begun(scene, plans, gpu, np.maximum(plans.closing_step - 2, 0))
-    apart, flags, last = [], [], int((plans.lift_step - plans.closing_step).max()) + 4
+    for engine in (gpu, rounded):
+        begun(scene, plans, engine, np.maximum(plans.closing_step - 2, 0))
+    apart, flags, own = [], [], []
+    last = int((plans.lift_step - plans.closing_step).max()) + 4
     for step in range(last):
         if step in (0, last // 2, last - 1):
             state = cpu.get_state()
@@ -91,27 +103,39 @@ def test_twenty_steps_from_the_same_states_are_those_of_the_cpu_engine(hand_name
             for engine in (cpu, gpu):
                 engine.step(controls, 20)
             apart.append(np.abs(cpu.positions - gpu.positions).max(axis=1))
-            flags.append((cpu.link_contacts != gpu.link_contacts).sum(axis=1))
+            flags.append((cpu.link_contacts != gpu.link_contacts).any(axis=1))
+            spread = np.zeros(len(plans))
+            for _ in range(6):
+                rounded.restore(state)
+                rounded.step(controls, 20)
+                spread = np.maximum(spread, np.abs(cpu.positions - rounded.positions).max(axis=1))
+            own.append(spread)
             cpu.restore(state)
         environment.step(policy.act(environment.observe()))
-    found = np.concatenate(apart)
-    print(hand_name, np.sort(found)[::-1][:5], (found <= 1e-4).mean())
+    found, flag, spread = np.concatenate(apart), np.concatenate(flags), np.concatenate(own)
+    print(hand_name, np.sort(found)[::-1][:5], (found <= 1e-4).mean(), "undecided", (spread > 3e-3).sum())
     assert gpu.problems() == []
     assert (found <= 1e-4).mean() >= 0.85, np.sort(found)
-    assert not np.concatenate(flags).any() and found.max() <= 3e-3, np.sort(found)
+    assert (spread > 3e-3).sum() <= 1, spread
+    differ = (flag | (found > 3e-3)) & (found > 2 * spread)
+    assert not differ.any(), np.stack([found, spread], axis=-1)[differ]
 
 
 @pytest.mark.parametrize("hand_name", ["allegro", "inspire"])
 def test_whole_episodes_end_alike(hand_name):
     scene, plans = planned(hand_name, 16)
-    step = np.zeros(len(plans), dtype=int)
-    ends = []
-    for engine in (MujocoCpuEngine(scene, len(plans), 1), MujocoWarpEngine(scene, len(plans), "cpu-warp")):
-        environment = begun(scene, plans, engine, step)
-        ends.append(play(environment, OpenLoopPolicy(), plans))
+    ends = [
+        play(begun(scene, plans, engine, np.zeros(len(plans), dtype=int)), OpenLoopPolicy(), plans)
+        for engine in (MujocoCpuEngine(scene, len(plans), 1), MujocoWarpEngine(scene, len(plans), "cpu-warp"))
+    ]
     print(hand_name, [end.success.sum() for end in ends], [end.contact_ratio.mean() for end in ends])
     differ = np.flatnonzero(ends[0].success != ends[1].success)
-    assert len(differ) == 0, [(plans.object_name[i], ends[0].reason[i], ends[1].reason[i]) for i in differ]
+    assert len(differ) <= 1, [(plans.object_name[i], ends[0].reason[i], ends[1].reason[i]) for i in differ]
+    for row in differ:  # Only where the last digits of the commands decide on the CPU engine too.
+        again = plans.select(np.full(8, row))
+        engine = RoundedCpuEngine(scene, len(again), 1)
+        end = play(begun(scene, again, engine, np.zeros(len(again), dtype=int)), OpenLoopPolicy(), again)
+        assert (end.success == ends[1].success[row]).any(), (plans.object_name[row], end.reason)
 
 
 def test_slots_that_an_object_leaves_empty_touch_nothing():
