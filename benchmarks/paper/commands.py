@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from benchmarks.paper.free_policies import FreePolicies
 from benchmarks.paper.table_training import TableOptions
 from fungrasp.errors import FungraspError
-from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.plan_library import Variety
-from fungrasp.training.settings import PpoSettings
-
-FROM_NOTHING_EARLY = (-4, 10)
-"""Control steps before the fingers close at which episodes begin: from 9 cm away to a hand that has all but
-closed, whose lifts are paid for from the beginning."""
 
 
 @dataclass(frozen=True)
@@ -30,31 +22,13 @@ class RetargetingTable(TableOptions):
         self.reproduce("retargeting")
 
 
-def from_nothing() -> EnvironmentSettings:
-    """The paper's setting (docs/train.md): no planned motion is followed, networks get what the paper names,
-    and episodes begin near the grasp."""
-    return EnvironmentSettings(
-        worlds=128,
-        early=FROM_NOTHING_EARLY,
-        whole=0.0,
-        layout="paper",
-        residual=ResidualSettings(base="guided"),
-    )
-
-
 @dataclass(frozen=True)
 class PrivilegedTable(TableOptions):
-    """Compare what is known of the contacts (Table V of the paper), in the paper's setting, from nothing:
-    nothing, what an encoder learns along the way, the truth, and what a student has learned from a teacher.
+    """Compare what is known of the contacts (Table V of the paper): nothing, what an encoder learns along
+    the way, the truth, and what a student has learned from a teacher.
 
     Given again, the command goes on where it was interrupted; all tables may share a folder.
     """
-
-    worlds: str = "nominal"
-    shrink: float = 1.0
-    environment: EnvironmentSettings = field(default_factory=from_nothing)
-    ppo: PpoSettings = field(default_factory=lambda: PpoSettings(noise=0.3, epochs=8, kl=0.04))
-    variety: Variety = field(default_factory=lambda: Variety(copies=1))
 
     def run(self) -> None:
         self.reproduce("privileged")

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from fungrasp.cli.console import progress_bar, table
-from fungrasp.cli.training_options import check_numbers, check_packages, predictor_file, progress_lines
+from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
 from fungrasp.errors import FungraspError
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.provenance import run_record
 from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
@@ -27,11 +28,28 @@ DISTILLED = 6
 """A student is distilled with one control step for so many of its teacher's."""
 
 
+FROM_NOTHING_EARLY = (-4, 10)
+"""Control steps before the fingers close at which episodes begin: from 9 cm away to a hand that has all but
+closed, whose lifts are paid for from the beginning."""
+
+
+def from_nothing() -> EnvironmentSettings:
+    """The paper's setting (docs/train.md): no planned motion is followed, networks get what the paper names,
+    and episodes begin near the grasp."""
+    return EnvironmentSettings(
+        worlds=128,
+        early=FROM_NOTHING_EARLY,
+        whole=0.0,
+        layout="paper",
+        residual=ResidualSettings(base="guided"),
+    )
+
+
 @dataclass(frozen=True)
 class TableOptions:
-    """Options of all tables. Every policy is trained with the same budget, with each of several seeds, and
-    tried on other grasps, in nominal worlds (with and without adaptation of the grasps) and in the reality
-    protocol; the table stands beside the paper's."""
+    """Options of all tables. Every policy is trained in the paper's setting, from nothing, with the same
+    budget, with each of several seeds, and tried on other grasps, in nominal worlds (with and without
+    adaptation of the grasps) and in the reality protocol; the table stands beside the paper's."""
 
     option_prefixes: ClassVar[bool] = True
 
@@ -50,24 +68,17 @@ class TableOptions:
     """Control steps that each policy is trained for."""
     distill_steps: float | None = None
     """Control steps for which a student is distilled; a sixth of --steps by default."""
-    worlds: str = "reality"
+    worlds: str = "nominal"
     """What episodes of the trainings draw their worlds from."""
-    plans: str | None = None
-    """A success predictor that chooses the plans to follow, in training and test ("predictor" is short for
-    the hand's); the grasps' own plans by default."""
-    shrink: float = 0.5
-    """Factor on the corrections of all finished policies."""
-    rollouts: bool = False
-    """Whether plans are tried in simulated rollouts in the tests, which takes --plans."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of trainings and tests."""
     threads: int = 0
     """Threads of the simulation; 0 means all processors."""
-    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    environment: EnvironmentSettings = field(default_factory=from_nothing)
     """Settings of the worlds that policies are trained in, but for what --worlds says."""
-    ppo: PpoSettings = field(default_factory=PpoSettings)
+    ppo: PpoSettings = field(default_factory=lambda: PpoSettings(noise=0.3, epochs=8, kl=0.04))
     """Settings of the training of every policy but the students."""
-    variety: Variety = field(default_factory=Variety)
+    variety: Variety = field(default_factory=lambda: Variety(copies=1))
     """How the grasps are varied that policies are trained on."""
     distill: DistillSettings = field(default_factory=DistillSettings)
     """Settings of the students' distillation."""
@@ -118,8 +129,6 @@ class TableOptions:
         check_numbers(self._distill_steps(), 0, self.threads)
         if len(set(self.seeds)) < len(self.seeds):
             raise FungraspError("--seeds must be different ones")
-        if self.rollouts and self.plans is None:
-            raise FungraspError("--rollouts try the plans that a predictor chooses: give --plans too")
 
     def _distill_steps(self) -> float:
         return self.steps / DISTILLED if self.distill_steps is None else self.distill_steps
@@ -152,9 +161,6 @@ class TableOptions:
             "steps": int(self.steps),
             "distill_steps": int(self._distill_steps()),
             "worlds": self.worlds,
-            "plans": self.plans,
-            "shrink": self.shrink,
-            "rollouts": self.rollouts,
             "environment": asdict(self.environment),
             "ppo": asdict(self.ppo),
             "variety": asdict(self.variety),
@@ -175,8 +181,7 @@ class TableOptions:
         folder = self._folder(variant, seed)
         print(f"{variant.title}, seed {seed}: training {name}")
         sets = load_training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
-        plans = None if self.plans is None else predictor_file(self.plans, hand)
-        count = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
+        count = sum(len(s.grasps) for s in sets) * self.variety.planned(False)
         environment = replace(self.environment, randomization=preset(self.worlds))
         with progress_bar("planning", count) as show:
             train(
@@ -186,8 +191,6 @@ class TableOptions:
                 RunSettings(seed, self.variety, environment, replace(self.ppo, sees=variant.sees)),
                 int(self.steps),
                 threads=self.threads,
-                plans=plans,
-                shrink=self.shrink,
                 plan_file=folder / f"plans-{variant.method}.npz",
                 curve=self.curve,
                 planning=show,
@@ -229,7 +232,7 @@ class TableOptions:
                 protocol="reality" if condition == "reality" else "nominal",
                 seeds=(seed,),
                 adapt="not adapted" not in condition,
-                rollouts=self.rollouts,
+                rollouts=False,
             )
             with progress_bar(f"{variant.title}, seed {seed}: {condition}", 1.0) as show:
                 return evaluate(grasps, objects, spec=spec, hand=hand, threads=self.threads, progress=show)

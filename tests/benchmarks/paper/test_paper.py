@@ -22,7 +22,6 @@ TABLE = ("--grasps", "builtin", "--test", "builtin")
     [
         (("paper", "policies", "--hands", "alegro"), "Did you mean 'allegro'?"),
         (("paper", "policies", "--grasp-seeds", -1), "must not be negative"),
-        (("paper", "privileged", *TABLE, "--rollouts"), "give --plans too"),
         (("paper", "hands", *TABLE, "--seeds", 1, 1), "--seeds must be different ones"),
     ],
 )
