@@ -13,6 +13,7 @@ import pytest
 import fungrasp
 from fungrasp.cli.main import main
 from fungrasp.errors import FungraspError
+from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.audit import EpisodeBundle, audit, load_bundle, load_bundles, other_engines
 from fungrasp.evaluation.audit.result_file import KeptEpisodes
 from fungrasp.objects import builtin_object
@@ -50,6 +51,31 @@ def test_mujoco_built_anew_from_the_recordings_ends_as_they_did(hand, folder):
         if one.recorded:
             assert one.slip_mm_s == pytest.approx(one.recorded_slip_mm_s, abs=0.3)
     assert len(bundles[0].couplings) == (6 if hand == "inspire" else 0)
+
+
+def test_use_tests_in_which_only_the_hand_moves_end_as_they_did(tmp_path):
+    """A glass that is drunk from. What is handed over is pulled at, and left out."""
+    human = fungrasp.builtin_grasps()
+    rows = [
+        np.flatnonzero(human.object_name == "wine_glass")[0],
+        np.flatnonzero(human.task == "hand over")[0],
+    ]
+    human = human.select(np.array(rows))
+    objects = fungrasp.load_objects(human)
+    robot = fungrasp.retarget(human, objects, hand="shadow")
+    spec = LiftTestSpec(policy="reference", use=True)
+    result = fungrasp.evaluate(robot, objects, spec=spec, human=human, threads=1, record=tmp_path)
+    assert result.success.all()
+    files = sorted(tmp_path.glob("*_use.npz"))
+    assert len(files) == 2 and len(list(tmp_path.iterdir())) == 4
+    bundles = load_bundles([tmp_path], lambda one: builtin_object(one.object_name, one.object_mass), use=True)
+    assert [one.use for one in bundles] == [True]
+    (one,) = audit(bundles, "mujoco").episodes
+    assert one.success == one.recorded and one.slip_mm_s == pytest.approx(one.recorded_slip_mm_s, abs=0.3)
+    (lost,) = audit([replace(bundles[0], friction=0.05)], "mujoco").episodes
+    assert not lost.success and "in the palm" in lost.reason
+    with pytest.raises(FungraspError, match="leave it out where it is of a use test"):
+        load_bundles([files[1]], lambda one: builtin_object(one.object_name, one.object_mass), use=True)
 
 
 def test_a_grasp_that_is_spoiled_is_lost_and_it_is_said_why(folder):

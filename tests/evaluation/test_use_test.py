@@ -65,7 +65,8 @@ def test_use_tests_are_recorded_by_themselves(tmp_path):
     for row, episode in found.items():
         motion = use.motions[str(result.use.motion[row])]
         assert (episode.success, episode.reason) == (result.use.success[row], result.use.reason[row])
-        assert {name for _, name in episode.phases} == {"use"} and episode.controls is None
+        assert {name for _, name in episode.phases} == {"use"}
+        assert (episode.controls is not None) == motion.only_moves
         assert episode.times[-1] <= motion.whole_duration + 1e-6
         if episode.success:
             assert episode.times[-1] > motion.duration - 0.1

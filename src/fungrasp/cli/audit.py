@@ -24,6 +24,9 @@ class Audit:
     recorded: the control."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
+    use: bool = False
+    """Take the recorded use tests from folders in place of lift tests: those in which only the hand moves, as
+    it pours or hammers. The object has to stay where it is in the palm."""
     json: JsonOut = None
     """Write what is found of each episode here (.json); without a file, print it. Given again with its file
     after an interruption, the command goes on."""
@@ -39,7 +42,7 @@ class Audit:
 
         world_maker(self.engine)
         made = load_bundles(
-            self.recordings, lambda one: load_object(one.object_name, one.object_mass, self.objects)
+            self.recordings, lambda one: load_object(one.object_name, one.object_mass, self.objects), self.use
         )
         if self.bundles is not None:
             self.bundles.mkdir(parents=True, exist_ok=True)

@@ -298,7 +298,7 @@ class LiftTest(Job[Episodes]):
         assert grasps.task is not None
         tasks = grasps.task.tolist()
         watching = UseRecorder(environment, grasps, use.motions_of(tasks)) if files else None
-        tried = use.run(environment, rows, tasks, held, watching or (lambda: None))
+        tried = use.run(environment, rows, tasks, held, watching or (lambda controls: None))
         if watching is not None:
             for trajectory, file in zip(watching.trajectories(rows, tried), files, strict=True):
                 if trajectory is not None:

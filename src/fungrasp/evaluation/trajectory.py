@@ -69,7 +69,8 @@ class Trajectory:
     """Phase of each state as an index into ``PHASES``, shape [T]."""
     controls: np.ndarray | None = None
     """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
-    then the finger servos [rad]; shape [T, 6 + U]. None for use tests and in earlier recordings."""
+    then the finger servos [rad]; shape [T, 6 + U]. None in earlier recordings, and for use tests in which
+    the world pushes or pulls at the object."""
     differs: str = ""
     """What may differ from the nominal world, as names of fields of ``Randomization`` with spaces between;
     empty for a nominal one. The drawn values are not in a recording, and a replay of the controls in the

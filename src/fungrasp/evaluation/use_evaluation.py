@@ -65,7 +65,7 @@ class UseTest:
         rows: np.ndarray,
         tasks: Sequence[str],
         held: np.ndarray,
-        watch: Callable[[], None] = lambda: None,
+        watch: Callable[[np.ndarray], None] = lambda controls: None,
     ) -> UseOutcomes:
         """Try W grasps whose lift tests have just ended.
 
@@ -74,7 +74,7 @@ class UseTest:
             rows: of the grasps in their set, shape [W].
             tasks: what the grasps are for, length W.
             held: whether the lift test was passed, shape [W] bool.
-            watch: called after each setpoint, to record.
+            watch: called after each setpoint with what the servos were told, to record.
         """
         parts = [self.held_parts[row] for row in rows]
         return play_use(environment, self.motions_of(tasks), held, parts, watch)

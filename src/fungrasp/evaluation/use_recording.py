@@ -27,17 +27,18 @@ class UseRecorder:
         self._engine, self._grasps = environment.engine, grasps
         self._period = environment.task.setpoints.period
         self._lasts = [0.0 if motion is None else motion.whole_duration for motion in motions]
+        self._only_move = [motion is not None and motion.only_moves for motion in motions]
         self._states: list[tuple[np.ndarray, ...]] = []
 
-    def __call__(self) -> None:
-        """Keep the current state; to be called after each setpoint."""
+    def __call__(self, controls: np.ndarray) -> None:
+        """Keep the current state; to be called after each setpoint. controls: what the servos were told."""
         engine = self._engine
-        numbers = engine.positions, engine.object_pose, engine.palm_pose, engine.joint_positions
+        numbers = engine.positions, engine.object_pose, engine.palm_pose, engine.joint_positions, controls
         self._states.append((*(array.astype(np.float32) for array in numbers), engine.link_contacts))
 
     def trajectories(self, rows: np.ndarray, outcomes: UseOutcomes) -> list[Trajectory | None]:
         """One per world, each until its test was over; None where there was none. All their states are of the
-        phase "use", and they have no controls.
+        phase "use"; they have controls where nothing but the hand moved the object.
 
         Args:
             rows: of the grasps in their set, shape [W].
@@ -48,7 +49,7 @@ class UseRecorder:
             return found
         whole = [np.stack(column) for column in zip(*self._states, strict=True)]
         for world in np.flatnonzero(outcomes.motion != "").tolist():
-            positions, thing, palm, joints, contacts = (array[:, world] for array in whole)
+            positions, thing, palm, joints, controls, contacts = (array[:, world] for array in whole)
             # A world whose test is over stands still.
             count = min(round(self._lasts[world] / self._period), len(positions))
             moving = np.flatnonzero((positions[1:count] != positions[: count - 1]).any(axis=1))
@@ -68,5 +69,6 @@ class UseRecorder:
                 joint_positions=joints[:count],
                 link_contacts=contacts[:count],
                 phase=np.full(count, PHASES.index("use"), dtype=np.int8),
+                controls=controls[:count] if self._only_move[world] else None,
             )
         return found

@@ -69,7 +69,7 @@ def test_the_palm_turns_as_the_motion_says():
     before = environment.engine.palm_pose
     half = UseMotion("tip", ("tip",), 1.0, turn="tilt", segments=((np.deg2rad(60), 1.0, 0.2),))
     poses = []
-    play_use(environment, [half] * 2, held, ANY, lambda: poses.append(environment.engine.palm_pose))
+    play_use(environment, [half] * 2, held, ANY, lambda controls: poses.append(environment.engine.palm_pose))
     turned = compose(poses[-1], invert(before))
     angle = 2 * np.arccos(np.clip(np.abs(turned[:, 3]), 0, 1))
     np.testing.assert_allclose(np.rad2deg(angle), 60, atol=4)

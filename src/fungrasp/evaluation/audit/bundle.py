@@ -29,11 +29,18 @@ from fungrasp.evaluation.trajectory import PHASES, Trajectory
 from fungrasp.files import atomic_path
 from fungrasp.formats.json_file import read_json
 from fungrasp.formats.record_json import record_from_json, record_to_json
-from fungrasp.geometry.poses import relative
+from fungrasp.geometry.poses import (
+    quaternion_conjugate,
+    quaternion_multiply,
+    relative,
+    rotation_vector,
+    transform_points,
+)
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.simulation import build_scene
 from fungrasp.simulation.scene import Scene
+from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, TABLE_AWAY
 
 SUFFIX = ".episode.json"
 """Of a bundle's file."""
@@ -43,7 +50,8 @@ LARGEST = 64_000_000
 
 @dataclass(frozen=True)
 class EpisodeBundle:
-    """A recorded episode of the lift test. Poses are in the world frame: z up, table top at z = 0."""
+    """A recorded episode of the lift test, or of a use test in which only the hand moves. Poses are
+    in the world frame: z up, table top of the lift test at z = 0."""
 
     name: str
     """Of the recording."""
@@ -99,6 +107,10 @@ class EpisodeBundle:
     """Of the object then, world frame, 7 numbers each."""
     contacts: tuple[tuple[bool, ...], ...]
     """Which links touched the object then."""
+    table_height: float = 0.0
+    """Of the table top [m]."""
+    use: bool = False
+    """Whether it is of a use test, in which the object has to stay where it is in the palm."""
 
     @cached_property
     def center(self) -> np.ndarray:
@@ -134,14 +146,18 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
 
     Args:
         name: of the recording.
-        recorded: in a nominal world, with what the servos were told.
+        recorded: in a nominal world, with what the servos were told. A use test succeeds here where the
+            object stays in the palm, wherever the hand touches it.
         scene: of its hand and its object.
 
     Raises:
         FungraspError: the recording lacks something, or the hand has what other engines are not told of.
     """
-    if recorded.controls is None or recorded.is_use_test:
-        raise FungraspError(f"{name} does not hold what the servos were told: record the lift test anew")
+    if recorded.controls is None:
+        raise FungraspError(
+            f"{name} does not hold what the servos were told: record it anew, or leave it out where it is "
+            "of a use test in which the world pushes or pulls at the object"
+        )
     if recorded.differs:
         raise FungraspError(
             f"{name} is of a world in which these differ from the nominal one, which is not recorded: "
@@ -156,6 +172,11 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
     ]
     begins = [recorded.times[recorded.phase >= PHASES.index(p)] for p in ("lift", "hold")]
     lift, hold = (float(times[0]) if len(times) else -1.0 for times in begins)
+    in_palm, success, reason = _in_palm(recorded), recorded.success, recorded.reason
+    if recorded.is_use_test:
+        lift = hold = 0.0
+        reason = moved_in_palm(in_palm[0], in_palm[1:], thing.center_of_mass)
+        success = not reason
     return EpisodeBundle(
         name=name,
         hand=hand.name,
@@ -183,12 +204,31 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
         setpoints=rows(recorded.controls),
         lift_time=lift,
         hold_time=hold,
-        success=recorded.success,
-        reason=recorded.reason,
-        poses_in_palm=rows(_in_palm(recorded)),
+        success=success,
+        reason=reason,
+        poses_in_palm=rows(in_palm[1:]),
         object_poses=rows(recorded.object_pose[1:]),
         contacts=tuple(tuple(map(bool, row)) for row in recorded.link_contacts[1:]),
+        table_height=TABLE_AWAY if recorded.is_use_test else 0.0,
+        use=recorded.is_use_test,
     )
+
+
+def moved_in_palm(start: np.ndarray, poses: np.ndarray, center: np.ndarray) -> str:
+    """Why an object has not stayed in the palm during a use test, "" if it has.
+
+    Args:
+        start: its pose there when the motion began, shape [7].
+        poses: and during it, shape [T, 7].
+        center: of its mass, object frame [m], shape [3].
+    """
+    turned = quaternion_multiply(poses[:, 3:], quaternion_conjugate(start[3:]))
+    shift = transform_points(poses, center[None, None])[:, 0] - transform_points(start, center[None])[0]
+    if np.linalg.norm(shift, axis=1).max() > LARGEST_SHIFT:
+        return "the object slipped in the palm"
+    if np.linalg.norm(rotation_vector(turned), axis=1).max() > LARGEST_TURN:
+        return "the object turned in the palm"
+    return ""
 
 
 def scene_of(recorded: Trajectory, objects: Mapping[str, ObjectModel]) -> Scene:
@@ -198,4 +238,5 @@ def scene_of(recorded: Trajectory, objects: Mapping[str, ObjectModel]) -> Scene:
 
 
 def _in_palm(recorded: Trajectory) -> np.ndarray:
-    return relative(recorded.palm_pose[1:].astype(float), recorded.object_pose[1:].astype(float))
+    """The object's poses in the palm, shape [T, 7]."""
+    return relative(recorded.palm_pose.astype(float), recorded.object_pose.astype(float))

@@ -45,7 +45,7 @@ class DrakeWorld:
         )
         self._plant, self._scene = AddMultibodyPlant(config, builder)
         plant = self._plant
-        below = RigidTransform([0.0, 0.0, -0.05])
+        below = RigidTransform([0.0, 0.0, bundle.table_height - 0.05])
         slab = Box(1.5, 1.5, 0.1)
         self._table = plant.RegisterCollisionGeometry(
             plant.world_body(), below, slab, "table", _material(bundle.friction, MODULUS["table"])

@@ -37,6 +37,7 @@ class MujocoWorld:
         self._contact = {"friction": [bundle.friction, bundle.torsional_friction, 1e-4], "condim": 4}
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         spec.worldbody.add_geom(name="table", type=plane, size=[0.75, 0.75, 0.05], **self._contact)
+        spec.geom("table").pos = [0.0, 0.0, bundle.table_height]
         thing = spec.worldbody.add_body(name="object")
         thing.add_freejoint(name="object")
         thing.mass, thing.ipos = bundle.object_inertia.mass, bundle.object_inertia.center

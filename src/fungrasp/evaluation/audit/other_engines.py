@@ -125,12 +125,16 @@ def world_maker(engine: EngineName) -> Callable[[EpisodeBundle], EpisodeWorld]:
     return MujocoWorld
 
 
-def load_bundles(paths: Sequence[Path], objects: Callable[[Trajectory], ObjectModel]) -> list[EpisodeBundle]:
+def load_bundles(
+    paths: Sequence[Path], objects: Callable[[Trajectory], ObjectModel], use: bool = False
+) -> list[EpisodeBundle]:
     """The bundles of recordings.
 
     Args:
-        paths: recorded episodes, bundles, or folders of them; files of use tests in folders are left out.
+        paths: recorded episodes, bundles, or folders of them.
         objects: gives the object of a recording.
+        use: whether to take use tests from folders, those in which only the hand moves, in place of lift
+            tests.
 
     Raises:
         FungraspError: no recordings, or one that can't be replayed.
@@ -139,7 +143,7 @@ def load_bundles(paths: Sequence[Path], objects: Callable[[Trajectory], ObjectMo
     for path in paths:
         if path.is_dir():
             inside = sorted([*path.glob("*.npz"), *path.glob(f"*{BUNDLE}")])
-            files += [file for file in inside if not file.stem.endswith("_use")]
+            files += [file for file in inside if file.name.split(".")[0].endswith("_use") == use]
         else:
             files.append(path)
     if not files:
@@ -151,8 +155,12 @@ def load_bundles(paths: Sequence[Path], objects: Callable[[Trajectory], ObjectMo
             found.append(load_bundle(file))
             continue
         recorded = replay(file)
+        if recorded.controls is None and use and file not in paths:
+            continue
         key = recorded.hand, recorded.object_name
         if key not in scenes:
             scenes[key] = scene_of(recorded, {recorded.object_name: objects(recorded)})
         found.append(make_bundle(file.stem, recorded, scenes[key]))
+    if not found:
+        raise FungraspError("in all of these use tests the world pushes or pulls at the object")
     return found

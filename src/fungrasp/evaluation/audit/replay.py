@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from fungrasp.evaluation.audit.bundle import EpisodeBundle
-from fungrasp.geometry.poses import compose, invert, rotate, rotation_vector
+from fungrasp.evaluation.audit.bundle import EpisodeBundle, moved_in_palm
+from fungrasp.geometry.poses import compose, invert, relative, rotate, rotation_vector
 from fungrasp.task import LiftProtocol
 from fungrasp.task.outcome import lifted_and_held
 
@@ -56,7 +56,7 @@ class Replayed:
     object_name: str
     """Name of the object."""
     recorded: bool
-    """Whether the object was held when it was recorded."""
+    """Whether the object was held when it was recorded; of a use test, whether it stayed in the palm."""
     success: bool
     """Whether it was held here."""
     reason: str
@@ -80,9 +80,11 @@ def play_bundle(bundle: EpisodeBundle, world: EpisodeWorld, protocol: LiftProtoc
         protocol: with the height of success; the published one if None.
     """
     p = protocol or LiftProtocol()
+    before = relative(world.palm_pose(), np.array(bundle.object_pose))
     world.tell(bundle.told[0])
     world.advance(SETTLE)
     settled = world.object_pose()
+    start = relative(world.palm_pose(), settled)
     objects, palms, contacts, table = [], [], [], []
     for number, setpoints in enumerate(bundle.told[1:]):
         world.tell(setpoints)
@@ -93,11 +95,17 @@ def play_bundle(bundle: EpisodeBundle, world: EpisodeWorld, protocol: LiftProtoc
         contacts.append([any(member in touching for member in link) for link in bundle.links])
         table.append(on_table)
         now = bundle.period * (number + 1)
-        if 0 <= bundle.hold_time < now - 0.1 and objects[-1][2] - settled[2] < GONE:
+        if not bundle.use and 0 <= bundle.hold_time < now - 0.1 and objects[-1][2] - settled[2] < GONE:
             break
     seen, touched = np.array(objects), np.array(contacts)
     in_palm = compose(invert(np.array(palms)), seen)
-    success, reason = _judged(bundle, settled, seen, touched, np.array(table), p)
+    if bundle.use:
+        # What does not come to rest in the hand is lost, what does is judged from there.
+        reason = moved_in_palm(before, start[None], bundle.center)
+        reason = reason or moved_in_palm(start, in_palm, bundle.center)
+        success = not reason
+    else:
+        success, reason = _judged(bundle, settled, seen, touched, np.array(table), p)
     size = float(np.linalg.norm(settled[:3] - np.array(bundle.object_pose)[:3]))
     difference = "" if success == bundle.success else _difference(bundle, settled, in_palm, touched)
     return Replayed(

@@ -58,7 +58,7 @@ class SapienWorld:
         self._table = physx.PhysxRigidStaticComponent()
         plane = physx.PhysxCollisionShapePlane(self._material)
         self._table.attach(self._ready(plane, 0, sapien.Pose([0, 0, 0], _ALONG_X)))
-        self._add(self._table, sapien.Pose())
+        self._add(self._table, sapien.Pose([0.0, 0.0, bundle.table_height]))
         self._object = physx.PhysxRigidDynamicComponent()
         for corners in bundle.pieces:
             self._object.attach(self._ready(self._convex(corners), 0, sapien.Pose()))

@@ -1,12 +1,13 @@
 """The use test: after the hold, the motion that the grasp's task needs, and what it asks of the hand."""
 
-from fungrasp.task.use.episode import play_use
+from fungrasp.task.use.episode import TABLE_AWAY, play_use
 from fungrasp.task.use.motion import USE_MOTIONS, UseMotion, load_use_motions, motion_of
 from fungrasp.task.use.outcome import LARGEST_SHIFT, LARGEST_TURN, UseOutcomes
 
 __all__ = [
     "LARGEST_SHIFT",
     "LARGEST_TURN",
+    "TABLE_AWAY",
     "USE_MOTIONS",
     "UseMotion",
     "UseOutcomes",

@@ -36,7 +36,7 @@ def play_use(
     motions: Sequence[UseMotion | None],
     held: np.ndarray,
     held_parts: Sequence[Sequence[frozenset[str]]],
-    watch: Callable[[], None] = lambda: None,
+    watch: Callable[[np.ndarray], None] = lambda controls: None,
 ) -> UseOutcomes:
     """Let the wrist play the motions of W grasps' tasks after the hold, while the fingers hold on
     (``FingerHold``).
@@ -46,7 +46,8 @@ def play_use(
         motions: of each world; None where the task has none.
         held: worlds that passed the lift test, shape [W] bool; the others are not tested.
         held_parts: of each world and contact link, the parts that the person held there, W x L.
-        watch: called after each setpoint, to record (``fungrasp.evaluation.UseRecorder``).
+        watch: called after each setpoint with what the servos were told, to record
+            (``fungrasp.evaluation.UseRecorder``).
     """
     engine, task, hand = environment.engine, environment.task, environment.scene.hand
     contact, touched = functional_contact(environment, held_parts)
@@ -100,8 +101,9 @@ def play_use(
         fingers[worlds] = uses.fingers_at(time + period, joints[worlds], first, kept[worlds], opened)
         force[worlds], torque[worlds] = uses.loads_at(time, poses, centers, palm, weight)
         engine.push_object(force, torque)
-        engine.step(engine.controls(palms, velocity, fingers), substeps, worlds[active])
-        watch()
+        controls = engine.controls(palms, velocity, fingers)
+        engine.step(controls, substeps, worlds[active])
+        watch(controls)
         # What has let go may move; until then the object is to stay.
         holding = active & (time < durations - 1e-9)
         apart, turned = _difference(start, _in_palm(environment, worlds))

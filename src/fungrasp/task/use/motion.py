@@ -87,6 +87,11 @@ class UseMotion:
         """Duration with the opening of the hand, where it lets go [s]."""
         return self.duration + OPENING_TIME * (self.pull > 0)
 
+    @property
+    def only_moves(self) -> bool:
+        """Whether the hand alone moves: nothing pushes or pulls at the object, no finger presses."""
+        return not (self.press or self.torque or self.trigger or self.pull)
+
     def displacement(self, time: float) -> tuple[float, float]:
         """Turn [rad] or shift [m] of the palm, and its rate per second, at a time [s] since the beginning."""
         start, begin = 0.0, 0.0
