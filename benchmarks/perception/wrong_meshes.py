@@ -53,8 +53,12 @@ def wrong_meshes(model: ObjectModel, others: Mapping[str, ObjectModel]) -> dict[
     if alike:
         proportions = np.array([np.sort(one.size) / np.linalg.norm(one.size) for one in alike])
         apart = np.linalg.norm(proportions - np.sort(model.size) / size, axis=1)
-        nearest = alike[int(apart.argmin())]
-        found["other, same size"] = scaled_object(nearest, size / float(np.linalg.norm(nearest.size)))
+        for i in np.argsort(apart):
+            # A ball in another size is the sphere.
+            scaled = scaled_object(alike[i], size / float(np.linalg.norm(alike[i].size)))
+            if not _same_shape(scaled, model):
+                found["other, same size"] = scaled
+                break
         sizes = [abs(np.log(np.linalg.norm(one.size) / size)) for one in alike]
         found["other"] = alike[int(np.argmin(sizes))]
     return found

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.shell_from_triangles import zero_surface
-from fungrasp.objects import load_mesh, mesh_file
+from fungrasp.objects import builtin_object, load_mesh, mesh_file
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import consistent_winding, fill_holes
 
@@ -219,3 +219,13 @@ def test_results_are_kept_for_the_process_where_the_cache_can_not_be_written(tmp
     found = cached_on_disk("x", "key", Path.read_text, lambda path: Path(path).write_text("value") and None)
     assert found == "value"
     assert "set FUNGRASP_CACHE to a folder that can be written to" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["wine_glass", "scissors"])
+def test_a_closed_surface_whose_parts_touch_is_read_as_it_is_from_a_file_without_shared_vertices(name, tmp_path):
+    model = builtin_object(name)
+    trimesh.Trimesh(model.vertices, model.faces, process=False).export(tmp_path / "object.stl")
+    vertices, faces, repairs = load_mesh(tmp_path / "object.stl")
+    read = trimesh.Trimesh(vertices, faces, process=False)
+    assert not repairs and read.is_watertight
+    assert read.volume == pytest.approx(model.mesh.volume, rel=1e-6)

@@ -10,7 +10,7 @@ import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.mesh_file import read_mesh
-from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, rebuild, simplify, unite
+from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, parted, rebuild, simplify, unite
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 """File types looked up by an object's name, in this order."""
@@ -79,6 +79,12 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
 def _read(path: Path) -> trimesh.Trimesh:
     vertices, faces = read_mesh(path)
     merged = trimesh.Trimesh(vertices, faces, process=True)
+    if not _closed(merged):
+        # Files without shared vertices (.stl): where two parts of a closed surface touch, more than two faces
+        # have an edge in common, or two faces all corners.
+        apart = parted(merged)
+        if apart is not None:
+            return apart
     merged.update_faces(merged.nondegenerate_faces())
     merged.update_faces(merged.unique_faces())
     merged.remove_unreferenced_vertices()

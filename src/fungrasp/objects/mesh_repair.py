@@ -106,6 +106,16 @@ def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
     return _mesh(union)
 
 
+def parted(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
+    """A closed surface whose parts touch, with vertices of their own; None if it is not closed otherwise."""
+    if len(mesh.faces) == 0:
+        return None
+    found = solid(mesh)
+    if found.status() != manifold3d.Error.NoError or found.volume() <= 0.0:
+        return None
+    return _mesh(found)
+
+
 def rebuild(
     mesh: trimesh.Trimesh, thickness: float = SHELL_THICKNESS
 ) -> tuple[trimesh.Trimesh, float] | None:
