@@ -14,6 +14,9 @@ from fungrasp.perception.object_pose.verdict_weights import Logistic
 
 OBJECT_SIGNS: Mapping[str, int] = {
     "agreement": 1,
+    "covered": 1,
+    "outside": -1,
+    "told": 1,
     "other_size": -1,
     "other_side": -1,
     "rival": -1,

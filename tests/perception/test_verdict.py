@@ -23,6 +23,8 @@ GOOD = PoseEvidence(
     colored=0.0,
     edge_width=2.0,
     foreign=0.0,
+    covered=1.0,
+    outside=0.0,
 )
 
 
@@ -55,6 +57,8 @@ def test_good_evidence_is_sure_and_needs_no_help():
         ({"other_size": 0.02, "other_side": 0.04}, "another view"),
         ({"explained": 0.3}, "the mesh of this very object"),
         ({"visible": 0.4}, "the mesh of this very object"),
+        ({"covered": 0.6}, "the mesh of this very object"),
+        ({"outside": 0.15}, "the mesh of this very object"),
         ({"told": 0.0, "explained": 0.6}, "a click at the object"),
         ({"explained": 0.5, "hidden": 0.8}, "another view"),
         ({"explained": 0.5, "edge_width": 9.0}, "filters turned off"),

@@ -44,6 +44,9 @@ AGAINST = -0.5
 
 ROWS: Mapping[str, tuple[str, float, str]] = {
     "agreement": ("pixels that mesh and image have in common, of those of either", 100.0, "%"),
+    "covered": ("pixels of the object that the mesh covers, 98 or less", 100.0, "%"),
+    "outside": ("mean distance of the mask from the mesh, as a part of the mesh's size", 100.0, "%"),
+    "told": ("a mask was given: 1, none: 0", 1.0, ""),
     "other_size": ("fit of the mesh in another size", 100.0, "%"),
     "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
     "rival": ("fit of the best other pose, 80 or less", 100.0, "%"),
@@ -54,6 +57,8 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
 
 SHOWN: Mapping[str, Callable[[float], float]] = {
     "agreement": lambda value: 1.0 - exp(-value),
+    "covered": lambda value: 1.0 - exp(-value),
+    "outside": lambda value: exp(value) - 0.01,
     "rival": lambda value: 0.8 + 0.2 * value,
     "joints": lambda value: 1.0 / (1.0 + exp(-value)),
     **dict.fromkeys(("other_size", "other_side"), exp),
@@ -195,7 +200,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
     size = shares["other_size"] + shares["other_side"]
-    covered = shares["agreement"]
+    covered = shares["agreement"] + shares["covered"] + shares["outside"]
     found = []
     if max(e.other_size, e.other_side) > BETTER and size < covered:
         found.append("a mesh of the right size: another one fits better; is its unit right?")

@@ -30,17 +30,23 @@ class Logistic:
 
 
 OBJECT_WEIGHTS = Logistic(
-    4.07,
+    4.77,
     {
-        "agreement": 2.25,
-        "other_size": -5.3,
-        "other_side": -10.0,
-        "rival": -3.0,
+        "agreement": 1.07,
+        "covered": 1.1,
+        "outside": -2.04,
+        "told": 1.37,
+        "other_size": -3.55,
+        "other_side": -12.7,
+        "rival": -3.31,
     },
     {
-        "agreement": 2.34,
-        "other_size": -0.257,
-        "other_side": -0.029,
+        "agreement": 2.83,
+        "covered": 3.91,
+        "outside": -4.61,
+        "told": 1,
+        "other_size": -0.302,
+        "other_side": -0.037,
         "rival": 0,
     },
 )
