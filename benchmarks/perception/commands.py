@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from benchmarks.perception.captures import Captures
 from benchmarks.perception.depth import BenchDepth
+from benchmarks.perception.lifts import Lifts
 from benchmarks.perception.recorded import Recorded
 from benchmarks.perception.tracking import Tracking
-from benchmarks.perception.unknown import Unknown
 from benchmarks.perception.varied import Varied
 from benchmarks.perception.verdict import Verdict
 
@@ -14,7 +14,7 @@ COMMAND = {
     "captures": Captures,
     "recorded": Recorded,
     "varied": Varied,
-    "unknown": Unknown,
+    "lifts": Lifts,
     "verdict": Verdict,
     "tracking": Tracking,
     "depth": BenchDepth,

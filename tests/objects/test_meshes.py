@@ -222,7 +222,9 @@ def test_results_are_kept_for_the_process_where_the_cache_can_not_be_written(tmp
 
 
 @pytest.mark.parametrize("name", ["wine_glass", "scissors"])
-def test_a_closed_surface_whose_parts_touch_is_read_as_it_is_from_a_file_without_shared_vertices(name, tmp_path):
+def test_a_closed_surface_whose_parts_touch_is_read_as_it_is_from_a_file_without_shared_vertices(
+    name, tmp_path
+):
     model = builtin_object(name)
     trimesh.Trimesh(model.vertices, model.faces, process=False).export(tmp_path / "object.stl")
     vertices, faces, repairs = load_mesh(tmp_path / "object.stl")

@@ -43,7 +43,7 @@ AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
 ROWS: Mapping[str, tuple[str, float, str]] = {
-    "agreement": ("pixels that mesh and image have in common, of those of either", 100.0, "%"),
+    "agreement": ("pixels that mesh and image have in common; more where depth is smoothed", 100.0, "%"),
     "covered": ("pixels of the object that the mesh covers, 98 or less", 100.0, "%"),
     "outside": ("mean distance of the mask from the mesh, as a part of the mesh's size", 100.0, "%"),
     "told": ("a mask was given: 1, none: 0", 1.0, ""),

@@ -113,7 +113,8 @@ def silhouette_cover(view: ObjectView, pose: np.ndarray, owner: int) -> tuple[fl
     shown = np.isfinite(view.known.rays.cast(pose[None], rays)).reshape(u.shape)
     if not shown.any():
         return 0.0, 0.0 if mask is None else 1.0
-    beside: Any = step * ndimage.distance_transform_edt(~shown)
+    away: Any = ndimage.distance_transform_edt(~shown)
+    beside = step * away
     weight = np.where(own[part], view.support[part], 0.0)
     covered = 1.0 - float(weight[beside > BESIDE].sum()) / max(float(weight.sum()), 1e-6)
     if mask is None:

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.perception unknown``: objects without a mesh, lifted by grasps on a fitted shape."""
+"""``python -m benchmarks.perception lifts``: from captures of known truth to lifts of the true object."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from fungrasp.cli.console import progress_bar, table
 
 
 @dataclass(frozen=True)
-class Unknown:
-    """Fit a box, cylinder or sphere to the object of each capture whose truth is known, retarget the grasp on
-    it, and try that grasp on the true object."""
+class Lifts:
+    """Perceive the grasp of each capture whose truth is known, retarget it, and try it on the true object in
+    its true place."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """One folder each, such as `varied` makes and `recorded` reads."""
+    unknown: bool = False
+    """Fit a box, cylinder or sphere to the object in place of its mesh."""
     first: int = 20
     """Captures that are tried, in the order of their names; 0 takes all."""
     told: str = "none"
@@ -44,8 +46,9 @@ class Unknown:
         from fungrasp.geometry.poses import transform_points
         from fungrasp.grasps.human_hand import mirror_pose
         from fungrasp.hands import load_hand
-        from fungrasp.objects import mirrored_object
+        from fungrasp.objects import HeldObject, mirrored_object
         from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
+        from fungrasp.perception.object_pose.pose_error import add_s
         from fungrasp.perception.pipeline import UNKNOWN, perceive
         from fungrasp.perception.scene.table import in_world, put_down
         from fungrasp.provenance import run_record
@@ -66,18 +69,21 @@ class Unknown:
                     "capture": path.name,
                     "lifted": False,
                     "sure": False,
+                    "add_s_mm": None,
                     "shape": "",
                     "why": "",
                 }
                 rows.append(row)
                 try:
-                    seen = perceive(hinted_captures(recorded)[self.told], UNKNOWN, detector=detector)
+                    thing = UNKNOWN if self.unknown else HeldObject(recorded.model)
+                    seen = perceive(hinted_captures(recorded)[self.told], thing, detector=detector)
                     robot = retarget(seen.grasps, seen.objects, hand, threads=self.threads)
                 except FungraspError as error:
                     row["why"] = str(error)
                     continue
-                assert seen.fitted is not None
-                row |= {"sure": seen.confident, "shape": seen.fitted.name, "explained": seen.fitted.quality}
+                row["sure"] = seen.confident
+                if seen.fitted is not None:
+                    row |= {"shape": seen.fitted.name, "explained": seen.fitted.quality}
                 shape = transform_points(
                     seen.object.pose_camera_object, np.asarray(seen.object_model.mesh.sample(1000, seed=0))
                 )
@@ -85,27 +91,34 @@ class Unknown:
                 surface = transform_points(recorded.pose_camera_object, surface)
                 off = KDTree(shape).query(surface)[0].mean() + KDTree(surface).query(shape)[0].mean()
                 row["surface_mm"] = 500 * float(off)
+                if not self.unknown:
+                    there = seen.object.pose_camera_object, recorded.pose_camera_object
+                    points = np.asarray(recorded.model.mesh.sample(1000, seed=0))
+                    row["add_s_mm"] = 1000 * float(add_s(points, *there))
                 # The same grasp in the same world, with the true object in its true place.
                 model = replace(recorded.model, name="true")
                 pose = in_world(seen.pose_world_camera, recorded.pose_camera_object)
                 rest = put_down(model, pose)
                 if seen.hand.side == "left":
                     model, pose, rest = mirrored_object(model), mirror_pose(pose), mirror_pose(rest)
-                there = replace(
+                robot = replace(
                     robot,
                     object_name=np.array([model.name]),
                     object_pose=pose[None],
                     object_rest_pose=rest[None],
                 )
-                tried = evaluate(there, {model.name: model}, self.policy, threads=self.threads)
+                tried = evaluate(robot, {model.name: model}, self.policy, threads=self.threads)
                 row["lifted"] = bool(tried.outcomes.success[0])
+        right = [row for row in rows if (row["add_s_mm"] or 99.0) < 10.0]
         figures = {
             "captures": len(rows),
+            "unknown": self.unknown,
             "told": self.told,
             "hand": self.hand,
             "policy": self.policy,
             "lifted": rate_of([row["lifted"] for row in rows]),
             "lifted_of_sure": rate_of([row["lifted"] for row in rows if row["sure"]]),
+            "lifted_of_right_poses": rate_of([row["lifted"] for row in right]),
             "sure": rate_of([row["sure"] for row in rows]),
         }
         head = ("capture", "shape", "explained", "surface [mm]", "sure", "lifted", "")
@@ -129,11 +142,9 @@ class Unknown:
                 left=(0, 1, 6),
             )
         )
-        lifted = sum(row["lifted"] for row in rows)
-        sure = [row for row in rows if row["sure"]]
-        print(
-            f"lifted {lifted} of {len(rows)}; of those that were sure "
-            f"{sum(row['lifted'] for row in sure)} of {len(sure)}"
-        )
+        for name in ("lifted", "lifted_of_right_poses", "lifted_of_sure"):
+            rate = figures[name]
+            if rate is not None:
+                print(f"{name.replace('_', ' ')}: {round(rate['rate'] * rate['count'])} of {rate['count']}")
         if self.json is not None:
             write_result(self.json, run_record(0) | figures, rows)
