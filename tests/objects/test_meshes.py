@@ -222,9 +222,7 @@ def test_results_are_kept_for_the_process_where_the_cache_can_not_be_written(tmp
 
 
 @pytest.mark.parametrize("name", ["wine_glass", "scissors"])
-def test_a_closed_surface_whose_parts_touch_is_read_as_it_is(
-    name, tmp_path
-):
+def test_a_closed_surface_whose_parts_touch_is_read_as_it_is(name, tmp_path):
     model = builtin_object(name)
     trimesh.Trimesh(model.vertices, model.faces, process=False).export(tmp_path / "object.stl")
     vertices, faces, repairs = load_mesh(tmp_path / "object.stl")
