@@ -46,7 +46,7 @@ def contact_position(
     """
     match = points.match
     weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
-    return keypoint_position(points, problem, match.far, contact_targets(points, problem), weight)
+    return keypoint_position(points, problem, match.far, _contact_targets(points, problem), weight)
 
 
 def contact_error(
@@ -63,12 +63,12 @@ def contact_error(
     """
     points.kinematics.update(wrist_pose, independent)
     found = points.kinematics.points(points.keypoints)[:, points.match.far]
-    error = np.linalg.norm(found - contact_targets(points, problem), axis=2)
+    error = np.linalg.norm(found - _contact_targets(points, problem), axis=2)
     wanted = problem.contacts[:, 1:]
     return (wanted * error).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
 
 
-def contact_targets(points: HandPoints, problem: RetargetingProblem) -> np.ndarray:
+def _contact_targets(points: HandPoints, problem: RetargetingProblem) -> np.ndarray:
     """Where the far key point of each link would be if it touched where the person's did [m], shape
     [N, S, 3]."""
     human = points.match.human_far

@@ -28,18 +28,10 @@ from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.pose_terms import contact_error
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
-from fungrasp.retargeting.contact_places import with_firm_places
 
 FIRM = 0.2
 """Unresisted share of the load below which a grasp counts as firm: of those below six of seven hold, however
 far below they are."""
-
-LOST = 0.6
-"""Share above which a grasp counts as lost: of those above less than one of six holds."""
-
-PLACE_LIKENESS = 0.3
-"""How much being near the person's counts in the choice of other places, against what it counts in that among
-solutions: hands do not come to all places."""
 
 ERROR_UNIT = 0.1
 """Mean distance of the contacts from the person's that counts like a whole unresisted weight, at a likeness
@@ -69,9 +61,6 @@ STARTS = (
 )
 """Of 93 that were drawn at random those that, one after another, made most of 400 grasps of 80 objects firmer
 (docs/lab/decisions/0073-firm-before-like.md)."""
-
-PLACE_STARTS = (Start((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0), STARTS[0], STARTS[1], STARTS[3])
-"""From where grasps are solved at other places than the person's (docs/lab/decisions/0094-places-that-hold.md)."""
 
 
 @dataclass(frozen=True)
@@ -158,77 +147,27 @@ def retarget_by_contact_optimization(
     wrist_pose, independent = _touch(points, problem, settings, near, near)
     if not settings.starts or np.isinf(settings.likeness):
         return wrist_pose, independent
-    solution = (wrist_pose, independent)
-    found = _Found(*solution, *_score(points, problem, settings.likeness, solution))
-    poor = np.flatnonzero(found.share > FIRM)
-    if len(poor):
-        beside = (near[0][poor], near[1][poor])
-        _solve_again(points, problem, problem.rows(poor), settings, poor, beside, settings.starts, found)
-    lost = np.flatnonzero(found.share > LOST)
-    if len(lost):
-        some, part = points.for_hands(len(lost)), problem.rows(lost)
-        unit = ERROR_UNIT / (PLACE_LIKENESS * settings.likeness) if settings.likeness else np.inf
-        placed = with_firm_places(some, part, wrist_pose[lost], independent[lost], unit)
-        first[0] = partial(terms.contact_position, unit=settings.fingertip_unit, inner_weight=0.1)
-        beside = minimize(some, placed, first, *initial_pose(some, part), settings.first_iterations)[:2]
-        _solve_again(points, problem, placed, settings, lost, beside, PLACE_STARTS, found)
-    return found.wrist_pose, found.independent
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """The best solutions of N grasps as yet."""
-
-    wrist_pose: np.ndarray
-    """Object frame, shape [N, 7]."""
-    independent: np.ndarray
-    """Joints [rad], shape [N, U]."""
-    score: np.ndarray
-    """What ``_score`` says of them, shape [N]."""
-    share: np.ndarray
-    """Unresisted share of the load, shape [N]."""
-
-
-def _solve_again(
-    points: HandPoints,
-    problem: RetargetingProblem,
-    towards: RetargetingProblem,
-    settings: RetargetSettings,
-    rows: np.ndarray,
-    beside: tuple[np.ndarray, np.ndarray],
-    starts: Sequence[Start],
-    found: _Found,
-) -> None:
-    """Solve some grasps again, from K starts and with contacts that may slide; better solutions go into
-    ``found``.
-
-    Args:
-        points, problem: N grasps.
-        towards: R of them with the places that contacts are drawn to.
-        settings: of the terms.
-        rows: which these are, shape [R].
-        beside: wrist poses [R, 7] and independent joints [R, U] that the starts differ from.
-        starts: K of them.
-        found: of all N.
-    """
-    # All starts of all grasps at once, start after start.
-    tiled = np.tile(np.arange(len(rows)), len(starts))
-    again, part = points.for_hands(len(tiled)), problem.rows(rows[tiled])
-    beside = (beside[0][tiled], beside[1][tiled])
-    start = moved_starts(again, *beside, starts)
-    new_pose, new_independent = _touch(again, towards.rows(tiled), settings.loose, start, beside)
-    least = found.score[rows]
-    score, share = _score(again, part, settings.likeness, (new_pose, new_independent), least[tiled])
-    # Index of each grasp's best new solution among those of all starts.
-    best = score.reshape(-1, len(rows)).argmin(axis=0) * len(rows) + np.arange(len(rows))
-    better = score[best] < least
+    score, share = _score(points, problem, settings.likeness, (wrist_pose, independent))
+    poor = np.flatnonzero(share > FIRM)
+    if not len(poor):
+        return wrist_pose, independent
+    # All starts of all poor grasps at once, start after start.
+    rows = np.tile(poor, len(settings.starts))
+    again, part = points.for_hands(len(rows)), problem.rows(rows)
+    beside = (near[0][rows], near[1][rows])
+    start = moved_starts(again, *beside, settings.starts)
+    new_pose, new_independent = _touch(again, part, settings.loose, start, beside)
+    new_score, _ = _score(again, part, settings.likeness, (new_pose, new_independent), score[rows])
+    # Index of each poor grasp's best new solution among those of all starts.
+    best = new_score.reshape(-1, len(poor)).argmin(axis=0) * len(poor) + np.arange(len(poor))
+    better = new_score[best] < score[poor]
     # The terms know nothing of fingers that go into the palm.
     hand = points.kinematics.hand
     depth = self_collision_depth(hand.model, hand.all_joints(new_independent[best[better]]))
     better[better] = depth < 2 * DEEPEST
-    best, rows = best[better], rows[better]
-    found.wrist_pose[rows], found.independent[rows] = new_pose[best], new_independent[best]
-    found.score[rows], found.share[rows] = score[best], share[best]
+    wrist_pose[poor[better]] = new_pose[best[better]]
+    independent[poor[better]] = new_independent[best[better]]
+    return wrist_pose, independent
 
 
 def _score(
