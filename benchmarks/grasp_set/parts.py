@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -85,14 +86,15 @@ def save_set(
         if not len(rows):
             raise FungraspError(f"the part '{name}' would have no grasps: make more objects")
         some = grasps.select(rows)
-        save_human_grasps(folder / f"{name}.npz", some)
+        file = folder / f"{name}.npz"
+        save_human_grasps(file, some)
         names, counts = np.unique(stratum[rows], return_counts=True)
         strata = dict(zip(names.tolist(), counts.tolist(), strict=True))
         index[name] = {
             "grasps": len(some),
             "objects": len(set(some.object_name.tolist())),
             "strata": strata,
-            "sha256": some.digest,
+            "sha256": sha256(file.read_bytes()).hexdigest(),
         }
     with atomic_path(folder / INDEX) as temporary:
         temporary.write_text(json.dumps({**about, "parts": index}, indent=1) + "\n")
@@ -107,12 +109,13 @@ def load_part(folder: Path, name: str) -> SetPart:
     if name not in PARTS:
         raise UnknownNameError("part", name, PARTS)
     index = read_json(folder / INDEX, "index of a grasp set")
-    grasps = load_human_grasps(folder / f"{name}.npz")
+    file = folder / f"{name}.npz"
+    grasps = load_human_grasps(file)
     try:
         strata, digest = index["parts"][name]["strata"], index["parts"][name]["sha256"]
         stratum = np.repeat(list(strata), list(strata.values()))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise FungraspError(f"{folder / INDEX} is no index of a grasp set") from error
-    if digest != grasps.digest or len(stratum) != len(grasps):
+    if digest != sha256(file.read_bytes()).hexdigest() or len(stratum) != len(grasps):
         raise FungraspError(f"{folder / INDEX} is not the index of {name}.npz: make the set again")
     return SetPart(name, grasps, stratum, load_objects(grasps, folder / OBJECTS))
