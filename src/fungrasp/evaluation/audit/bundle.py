@@ -29,18 +29,12 @@ from fungrasp.evaluation.trajectory import PHASES, Trajectory
 from fungrasp.files import atomic_path
 from fungrasp.formats.json_file import read_json
 from fungrasp.formats.record_json import record_from_json, record_to_json
-from fungrasp.geometry.poses import (
-    quaternion_conjugate,
-    quaternion_multiply,
-    relative,
-    rotation_vector,
-    transform_points,
-)
+from fungrasp.geometry.poses import relative, transform_points
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.simulation import build_scene
 from fungrasp.simulation.scene import Scene
-from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, TABLE_AWAY
+from fungrasp.task.use import TABLE_AWAY, displacement, moved_too_far
 
 SUFFIX = ".episode.json"
 """Of a bundle's file."""
@@ -222,13 +216,9 @@ def moved_in_palm(start: np.ndarray, poses: np.ndarray, center: np.ndarray) -> s
         poses: and during it, shape [T, 7].
         center: of its mass, object frame [m], shape [3].
     """
-    turned = quaternion_multiply(poses[:, 3:], quaternion_conjugate(start[3:]))
-    shift = transform_points(poses, center[None, None])[:, 0] - transform_points(start, center[None])[0]
-    if np.linalg.norm(shift, axis=1).max() > LARGEST_SHIFT:
-        return "the object slipped in the palm"
-    if np.linalg.norm(rotation_vector(turned), axis=1).max() > LARGEST_TURN:
-        return "the object turned in the palm"
-    return ""
+    centers = transform_points(np.stack([start, *poses]), center[None, None])[:, 0]
+    shift, turn = displacement((centers[0], start[3:]), (centers[1:], poses[:, 3:]))
+    return moved_too_far(float(shift.max()), float(turn.max()))
 
 
 def scene_of(recorded: Trajectory, objects: Mapping[str, ObjectModel]) -> Scene:

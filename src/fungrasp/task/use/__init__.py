@@ -2,7 +2,13 @@
 
 from fungrasp.task.use.episode import TABLE_AWAY, play_use
 from fungrasp.task.use.motion import USE_MOTIONS, UseMotion, load_use_motions, motion_of
-from fungrasp.task.use.outcome import LARGEST_SHIFT, LARGEST_TURN, UseOutcomes
+from fungrasp.task.use.outcome import (
+    LARGEST_SHIFT,
+    LARGEST_TURN,
+    UseOutcomes,
+    displacement,
+    moved_too_far,
+)
 
 __all__ = [
     "LARGEST_SHIFT",
@@ -11,7 +17,9 @@ __all__ = [
     "USE_MOTIONS",
     "UseMotion",
     "UseOutcomes",
+    "displacement",
     "load_use_motions",
     "motion_of",
+    "moved_too_far",
     "play_use",
 ]

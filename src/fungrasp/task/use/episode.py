@@ -11,9 +11,6 @@ from fungrasp.geometry.poses import (
     compose,
     inverse_transform_points,
     invert,
-    quaternion_conjugate,
-    quaternion_multiply,
-    rotation_vector,
 )
 from fungrasp.task.environment import LiftEnvironment
 from fungrasp.task.outcome import DIVERGED
@@ -21,7 +18,7 @@ from fungrasp.task.use.finger_hold import FingerHold
 from fungrasp.task.use.functional_contact import functional_contact
 from fungrasp.task.use.geometry import turning_frame
 from fungrasp.task.use.motion import UseMotion
-from fungrasp.task.use.outcome import LARGEST_SHIFT, LARGEST_TURN, UseOutcomes
+from fungrasp.task.use.outcome import UseOutcomes, displacement, moved_too_far
 from fungrasp.task.use.worlds import UseWorlds
 
 TABLE_AWAY = -0.2
@@ -106,7 +103,7 @@ def play_use(
         watch(controls)
         # What has let go may move; until then the object is to stay.
         holding = active & (time < durations - 1e-9)
-        apart, turned = _difference(start, _in_palm(environment, worlds))
+        apart, turned = displacement(start, _in_palm(environment, worlds))
         moved = np.maximum(moved, apart)
         shift = np.where(holding, np.maximum(shift, apart), shift)
         turn = np.where(holding, np.maximum(turn, turned), turn)
@@ -122,14 +119,6 @@ def _in_palm(environment: LiftEnvironment, worlds: np.ndarray) -> tuple[np.ndarr
     palm, pose = engine.palm_pose[worlds], engine.object_pose[worlds]
     center = inverse_transform_points(palm, engine.center_of_mass[worlds][:, None])[:, 0]
     return center, compose(invert(palm), pose)[:, 3:]
-
-
-def _difference(
-    start: tuple[np.ndarray, np.ndarray], now: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement [m] and turn [rad] between two of ``_in_palm``, shape [I] each."""
-    turn = rotation_vector(quaternion_multiply(now[1], quaternion_conjugate(start[1])))
-    return np.linalg.norm(now[0] - start[0], axis=1), np.linalg.norm(turn, axis=1)
 
 
 def _judge(
@@ -150,14 +139,8 @@ def _judge(
     contacts, forces, diverged = engine.link_contacts, engine.link_forces, engine.diverged
     for w, motion in uses:
         trigger = motion.trigger
-        reason = ""
-        if diverged[w]:
-            reason = DIVERGED
-        elif outcomes.shift_m[w] > LARGEST_SHIFT:
-            reason = "the object slipped in the palm"
-        elif outcomes.turn_rad[w] > LARGEST_TURN:
-            reason = "the object turned in the palm"
-        elif trigger is not None:
+        reason = DIVERGED if diverged[w] else moved_too_far(outcomes.shift_m[w], outcomes.turn_rad[w])
+        if not reason and trigger is not None:
             links = [i for i, name in enumerate(hand.link_names) if name.startswith(trigger.finger)]
             on_part = [i for i in links if contacts[w, i] and trigger.part in ("", parts[w, i])]
             outcomes.trigger_force_n[w] = forces[w, on_part].sum() if on_part else 0.0
@@ -167,7 +150,7 @@ def _judge(
                 reason = f"the {trigger.finger} finger does not touch the {trigger.part or 'object'}"
             elif outcomes.trigger_force_n[w] < trigger.force:
                 reason = f"the {trigger.finger} finger presses with less than {trigger.force:g} N"
-        elif motion.pull and contacts[w].any():
+        elif not reason and motion.pull and contacts[w].any():
             reason = "the hand did not let go"
         if not reason and trigger is None and not outcomes.functional_contact[w] > 0:
             reason = "no finger touches the part that the person held"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.geometry.poses import quaternion_conjugate, quaternion_multiply, rotation_vector
 from fungrasp.records import BatchRecord
 
 LARGEST_SHIFT = 0.01
@@ -34,3 +35,26 @@ class UseOutcomes(BatchRecord):
     begins."""
     reason: np.ndarray
     """Why the test failed, "" on success, str."""
+
+
+def displacement(
+    start: tuple[np.ndarray, np.ndarray], now: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far objects have moved [m] and turned [rad] in the palm, shape [I] each.
+
+    Args:
+        start: centers of mass [m], shape [I, 3], and rotations, shape [I, 4], in the palm's frame; or one of
+            each, without the first axis.
+        now: the same, later.
+    """
+    turn = rotation_vector(quaternion_multiply(now[1], quaternion_conjugate(start[1])))
+    return np.linalg.norm(now[0] - start[0], axis=-1), np.linalg.norm(turn, axis=-1)
+
+
+def moved_too_far(shift: float, turn: float) -> str:
+    """Why an object has not stayed in the palm, "" if it has. The largest displacement [m] and turn [rad]."""
+    if shift > LARGEST_SHIFT:
+        return "the object slipped in the palm"
+    if turn > LARGEST_TURN:
+        return "the object turned in the palm"
+    return ""
