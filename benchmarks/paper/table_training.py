@@ -32,6 +32,10 @@ FROM_NOTHING_EARLY = (-4, 10)
 """Control steps before the fingers close at which episodes begin: from 9 cm away to a hand that has all but
 closed, whose lifts are paid for from the beginning."""
 
+FROM_NOTHING_WIDEN = (0, 300_000)
+"""Control steps between which these starts give way to those of the lift test: closing is learned near the
+grasp within some 100,000 (docs/lab/learning.md)."""
+
 
 def from_nothing() -> EnvironmentSettings:
     """The paper's setting (docs/train.md): no planned motion is followed, networks get what the paper names,
@@ -40,6 +44,7 @@ def from_nothing() -> EnvironmentSettings:
         worlds=128,
         early=FROM_NOTHING_EARLY,
         whole=0.0,
+        widen=FROM_NOTHING_WIDEN,
         layout="paper",
         residual=ResidualSettings(base="guided"),
     )

@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-from fungrasp.policies.residual_action import ResidualSettings
+from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
@@ -32,6 +33,7 @@ from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColoredGaussian, tensors
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.run import train
+from fungrasp.training.settings import PpoSettings
 from fungrasp.training.student import StudentGraph
 from fungrasp.training.training_sets import TrainingSet
 
@@ -135,6 +137,20 @@ def test_plans_are_chosen_by_how_uncertain_their_success_is():
         chosen += library().group[worlds._begin(np.arange(8))].tolist()
     # p (1 - p) + 0.05: 0.30 against 0.05.
     assert np.mean(np.array(chosen) == 0) == pytest.approx(0.3 / 0.35, abs=0.07)
+
+
+def test_noise_is_correlated_where_planned_motions_are_corrected_and_nowhere_else():
+    def correlation(base: Base, **settings: Any) -> float:
+        worlds = environment(residual=ResidualSettings(base))
+        noise = Trainer(worlds, PpoSettings(hidden=(8,), **settings)).actor.distribution
+        assert isinstance(noise, ColoredGaussian)
+        noise.update(torch.zeros(8, worlds.actions))
+        samples = torch.stack([noise.sample() for _ in range(400)]).detach()
+        return float((samples[1:] * samples[:-1]).mean() / samples.var())
+
+    assert correlation("plan") == pytest.approx(0.95, abs=0.05)
+    assert correlation("guided") == pytest.approx(0.0, abs=0.05)
+    assert correlation("guided", noise_correlation=0.5) == pytest.approx(0.5, abs=0.05)
 
 
 def test_noise_has_the_stated_correlation_and_spread():

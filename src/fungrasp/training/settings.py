@@ -47,9 +47,10 @@ class PpoSettings:
     """Factor on the reward, which makes returns of the order of one."""
     noise: float = 0.15
     """Standard deviation of the exploration noise at the beginning, in units of the action."""
-    noise_correlation: float = 0.95
-    """Correlation of the noise from one control step to the next. White noise shakes the object out of the
-    hand; noise that changes slowly tries out other grasps."""
+    noise_correlation: float | None = None
+    """Correlation of the noise from one control step to the next. By default 0.95 where planned motions are
+    corrected: white noise shakes the object out of the hand, slowly changing noise tries out other grasps.
+    0 without a planned motion: fingers move from where they are, so that their noise adds up by itself."""
     warm_up: int = 48
     """Control steps before learning, in which only the normalisation is learned."""
     imitate: float = 0.0
