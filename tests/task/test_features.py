@@ -13,11 +13,13 @@ from measured_states import action, as_torch, measured_state, moved, plan_target
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands import load_hand
 from fungrasp.task.features import (
+    INPUT_LIMIT,
     MeasuredState,
     PlanTarget,
     contact_features,
     flatten,
     layout,
+    network_input,
     robot_features,
     value_features,
 )
@@ -138,6 +140,15 @@ def test_what_the_layouts_hold(allegro):
     parts = robot_features(*states, plan_target(rng, allegro, 2), action(rng, allegro, 2))
     numbers = [flatten(network_parts(parts, "paper", encoder)).shape[1] for encoder in (False, True)]
     assert numbers == [16 + 3 + 6 + 3 + 6 + 6 + 3 + 1 + 3 * 17 + 13, 108 + 6 + 22]
+
+
+def test_networks_get_a_thrown_object_within_bounds_and_all_else_as_it_is():
+    now, before, goal, last = example()
+    parts = robot_features(now, before, goal, last)
+    np.testing.assert_array_equal(network_input(parts), flatten(parts).astype(np.float32))
+    now.object_pose[0, :3] += 20.0
+    thrown = network_input(robot_features(now, before, goal, last))
+    assert thrown.dtype == np.float32 and np.abs(thrown[0]).max() == INPUT_LIMIT
 
 
 def test_torch_sees_the_same():

@@ -8,8 +8,9 @@ from gymnasium.utils.env_match import check_environments_match
 
 from fungrasp import builtin_grasps
 from fungrasp.errors import FungraspError
+from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.gymnasium_env import ID, LIMIT, LiftVectorEnv
+from fungrasp.training.gymnasium_env import ID, LiftVectorEnv
 
 FEW: dict[str, Any] = {
     "grasps": builtin_grasps().select(np.array([0, 3])),
@@ -79,7 +80,7 @@ def test_what_is_thrown_away_stays_within_the_bounds() -> None:
     envs.worlds.episodes.engine.set_state(np.array([0]), object_pose=pose[:1])
     seen, *_ = envs.step(np.zeros((2, envs.worlds.actions)))
     assert seen in envs.observation_space
-    assert max(float(np.abs(value).max()) for value in seen.values()) <= LIMIT
+    assert max(float(np.abs(value).max()) for value in seen.values()) <= INPUT_LIMIT
 
 
 def test_grasps_of_another_hand_and_unknown_worlds() -> None:

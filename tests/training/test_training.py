@@ -25,6 +25,7 @@ from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
+from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.environment import TrainingEnvironment
@@ -127,6 +128,18 @@ def test_planned_actions_do_what_the_plans_do():
     # Smoothing and the actions' reach leave them a little behind.
     assert np.abs(worlds.episodes.task.setpoints.fingers - fingers).max() < 0.12
     assert palm_distance(worlds).max() < 0.02
+
+
+def test_an_object_that_is_thrown_away_does_not_reach_the_networks_as_such():
+    worlds = environment(history=True)
+    pose = worlds.episodes.engine.object_pose.copy()
+    pose[0, 0] += 50.0
+    worlds.episodes.engine.set_state(np.array([0]), object_pose=pose[:1])
+    worlds.step(np.zeros((8, worlds.actions)))
+    seen = worlds.observations
+    for values in (seen.robot, seen.privileged, seen.value, seen.history):
+        assert values is not None and np.abs(np.asarray(values)).max() <= INPUT_LIMIT
+    assert np.abs(seen.robot).max() == INPUT_LIMIT
 
 
 def test_plans_are_chosen_by_how_uncertain_their_success_is():

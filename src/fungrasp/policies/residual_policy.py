@@ -15,7 +15,7 @@ from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
-from fungrasp.task.features import contact_features, flatten, layout
+from fungrasp.task.features import contact_features, layout, network_input
 from fungrasp.task.observation_layouts import network_parts
 
 ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
@@ -65,9 +65,9 @@ class _ResidualNetwork:
 
     def _act(self, observation: Observation, contacts: Mapping[str, np.ndarray]) -> Action:
         self._tracker.update(observation)
-        seen = flatten({**self._seen(), **contacts})
+        seen = network_input({**self._seen(), **contacts})
         # A finished or diverged world may hold anything; its action is not used.
-        finite = np.where(np.isfinite(seen), seen, 0.0).astype(np.float32)
+        finite = np.where(np.isfinite(seen), seen, np.float32(0.0))
         action, self.outputs, self._memory = self.network(finite, self._memory)
         return self._tracker.act(action)
 

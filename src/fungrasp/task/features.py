@@ -35,6 +35,10 @@ FORCE_UNIT = 5.0
 """Unit of forces [N]."""
 SERVO_UNIT = 0.2
 """Difference between servo target and joint [rad]."""
+INPUT_LIMIT = 10.0
+"""Bound of what policy and value networks get. Scaled to be of the order of one, no part reaches it where a
+hand grasps: it is half a meter between hand and object, or an object that moves at 1 m/s. One that has been
+thrown would else be hundreds of standard deviations away, and one such step undoes a training."""
 _MOTION_UNITS = np.repeat(
     [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
 )
@@ -213,6 +217,17 @@ def flatten(parts: Mapping[str, Array]) -> Array:
     """Parts side by side, shape [W, sum of numbers]."""
     values = list(parts.values())
     return array_namespace(values[0]).concat(values, axis=-1)
+
+
+def network_input(parts: Mapping[str, Array]) -> Array:
+    """Parts side by side, as policy and value networks get them (``limited``), shape [W, sum of numbers]."""
+    return limited(flatten(parts))
+
+
+def limited(values: Array) -> Array:
+    """Numbers within ``INPUT_LIMIT``, in single precision; NaN, as of a world that is over, stays."""
+    xp = array_namespace(values)
+    return xp.astype(clip(values, -INPUT_LIMIT, INPUT_LIMIT), xp.float32)
 
 
 def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:

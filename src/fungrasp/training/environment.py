@@ -18,7 +18,7 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization, draw
 from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene, make_engine
 from fungrasp.task import LiftEnvironment, LiftProtocol
-from fungrasp.task.features import contact_features, flatten, layout, value_features
+from fungrasp.task.features import contact_features, layout, limited, network_input, value_features
 from fungrasp.task.observation_layouts import LayoutName, encoder_parts, network_parts
 from fungrasp.task.reward import RewardWeights, total
 from fungrasp.task.sensors import Jitter
@@ -247,7 +247,7 @@ class TrainingEnvironment:
         features, contacts, _ = self._parts()
         parts = network_parts(features, self.settings.layout, encoder=False)
         parts |= contacts if privileged else {}
-        return {name: _single(part) for name, part in parts.items()}
+        return {name: limited(part) for name, part in parts.items()}
 
     def reseed(self, seed: int) -> None:
         """Draw everything that is random here from another seed, as after construction; ``begin`` comes
@@ -305,10 +305,10 @@ class TrainingEnvironment:
     def _observe(self, begun: np.ndarray) -> NetworkInputs:
         features, *others = self._parts()
         robot = network_parts(features, self.settings.layout, encoder=False)
-        seen = NetworkInputs(*(_single(flatten(part)) for part in (robot, *others)))
+        seen = NetworkInputs(*(network_input(part) for part in (robot, *others)))
         if self._history is None:
             return seen
-        encoded = _single(flatten(encoder_parts(features, self.settings.layout)))
+        encoded = network_input(encoder_parts(features, self.settings.layout))
         return replace(seen, history=self._history.push(encoded, begun))
 
 
@@ -317,12 +317,6 @@ def _device_jitter(on: Array, seed: int) -> Jitter:
     from fungrasp.training.device_jitter import DeviceJitter
 
     return DeviceJitter(on, seed)
-
-
-def _single(array: Array) -> Array:
-    """In single precision."""
-    xp = array_namespace(array)
-    return xp.astype(array, xp.float32)
 
 
 def _mean(values: Array) -> Array:

@@ -19,6 +19,7 @@ from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
 from fungrasp.sim2real import preset
+from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import Variety, build_plan_library
 
@@ -34,10 +35,6 @@ except ImportError as error:
 
 ID = "fungrasp/Lift-v0"
 """Id of the environment."""
-
-LIMIT = 100.0
-"""Bound of the observations' numbers. They are scaled to be of the order of one; what lies beyond, as where
-an object has been thrown away, is cut."""
 
 Named = dict[str, np.ndarray]
 """Observations by name of their part."""
@@ -181,13 +178,13 @@ class LiftEnv(gymnasium.Env[Named, np.ndarray]):
 
 def _observe(worlds: TrainingEnvironment, privileged: bool) -> Named:
     parts = worlds.named_observations(privileged)
-    return {name: np.clip(np.nan_to_num(value), -LIMIT, LIMIT) for name, value in parts.items()}
+    return {name: np.nan_to_num(value) for name, value in parts.items()}
 
 
 def _observation_space(worlds: TrainingEnvironment, privileged: bool) -> spaces.Space[Named]:
     parts = worlds.named_observations(privileged)
     boxes: dict[str, spaces.Space[Any]] = {
-        name: spaces.Box(-LIMIT, LIMIT, value.shape[1:]) for name, value in parts.items()
+        name: spaces.Box(-INPUT_LIMIT, INPUT_LIMIT, value.shape[1:]) for name, value in parts.items()
     }
     return cast("spaces.Space[Named]", spaces.Dict(boxes))
 
