@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import struct
+import subprocess
+import sys
 import time
 import zipfile
 from collections.abc import Callable
@@ -316,3 +318,22 @@ def test_what_readers_stumble_over_is_one_line():
 
     with pytest.raises(FungraspError, match=r"^the thing x makes no sense: two lines$"):
         read("x")
+
+
+def test_meshes_are_read_without_what_is_slow_to_import(tmp_path: Path) -> None:
+    """A child with a trimesh that found no SciPy reads the same, and asks the whole one before it refuses."""
+    import trimesh
+
+    trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / "right.ply")
+    (tmp_path / "wrong.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 2\nend_header\n1\n")
+    script = (
+        "import io, sys, numpy as np\n"
+        "from fungrasp.formats import sandbox_worker as worker\n"
+        "worker.import_for('triangles')\n"
+        "status, answer = worker.work('triangles', 'right.ply')\n"
+        "assert status == worker.DONE and len(np.load(io.BytesIO(answer))['faces']) == 12\n"
+        "assert not {'scipy', 'networkx'} & set(sys.modules)\n"
+        "status, answer = worker.work('triangles', 'wrong.ply')\n"
+        "assert status == worker.REFUSED and 'scipy' in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=tmp_path)

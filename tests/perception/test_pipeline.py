@@ -275,6 +275,23 @@ def test_a_hand_hidden_by_somebody_elses_is_looked_for(monkeypatch):
     assert any(w.code == "several_candidates" for w in perceived.warnings)
 
 
+@pytest.mark.parametrize(("score", "looked"), [(0.3, 2), (0.7, 1)])
+def test_no_other_hand_is_looked_for_where_this_one_rather_holds_the_object(monkeypatch, score, looked):
+    scene, detected = mug()
+    looks = []
+
+    class FindsOne:
+        def detect(self, color, near=None):
+            looks.append(color)
+            return [detected] if len(looks) == 1 else []
+
+    not_accepted = dataclasses.replace(known(scene, score), accepted=False)
+    monkeypatch.setattr(room, "search_object_pose", lambda *_, **__: not_accepted)
+    monkeypatch.setattr(room, "best_estimate", lambda found: found)
+    assert not perceive(scene.capture, scene.model, detector=FindsOne()).object.accepted
+    assert len(looks) == looked
+
+
 def test_a_side_that_was_said_counts():
     scene, detected = mug()
     unlikely = dataclasses.replace(detected, side="left", side_score=0.6)

@@ -22,6 +22,9 @@ DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
 
 LONGEST_REASON = 300
 
+SPARED = ("networkx", "scipy")
+"""What trimesh works without; to import them takes longer than all else that reads a mesh."""
+
 
 def read_triangles(path: str) -> bytes:
     """Vertices [V, 3] and faces [F, 3] of a mesh file, as an ``.npz`` file."""
@@ -70,6 +73,19 @@ def read_colored_triangles(path: str) -> bytes:
 
 
 def _load_mesh(path: str, **options: bool) -> Any:
+    """What trimesh reads of a mesh file; without ``SPARED`` first, if it was imported so: files that are in
+    order hardly ever need them."""
+    try:
+        return _trimesh_load(path, **options)
+    except Exception:
+        if "trimesh" not in _lighter:
+            raise
+    for name in [name for name in sys.modules if name.split(".")[0] == "trimesh"]:
+        del sys.modules[name]
+    return _trimesh_load(path, **options)
+
+
+def _trimesh_load(path: str, **options: bool) -> Any:
     """What trimesh reads of a mesh file; of a binary PLY whose faces have different numbers of corners, which
     it reads as text only, too."""
     import trimesh
@@ -137,6 +153,9 @@ JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
 }
 """By name: the job and the modules that are imported once, before the fork."""
 
+_lighter: set[str] = set()
+"""Modules of this process that were imported without ``SPARED``."""
+
 
 def work(job: str, path: str) -> tuple[int, bytes]:
     """Status and answer of a job."""
@@ -157,9 +176,20 @@ def serve() -> None:
     os.dup2(2, 1)
     for line in sys.stdin.buffer:
         request = json.loads(line)
-        for module in JOBS[request["job"]][1]:
-            importlib.import_module(module)
+        import_for(request["job"])
         _send(answers, *_forked(request))
+
+
+def import_for(job: str) -> None:
+    """Import what a job needs; trimesh without ``SPARED``, where they are not imported yet."""
+    missing: Any = None
+    for module in JOBS[job][1]:
+        spared = () if module != "trimesh" or module in sys.modules else set(SPARED) - set(sys.modules)
+        sys.modules.update(dict.fromkeys(spared, missing))
+        importlib.import_module(module)
+        for name in spared:
+            del sys.modules[name]
+            _lighter.add(module)
 
 
 def _forked(request: dict[str, Any]) -> tuple[int, bytes]:

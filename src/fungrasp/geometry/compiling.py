@@ -28,7 +28,7 @@ SOURCES = (
     "geometry/distance_queries.py",
     "geometry/signed_distance.py",
     "optimization/*.py",
-    "perception/object_pose/icp_loops.py",
+    "perception/object_pose/*_loops.py",
     "rendering/pixel_loops.py",
 )
 """Files that the loops are made from."""

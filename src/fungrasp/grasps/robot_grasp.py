@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps.field_checks import ArrayField, check_rows, checked_extra
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
-from fungrasp.hands import Hand, load_hand
+
+if TYPE_CHECKING:
+    from fungrasp.hands import Hand
 
 SQUEEZE = "squeeze_positions"
 """The name in ``extra`` of the grasps' own squeeze targets."""
@@ -151,6 +153,9 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         Raises:
             FungraspError: it is not found, or is another version of it.
         """
+        # Hands import MuJoCo: not where people's grasps are all that is looked at.
+        from fungrasp.hands import load_hand
+
         try:
             hand = load_hand(self.hand_file or self.hand)
         except FungraspError as error:

@@ -135,7 +135,7 @@ class HandCandidate:
     answers: PoseAnswers | None
     """All poses of the search, best first, and what their scores are made of; None for a given pose."""
     holds: bool
-    """Whether the object's pose is accepted and the hand is at it."""
+    """Whether the object's pose is rather right than wrong and the hand is at it."""
     warnings: tuple[PerceptionWarning, ...] = ()
     """What was uncertain in the choice of the hand."""
 

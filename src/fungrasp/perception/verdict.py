@@ -58,7 +58,7 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
 SHOWN: Mapping[str, Callable[[float], float]] = {
     "agreement": lambda value: 1.0 - exp(-value),
     "covered": lambda value: 1.0 - exp(-value),
-    "outside": lambda value: exp(value) - 0.01,
+    "outside": lambda value: round(max(exp(value) - 0.01, 0.0), 6),
     "rival": lambda value: 0.8 + 0.2 * value,
     "joints": lambda value: 1.0 / (1.0 + exp(-value)),
     **dict.fromkeys(("other_size", "other_side"), exp),

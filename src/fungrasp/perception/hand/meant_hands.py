@@ -31,6 +31,10 @@ HOLDING = 0.05
 are 6 to 11 mm from it, and estimated to 10 to 30 mm."""
 
 
+LIKELY = 0.5
+"""Where the object's pose is more probable than this, it is not looked for in a hand elsewhere."""
+
+
 @dataclass(frozen=True, eq=False)
 class MeantHand:
     """A hand that may be the one that holds the object."""
@@ -111,14 +115,14 @@ def object_box(capture: Capture, model: ObjectModel | None, given: ObjectEstimat
 
 
 def may_hold(hand: HandEstimate, thing: ObjectEstimate, vertices: np.ndarray) -> bool:
-    """Whether the object's pose is accepted and the hand is at it.
+    """Whether the object's pose is rather right than wrong and the hand is at it.
 
     Args:
         hand: camera frame.
         thing: the object's pose, camera frame.
         vertices: of its mesh, object frame [m], shape [V, 3].
     """
-    if not thing.accepted:
+    if not (thing.accepted or thing.score > LIKELY):
         return False
     surface = transform_points(thing.pose_camera_object, vertices)
     # Large triangles have their vertices far from the hand: what counts is the box they span.

@@ -62,20 +62,16 @@ def confidence(evidence: PoseEvidence) -> float:
     return OBJECT_WEIGHTS.probability(features(evidence))
 
 
-def rivals(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> np.ndarray:
-    """Quality of the best different answer to each pose, 0 where there is none, shape [H].
+def best_rival(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> float:
+    """Quality of the best answer that is another than the first, 0 where there is none.
 
     Args:
         known: the object.
         poses: shape [H, 7].
         quality: shape [H].
     """
-    points = known.surface.samples[:300]
-    result = np.zeros(len(poses))
-    for i, pose in enumerate(poses):
-        different = add_s(points, poses, pose) > RIVAL_DISTANCE
-        result[i] = quality[different].max(initial=0.0)
-    return result
+    different = add_s(known.surface.samples[:300], poses, poses[0]) > RIVAL_DISTANCE
+    return float(quality[different].max(initial=0.0))
 
 
 def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | None:

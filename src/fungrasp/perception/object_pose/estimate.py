@@ -12,8 +12,8 @@ from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, Percepti
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import (
     ACCEPT,
+    best_rival,
     confidence,
-    rivals,
 )
 from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
 from fungrasp.perception.object_pose.known_object import KnownObject, known_object
@@ -69,8 +69,6 @@ class PoseAnswers:
     """Object in the camera frame, shape [H, 7]."""
     scores: PoseScores
     """How well each of the H poses explains the image."""
-    rival: np.ndarray
-    """Quality of the best different answer to each, shape [H]."""
     residual_m: float
     """Median distance of the object's measured points from the mesh in the first pose [m]."""
     evidence: PoseEvidence | None = None
@@ -143,9 +141,9 @@ def search_object_pose(
     poses, scores = found.poses[order], scores.chosen(order)
     owner = int(found.owner[order[0]])
     points = view.evidence[owner].points
-    rival = rivals(known, poses, scores.quality)
-    evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, float(rival[0]), rng)
-    return PoseAnswers(poses, scores, rival, known.surface.median_distance(points, poses[0]), evidence)
+    rival = best_rival(known, poses, scores.quality)
+    evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, rival, rng)
+    return PoseAnswers(poses, scores, known.surface.median_distance(points, poses[0]), evidence)
 
 
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
@@ -223,4 +221,4 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
     none = PoseScores(*np.zeros((7, 1)))
-    return PoseAnswers(pose[None], none, np.zeros(1), float("nan"), problem=why)
+    return PoseAnswers(pose[None], none, float("nan"), problem=why)

@@ -51,16 +51,19 @@ def intrusions(
 
 
 @compiled_part
-def _add(matrix, vector, arm, gradient, residual, weight):
-    """Add a residual whose gradient by the point's position is given, for a turn and a shift."""
+def _add(sums, arm, gradient, residual, weight):
+    """Add a residual whose gradient by the point's position is given, for a turn and a shift, to the matrix's
+    upper triangle, row by row, and the vector behind it: one short array stays close at hand."""
     ax, ay, az = arm
     gx, gy, gz = gradient
     j = (ay * gz - az * gy, az * gx - ax * gz, ax * gy - ay * gx, gx, gy, gz)
+    n = 0
     for a in range(6):
         part = weight * j[a]
-        vector[a] += part * residual
         for b in range(a, 6):
-            matrix[a, b] += part * j[b]
+            sums[n] += part * j[b]
+            n += 1
+        sums[21 + a] += part * residual
 
 
 @compiled
@@ -88,9 +91,12 @@ def fit_terms(
     center [pixels], shape [4]), table (far below where there is none): of the free space; rotation [H, 3, 3]
     and position [H, 3] of the poses.
     """
+    sums = np.empty(27)
     for h in range(len(position)):
         r, t = rotation[h], position[h]
-        matrix[h], vector[h], cost[h] = 0.0, 0.0, 0.0
+        cost[h] = 0.0
+        for n in range(27):
+            sums[n] = 0.0
         for p in range(len(points)):
             x, y, z = points[p, 0] - t[0], points[p, 1] - t[1], points[p, 2] - t[2]
             local = (
@@ -106,7 +112,7 @@ def fit_terms(
                 -(r[2, 0] * gx + r[2, 1] * gy + r[2, 2] * gz),
             )
             share = weight[p] / len(points)
-            _add(matrix[h], vector[h], (x, y, z), gradient, distance, share / (1.0 + squared) ** 2)
+            _add(sums, (x, y, z), gradient, distance, share / (1.0 + squared) ** 2)
             cost[h] += share * scale[p] ** 2 * squared / (1.0 + squared)
         share = free_weight / len(samples)
         for s in range(len(samples)):
@@ -120,8 +126,11 @@ def fit_terms(
                 arm[0] + t[0], arm[1] + t[1], arm[2] + t[2], depth, refuge, lens, table
             )
             squared = (distance / free_scale) ** 2
-            _add(matrix[h], vector[h], arm, (gx, gy, gz), distance, share / (1.0 + squared) ** 2)
+            _add(sums, arm, (gx, gy, gz), distance, share / (1.0 + squared) ** 2)
             cost[h] += share * free_scale**2 * squared / (1.0 + squared)
+        n = 0
         for a in range(6):
-            for b in range(a):
-                matrix[h, a, b] = matrix[h, b, a]
+            vector[h, a] = sums[21 + a]
+            for b in range(a, 6):
+                matrix[h, a, b] = matrix[h, b, a] = sums[n]
+                n += 1

@@ -57,16 +57,23 @@ class MeshRays:
             pose, ray and depth along the optical axis [m] of each hit, poses ascending, shape [N] each; depth
             in single precision, as rays are.
         """
+        # Importing Numba takes a fifth of a second: not before a ray is cast.
+        from fungrasp.geometry.compiling import plain
+        from fungrasp.perception.object_pose.ray_loops import count_rays, local_rays
+
         factors = np.ones((len(poses), 3)) if stretch is None else stretch
         slopes = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
         middles = poses[:, :3] + rotate(poses[:, 3:], factors * self._middle)
         radius = self._radius * factors.max(axis=1)
         # Along a ray that passes the sphere round the mesh, its middle is at least so far away.
         least = np.sqrt(np.maximum(np.square(middles).sum(axis=1) - np.square(radius), 0.0))
-        pose, ray = np.nonzero(middles @ slopes.T >= least[:, None])
         # The rays as the mesh of usual size sees them: lengths along them change, depths do not.
         axes = rotation_matrix(poses[:, 3:]) / factors[:, None, :]
-        local = np.matmul(directions, axes).astype(np.float32)[pose, ray]
+        counts = np.empty(len(poses), np.int64)
+        count_rays(slopes, middles, least, counts)
+        pose, ray = np.empty((2, counts.sum()), np.int64)
+        local = np.empty((len(pose), 3), np.float32)
+        local_rays(slopes, middles, least, plain(directions), axes, pose, ray, local)
         lengths = np.sqrt(np.square(local).sum(axis=1))
         origins = -np.einsum("hi,hij->hj", poses[:, :3], axes).astype(np.float32)
         depth = self._caster.free_distance(origins[pose], local / lengths[:, None], NOWHERE) / lengths
@@ -211,9 +218,12 @@ def _even_samples(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.nda
     points, owners = points[some], owners[some]
     chosen = np.zeros(min(count, len(points)), dtype=int)
     apart = np.full(len(points), np.inf)
+    x, y, z = np.ascontiguousarray(points.T)
     for i in range(1, len(chosen)):
-        apart = np.minimum(apart, np.square(points - points[chosen[i - 1]]).sum(axis=1))
-        chosen[i] = int(apart.argmax())
+        last = chosen[i - 1]
+        away = np.square(x - x[last]) + np.square(y - y[last]) + np.square(z - z[last])
+        np.minimum(apart, away, out=apart)
+        chosen[i] = apart.argmax()
     return points[chosen], np.asarray(mesh.face_normals)[owners[chosen]]
 
 

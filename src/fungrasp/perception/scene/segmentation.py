@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import KDTree
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.grasps.human_hand import BONES
@@ -144,10 +143,9 @@ def segment(
     if table is not None:
         height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
     if joints is not None and not told:
-        rows, columns = np.nonzero(measured)
-        reach = np.full(measured.shape, np.inf)
-        reach[rows, columns] = KDTree(joints[list(TIPS)]).query(points[rows, columns])[0]
-        prior = np.where(reach < size + 0.03, prior, NEVER)
+        away = (points - tip for tip in joints[list(TIPS)])
+        reach = np.min([np.einsum("hwi,hwi->hw", one, one) for one in away], axis=0)
+        prior = np.where(measured & (reach < (size + 0.03) ** 2), prior, NEVER)
     near = measured & (prior > NEVER)
     candidate = near.copy() if table is None else near & ~(height <= plane_tolerance(capture.depth))
     rows, columns = np.nonzero(candidate)
