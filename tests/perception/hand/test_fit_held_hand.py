@@ -111,7 +111,7 @@ def test_the_search_brings_a_finger_back(held):
     angles[1, :, 1] -= np.radians([70, 30, 10])
     lost = dataclasses.replace(hand, angles=angles)
     view = hand_view(scene.capture, surroundings, [scene.joints])
-    found = search_fingers(lost, view, CAMERA.project(scene.joints), np.random.default_rng(0))
+    found = search_fingers(lost, view, CAMERA.project(scene.joints), None, np.random.default_rng(0))
     tip = 8
     assert np.linalg.norm(lost.joints()[tip] - scene.joints[tip]) > 0.04
     assert np.linalg.norm(found.joints()[tip] - scene.joints[tip]) < 0.02
@@ -165,7 +165,7 @@ def test_the_seed_decides_which_postures_are_tried(held, monkeypatch):
     scene, surroundings = held
     drawn = []
 
-    def search(skeleton, view, landmarks, rng, **_):
+    def search(skeleton, view, landmarks, spread, rng):
         drawn.append(rng.random())
         return skeleton
 

@@ -20,12 +20,10 @@ def test_our_own_folder(tmp_path):
 
 def a_bop_scene(folder):
     color, depth = scene()
-    for name in ("rgb", "depth", "mask_visib"):
+    for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
     Image.fromarray(color).save(folder / "rgb" / "000007.jpg", quality=95)
     Image.fromarray(np.round(depth * 10000).astype(np.uint16)).save(folder / "depth" / "000007.png")
-    mask = np.where(depth == np.float32(0.6), 255, 0).astype(np.uint8)
-    Image.fromarray(mask).save(folder / "mask_visib" / "000007_000001.png")
     matrix = [OURS["fx"], 0, OURS["cx"], 0, OURS["fy"], OURS["cy"], 0, 0, 1]
     cameras = {"7": {"cam_K": matrix, "depth_scale": 0.1}, "8": {"cam_K": matrix, "depth_scale": 0.1}}
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
@@ -55,10 +53,9 @@ def test_what_is_written_is_read_again(tmp_path):
 
 def test_a_bop_scene(tmp_path):
     folder = a_bop_scene(tmp_path / "000002")
-    capture = read_bop(folder, 7, instance=1)
+    capture = read_bop(folder, 7)
     np.testing.assert_allclose(capture.depth, scene()[1], atol=1e-4)
     assert capture.intrinsics.fy == 301
-    np.testing.assert_array_equal(capture.mask, scene()[1] == np.float32(0.6))
     assert read_folder(folder).mask is None
     with pytest.raises(FungraspError, match="has no image 8"):
         read_bop(folder, 8)
@@ -74,9 +71,6 @@ def a_dexycb_camera(root):
     Image.fromarray(np.round(depth * 1000).astype(np.uint16)).save(
         camera / "aligned_depth_to_color_000071.png"
     )
-    seg = np.where(depth == np.float32(0.6), 5, 0).astype(np.uint8)
-    np.savez(camera / "labels_000071.npz", seg=seg)
-    (camera.parent / "meta.yml").write_text("ycb_ids: [2, 5]\nycb_grasp_ind: 1\n")
     lens = "{fx: 300.0, fy: 301.0, ppx: 160.0, ppy: 119.0}"
     (calibration / f"{camera.name}_{WIDTH}x{HEIGHT}.yml").write_text(f"color: {lens}\ndepth: {{fx: 1.0}}\n")
     return camera
@@ -85,14 +79,10 @@ def a_dexycb_camera(root):
 def test_a_dexycb_camera(tmp_path):
     pytest.importorskip("yaml")
     camera = a_dexycb_camera(tmp_path)
-    capture = read_dexycb(camera, 71, with_mask=True)
+    capture = read_dexycb(camera, 71)
     np.testing.assert_allclose(capture.depth, scene()[1], atol=1e-3)
     assert (capture.intrinsics.fx, capture.intrinsics.cy) == (300, 119)
-    np.testing.assert_array_equal(capture.mask, scene()[1] == np.float32(0.6))
     assert read_folder(camera).mask is None
-    (camera / "labels_000071.npz").write_bytes(b"cut short")
-    with pytest.raises(FungraspError, match=r"DexYCB label .* cut short"):
-        read_dexycb(camera, 71, with_mask=True)
     with pytest.raises(FungraspError, match="does not exist"):
         read_dexycb(camera, 3)
 

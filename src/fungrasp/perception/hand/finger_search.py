@@ -119,9 +119,8 @@ def search_fingers(
     hand: Skeleton,
     view: HandView,
     landmarks: np.ndarray,
+    spread: float | None,
     rng: np.random.Generator,
-    settings: FingerSearchSettings | None = None,
-    spread: float | None = None,
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 
@@ -129,11 +128,10 @@ def search_fingers(
         hand: whose palm is about right.
         view: what is seen.
         landmarks: [pixels], shape [21, 2].
-        rng: chooses the postures.
-        settings: what speaks for one.
         spread: standard deviation of a landmark [pixels], if it is known.
+        rng: chooses the postures.
     """
-    settings = settings or FingerSearchSettings()
+    settings = FingerSearchSettings()
     if spread is None:
         spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:

@@ -24,7 +24,6 @@ from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit_problem import (
     HandFitProblem,
-    HandFitSettings,
     HandFitStage,
     HandParameters,
     joint_confidence,
@@ -90,15 +89,12 @@ class _Candidate:
     cost: float
 
 
-def fit_hand(
-    detected: DetectedHand, capture: Capture, settings: HandFitSettings | None = None
-) -> HandEstimate:
+def fit_hand(detected: DetectedHand, capture: Capture) -> HandEstimate:
     """The hand in metres, without knowledge of the object.
 
     Args:
         detected: landmarks in the color image.
         capture: the same image with depth.
-        settings: standard deviations and weights of the measurements.
 
     Returns:
         Joints in the camera frame; a left hand is not mirrored.
@@ -106,7 +102,7 @@ def fit_hand(
     Raises:
         FungraspError: there is no depth where the hand is.
     """
-    problem = HandFitProblem(seen=HandMeasurements.of(detected, capture), settings=settings)
+    problem = HandFitProblem(seen=HandMeasurements.of(detected, capture))
     assert problem.seen is not None
     parameters = _in_stages(problem, HandParameters(initial_skeleton(problem.seen)), FREE_STAGES)
     return _estimate(problem, parameters, FREE_STAGES[-1], detected)
@@ -120,7 +116,6 @@ def fit_held_hand(
     *,
     side: Side | None = None,
     seed: int = 0,
-    settings: HandFitSettings | None = None,
 ) -> HandEstimate:
     """The hand that holds a known object.
 
@@ -136,7 +131,6 @@ def fit_held_hand(
         joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
         side: which hand it is, if that is known.
         seed: of the search of fingers.
-        settings: standard deviations and weights of the measurements.
 
     Raises:
         FungraspError: there is no depth where the hand is.
@@ -155,7 +149,7 @@ def fit_held_hand(
     views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
     candidates = []
     for guess, seen, skeleton in begun:
-        problem = HandFitProblem(seen=seen, view=views[guess.side], settings=settings)
+        problem = HandFitProblem(seen=seen, view=views[guess.side])
         parameters = _in_stages(problem, HandParameters(skeleton), PALM_STAGES)
         cost = problem.cost(parameters, dataclasses.replace(COMPARED, contact=False))
         candidates.append(_Candidate(guess, problem, parameters, cost))
@@ -165,9 +159,7 @@ def fit_held_hand(
     return _estimate(best.problem, best.parameters, COMPARED, best.detected)
 
 
-def refine_hand(
-    hand: HandEstimate, surroundings: HandSurroundings, settings: HandFitSettings | None = None
-) -> HandEstimate:
+def refine_hand(hand: HandEstimate, surroundings: HandSurroundings) -> HandEstimate:
     """A hand from another estimator that then touches what it nearly touches and is inside of nothing.
 
     The joints are evidence as good as their covariances say.
@@ -175,15 +167,14 @@ def refine_hand(
     Args:
         hand: the estimate.
         surroundings: object and table.
-        settings: weights of contact against the estimate.
 
     Returns:
         The same hand with other joints, covariances and confidences.
     """
     if hand.side == "left":
-        mirrored = refine_hand(mirror_estimate(hand, hand.pixels), surroundings.mirrored(), settings)
+        mirrored = refine_hand(mirror_estimate(hand, hand.pixels), surroundings.mirrored())
         return mirror_estimate(mirrored, hand.pixels)
-    problem = HandFitProblem(estimate=hand, surroundings=surroundings, settings=settings)
+    problem = HandFitProblem(estimate=hand, surroundings=surroundings)
     start = HandParameters(skeleton_through(hand.joints_camera, FITTED_SPREAD))
     parameters = problem.solve(start, COMPARED, REFINE_ITERATIONS)
     joints, covariance = problem.joints(parameters, problem.evidence(parameters, COMPARED))
@@ -207,8 +198,8 @@ def _with_fingers_searched(candidate: _Candidate, seed: int) -> _Candidate:
         parameters.skeleton,
         problem.view,
         problem.seen.pixels,
+        problem.seen.spread,
         np.random.default_rng(seed),
-        spread=problem.seen.spread,
     )
     parameters = HandParameters(skeleton, parameters.turn)
     problem.find_background(skeleton)

@@ -134,7 +134,6 @@ class HandFitProblem:
         view: HandView | None = None,
         estimate: HandEstimate | None = None,
         surroundings: HandSurroundings | None = None,
-        settings: HandFitSettings | None = None,
     ):
         """
         Args:
@@ -142,10 +141,9 @@ class HandFitProblem:
             view: what of the image shows the hand that holds a known object; needs ``seen``.
             estimate: joints with covariances from another estimator.
             surroundings: known object and table; by default those of ``view``.
-            settings: standard deviations and weights of the measurements.
         """
         self.seen, self.view = seen, view
-        self.settings = settings or HandFitSettings()
+        self.settings = HandFitSettings()
         self.surroundings = view.surroundings if view is not None else surroundings
         self.size = SIZE if seen is None else SIZE + 3
         if seen is not None:

@@ -119,9 +119,9 @@ class Skeleton:
     """Joint angles [rad], shape [5, 3, 3]: finger, joint, (deviation, flexion, twist)."""
 
     @classmethod
-    def usual(cls, position: np.ndarray, turn: np.ndarray, size: float = 0.0) -> Skeleton:
+    def usual(cls, position: np.ndarray, turn: np.ndarray) -> Skeleton:
         """A hand of usual proportions and usual angles."""
-        return cls(position, turn, size, np.zeros((5, 3)), np.zeros((5, 3)), ANGLE_MEAN)
+        return cls(position, turn, 0.0, np.zeros((5, 3)), np.zeros((5, 3)), ANGLE_MEAN)
 
     def moved(self, step: np.ndarray) -> Skeleton:
         """The skeleton with every parameter changed by a step, shape [``SIZE``]; the turn is about the

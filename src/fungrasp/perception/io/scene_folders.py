@@ -11,7 +11,6 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.formats.numpy_files import read_npz
 from fungrasp.formats.yaml_file import read_yaml
 from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.capture import Capture
@@ -106,7 +105,7 @@ def write_folder(capture: Capture, folder: str | Path) -> None:
         temporary.write_text(json.dumps({**asdict(capture.intrinsics), "depth_unit": unit}, indent=1) + "\n")
 
 
-def read_bop(scene: str | Path, image: int, instance: int | None = None) -> Capture:
+def read_bop(scene: str | Path, image: int) -> Capture:
     """Read an image of a BOP scene (github.com/thodan/bop_toolkit, ``docs/bop_datasets_format.md``).
 
     ::
@@ -114,39 +113,31 @@ def read_bop(scene: str | Path, image: int, instance: int | None = None) -> Capt
         <scene>/scene_camera.json                cam_K and depth_scale [mm per unit] by image
         <scene>/rgb/000000.png                   or .jpg, .tif
         <scene>/depth/000000.png
-        <scene>/mask_visib/000000_000000.png     image and instance
 
     Args:
         scene: the scene's folder.
         image: its number.
-        instance: row of the object in the image's ground truth; its visible mask becomes the capture's.
 
     Raises:
         FungraspError: a file is missing or bad.
     """
     scene = Path(scene)
-    mask = None if instance is None else scene / "mask_visib" / f"{image:06d}_{instance:06d}.png"
-    return read_capture(
-        _picture(scene / "rgb", image), _picture(scene / "depth", image), scene / "scene_camera.json",
-        mask=mask, image=image,
-    )  # fmt: skip
+    color, depth = _picture(scene / "rgb", image), _picture(scene / "depth", image)
+    return read_capture(color, depth, scene / "scene_camera.json", image=image)
 
 
-def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> Capture:
+def read_dexycb(camera: str | Path, frame: int) -> Capture:
     """Read a frame of one camera of a DexYCB sequence (dex-ycb.github.io).
 
     ::
 
-        <root>/<subject>/<sequence>/meta.yml                                   ycb_ids, ycb_grasp_ind
         <root>/<subject>/<sequence>/<serial>/color_000000.jpg
         <root>/<subject>/<sequence>/<serial>/aligned_depth_to_color_000000.png [mm]
-        <root>/<subject>/<sequence>/<serial>/labels_000000.npz                 seg: YCB number of each pixel
         <root>/calibration/intrinsics/<serial>_640x480.yml                     color: fx, fy, ppx, ppy
 
     Args:
         camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
         frame: its number.
-        with_mask: take the grasped object's labelled pixels as the mask.
 
     Raises:
         FungraspError: a file is missing or bad, or PyYAML is not installed.
@@ -157,21 +148,7 @@ def read_dexycb(camera: str | Path, frame: int, *, with_mask: bool = False) -> C
     calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
     lens = intrinsics_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
-    capture = read_capture(color, depth, lens.intrinsics, depth_unit=MILLIMETRE)
-    if not with_mask:
-        return capture
-    meta = read_yaml(camera.parent / "meta.yml")
-    try:
-        number = int(meta["ycb_ids"][int(meta["ycb_grasp_ind"])])
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise FungraspError(
-            f"{camera.parent / 'meta.yml'}: ycb_ids and ycb_grasp_ind don't name an object"
-        ) from error
-    labels = camera / f"labels_{frame:06d}.npz"
-    fields = read_npz(labels, "DexYCB label", "seg".__eq__)
-    if "seg" not in fields:
-        raise FungraspError(f"{labels}: the field 'seg' is missing")
-    return capture.with_object(mask=fields["seg"] == number)
+    return read_capture(color, depth, lens.intrinsics, depth_unit=MILLIMETRE)
 
 
 def _found(folder: str | Path) -> Path:

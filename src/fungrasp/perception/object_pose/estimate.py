@@ -84,7 +84,6 @@ def estimate_object_pose(
     table: np.ndarray | None = None,
     *,
     seed: int = 0,
-    settings: PoseSearchSettings | None = None,
 ) -> ObjectEstimate:
     """Find a known object in a depth image.
 
@@ -99,12 +98,11 @@ def estimate_object_pose(
         table: plane ``[nx ny nz d]`` with ``n . x + d`` the height of a point above it [m], camera frame,
             shape [4]; looked for in the image if None.
         seed: the same seed gives the same answer.
-        settings: how much is tried.
 
     Raises:
         FungraspError: the mesh has no faces.
     """
-    return best_estimate(search_object_pose(capture, mesh, hand, table, seed=seed, settings=settings))
+    return best_estimate(search_object_pose(capture, mesh, hand, table, seed=seed))
 
 
 def search_object_pose(
@@ -114,7 +112,6 @@ def search_object_pose(
     table: np.ndarray | None = None,
     *,
     seed: int = 0,
-    settings: PoseSearchSettings | None = None,
 ) -> PoseAnswers:
     """All that ``estimate_object_pose`` finds, with the scores of each pose."""
     capture = thinned(capture)
@@ -136,7 +133,7 @@ def search_object_pose(
     view, problem = view_of_object(known, capture, joints, table, rng)
     if problem or view is None:
         return _nothing(capture, joints, PerceptionWarning.of("not_searched", problem=problem))
-    found, scores, color = _answers(view, rng, settings or PoseSearchSettings())
+    found, scores, color = _answers(view, rng)
     order = np.argsort(-(scores.quality + COLOR_WEIGHT * scores.quality.max() * color))
     poses, scores = found.poses[order], scores.chosen(order)
     owner = int(found.owner[order[0]])
@@ -162,10 +159,9 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
 
 
-def _answers(
-    view: ObjectView, rng: np.random.Generator, settings: PoseSearchSettings
-) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
+def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
     """Different poses, their scores, and the agreement of their colors."""
+    settings = PoseSearchSettings()
     few, many = view.scorer(250), view.scorer(RAYS)
     known, evidence = view.known, view.evidence
     found = search_poses(known, evidence, (few, many), rng, settings)
@@ -220,5 +216,5 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         points = capture.points()[shown if shown.any() else capture.measured]
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
-    none = PoseScores(*np.zeros((7, 1)))
+    none = PoseScores(*np.zeros((6, 1)))
     return PoseAnswers(pose[None], none, float("nan"), problem=why)

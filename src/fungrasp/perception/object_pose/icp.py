@@ -44,22 +44,6 @@ class FreeSpace:
     corner: tuple[int, int] = (0, 0)
     """Column and row of the whole image at which ``depth``, a part of it, begins."""
 
-    def intrusion(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far points would have to move to be allowed, and where to.
-
-        Args:
-            points: [m], camera frame, shape [..., 3].
-
-        Returns:
-            distance [m], shape [...], 0 for allowed points; its gradient, shape [..., 3].
-        """
-        from fungrasp.perception.object_pose.icp_loops import intrusions
-
-        flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 3)
-        distance, gradient = np.empty(len(flat)), np.empty(flat.shape)
-        intrusions(flat, self.depth, self.refuge, self.lens, self.lowest, distance, gradient)
-        return distance.reshape(points.shape[:-1]), gradient.reshape(points.shape)
-
     @property
     def lens(self) -> np.ndarray:
         """Focal lengths, and the center in ``depth`` [pixels], shape [4]."""

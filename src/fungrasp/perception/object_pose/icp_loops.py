@@ -10,8 +10,9 @@ from fungrasp.geometry.signed_distance import GridArrays
 
 
 @compiled_part
-def _intrusion(x, y, z, depth, refuge, lens, table):
-    """How far a point would have to move to be allowed, and its gradient: see ``FreeSpace``."""
+def intrusion(x, y, z, depth, refuge, lens, table):
+    """How far a point [m], camera frame, would have to move to be allowed by a ``FreeSpace`` [m], and the
+    gradient of that; 0 for allowed points."""
     near = z if z > 1e-3 else 1e-3
     ux, uy = x / near, y / near
     column = int(np.rint(lens[0] * ux + lens[2]))
@@ -31,23 +32,6 @@ def _intrusion(x, y, z, depth, refuge, lens, table):
     if below > distance:
         return below, -table[0], -table[1], -table[2]
     return distance, gx, gy, gz
-
-
-@compiled
-def intrusions(
-    points: np.ndarray,
-    depth: np.ndarray,
-    refuge: np.ndarray,
-    lens: np.ndarray,
-    table: np.ndarray,
-    distance: np.ndarray,
-    gradient: np.ndarray,
-) -> None:
-    """Write what ``FreeSpace.intrusion`` returns of points of shape [P, 3]; arguments as of ``fit_terms``."""
-    for p in range(len(points)):
-        distance[p], gradient[p, 0], gradient[p, 1], gradient[p, 2] = _intrusion(
-            points[p, 0], points[p, 1], points[p, 2], depth, refuge, lens, table
-        )
 
 
 @compiled_part
@@ -122,7 +106,7 @@ def fit_terms(
                 r[1, 0] * a + r[1, 1] * b + r[1, 2] * c,
                 r[2, 0] * a + r[2, 1] * b + r[2, 2] * c,
             )
-            distance, gx, gy, gz = _intrusion(
+            distance, gx, gy, gz = intrusion(
                 arm[0] + t[0], arm[1] + t[1], arm[2] + t[2], depth, refuge, lens, table
             )
             squared = (distance / free_scale) ** 2

@@ -49,9 +49,6 @@ class PoseScores:
     far."""
     explained: np.ndarray
     """Part of the mask's pixels that the pose explains, shape [H]."""
-    contradicted: np.ndarray
-    """Pixels in which the mesh would hide what was measured, or be hidden by the table or another thing, as
-    a part of those of the mask, shape [H]."""
     visible: np.ndarray
     """Part of the mesh's silhouette beside skin that agrees with the measurement, shape [H]."""
     contact: np.ndarray
@@ -130,9 +127,7 @@ class PoseScorer:
         if self.joints is not None:
             contact = self._contact(poses, stretch)
             quality = quality / (1.0 + np.square(contact / CONTACT))
-        return PoseScores(
-            quality, explained, contradicted, visible, contact, everywhere * self.step**2, hidden / hit
-        )
+        return PoseScores(quality, explained, visible, contact, everywhere * self.step**2, hidden / hit)
 
     def _contact(self, poses: np.ndarray, stretch: np.ndarray | None) -> np.ndarray:
         """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H], with the hand

@@ -82,13 +82,12 @@ def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) 
     return None
 
 
-def largest_plane(capture: Capture, rng: np.random.Generator, tries: int = 300) -> np.ndarray | None:
+def largest_plane(capture: Capture, rng: np.random.Generator) -> np.ndarray | None:
     """The largest plane in the image (RANSAC): the table, if nothing is known of the hand.
 
     Args:
         capture: the image.
         rng: chooses the planes that are tried.
-        tries: how many.
 
     Returns:
         As ``table_under``; None if no plane makes up a tenth of the image.
@@ -96,7 +95,7 @@ def largest_plane(capture: Capture, rng: np.random.Generator, tries: int = 300) 
     points = _points(capture, 2.5)
     if len(points) < LEAST_POINTS:
         return None
-    planes = planes_through(points[rng.integers(0, len(points), (tries, 3))])
+    planes = planes_through(points[rng.integers(0, len(points), (TRIES // 2, 3))])
     count = plane_votes(planes, points)
     if count.max(initial=0) < 0.1 * len(points):
         return None
@@ -135,8 +134,11 @@ def planes_through(corners: np.ndarray) -> np.ndarray:
 
 def plane_votes(planes: np.ndarray, points: np.ndarray) -> np.ndarray:
     """How many points belong to each plane, shape [P]. planes: shape [P, 4]; points: [m], shape [N, 3]."""
-    heights = points @ planes[:, :3].T + planes[:, 3]
-    return (np.abs(heights) < plane_tolerance(points[:, 2])[:, None]).sum(axis=0)
+    tolerance = plane_tolerance(points[:, 2])
+    # Few at a time: large arrays are slow to get from the system.
+    parts = np.array_split(planes, 1 + len(planes) // 32)
+    heights = (part[:, :3] @ points.T + part[:, 3:] for part in parts)
+    return np.concatenate([np.count_nonzero(np.abs(one) < tolerance, axis=1) for one in heights])
 
 
 def plane_members(plane: np.ndarray, points: np.ndarray, width: float = 1.0) -> np.ndarray:
