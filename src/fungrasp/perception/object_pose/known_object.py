@@ -175,18 +175,14 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
     tree = KDTree(points)
     limit = 0.04 * float(np.linalg.norm(np.ptp(points, axis=0)))
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-    poses = []
-    for axis in axes:
-        for angle in np.radians(np.arange(30, 360, 30)):
-            turn = quaternion_from_rotation_vector(axis * angle)
-            pose = np.concatenate([middle - rotate(turn, middle), turn])
-            for _ in range(AXIS_STEPS):
-                moved = transform_points(pose, points[:300])
-                nearest = points[tree.query(moved)[1]]
-                pose[:3] += np.median(nearest - moved, axis=0)
-            if float(np.mean(tree.query(transform_points(pose, points[:300]))[0])) < limit:
-                poses.append(pose)
-    return np.array(poses).reshape(-1, 7)
+    angles = np.radians(np.arange(30, 360, 30))
+    turns = quaternion_from_rotation_vector((axes[:, None] * angles[:, None]).reshape(-1, 3))
+    poses = np.concatenate([middle - rotate(turns, middle), turns], axis=1)
+    for _ in range(AXIS_STEPS):
+        moved = transform_points(poses, points[:300])
+        poses[:, :3] += np.median(points[tree.query(moved)[1]] - moved, axis=1)
+    apart = tree.query(transform_points(poses, points[:300]))[0]
+    return poses[np.mean(apart, axis=1) < limit]
 
 
 def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
