@@ -153,10 +153,15 @@ def test_unresisted_shares_are_those_of_numpy(name: str):
     pose[0, :3] = surface - 0.01 * normals
     which = np.array([True, True, False, True, True, True])
     expected = reference.unresisted_share(points, problem, pose, joints, which)
-    found = unresisted_share(points, problem, pose, joints, which)
+    found = unresisted_share(points, problem, pose, joints, most=np.where(which, np.inf, 0.0))
     assert expected[0] == NO_GRIP and expected[2] == np.inf
     assert np.any((expected > 1e-3) & (expected < NO_GRIP))
     np.testing.assert_allclose(found, expected, atol=1e-9)
+    # Between a share that is enough and one that is too much, nothing else is found.
+    most = np.where(which, expected + np.array([1, 1, 1, 1, -0.01, -0.01]), 0.0)
+    found = unresisted_share(points, problem, pose, joints, 0.2, most)
+    clipped = np.where(most > 0.2, np.clip(found, 0.2, most), np.inf)
+    np.testing.assert_allclose(clipped, np.where(most > 0.2, np.clip(expected, 0.2, most), np.inf), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", HANDS)

@@ -43,6 +43,8 @@ def unresisted_load(
     friction: float = FRICTION,
     disturbance: float = DISTURBANCE,
     iterations: int = LOAD_ITERATIONS,
+    enough: float = 0.0,
+    most: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The force [N] and torque [N m] that the contacts cannot take of the worst of six loads, shape [N] each.
 
@@ -66,11 +68,13 @@ def unresisted_load(
         friction: coefficient.
         disturbance: in weights.
         iterations: of the accelerated projected gradient descent.
+        enough: share of the weight; no more than it is as good as any less, which is found sooner.
+        most: the same, shape [N]; as much as it is as bad as any more.
     """
     loads = np.zeros((len(weight), 6, 6))
     loads[..., :3] = weight[:, None, None] * (disturbance * load_directions(up) - up[:, None])
     left = unresisted_wrenches(
-        contacts, used, center, reach, loads, weight, torque_limit, friction, iterations
+        contacts, used, center, reach, loads, weight, torque_limit, friction, iterations, (enough, most)
     )
     worst = np.argmax(np.sum(left**2, axis=-1), axis=1)
     left = left[np.arange(len(weight)), worst]
@@ -87,6 +91,7 @@ def unresisted_wrenches(
     torque_limit: np.ndarray,
     friction: float = FRICTION,
     iterations: int = LOAD_ITERATIONS,
+    worst: tuple[float, np.ndarray | None] | None = None,
 ) -> np.ndarray:
     """What the contacts cannot take of each load: force [N] and torque over ``reach`` [N], shape [N, K, 6].
     The contact forces minimize what ``unresisted_load`` says.
@@ -95,8 +100,11 @@ def unresisted_wrenches(
         contacts, used, center, reach, torque_limit, friction, iterations: as for ``unresisted_load``.
         loads: forces [N], and torques over ``reach`` [N], on the object, shape [N, K, 6].
         unit: force against which a torque beyond its limit counts [N], shape [N].
+        worst: ``enough`` and ``most`` of ``unresisted_load``, shares of ``unit``; what is left is then
+            right for the worst load alone. For each if None.
     """
     left = np.zeros(loads.shape)
+    enough, most = (-1.0, None) if worst is None else worst
     _descend(
         LinkContacts(*(plain(x) for x in contacts)),
         plain(used, bool),
@@ -106,6 +114,8 @@ def unresisted_wrenches(
         plain(LIMIT_WEIGHT * unit[:, None] / torque_limit),
         float(friction),
         iterations,
+        float(enough),
+        np.full(len(unit), np.inf) if most is None else plain(most),
         left,
     )
     return left * unit[:, None, None]
@@ -121,6 +131,8 @@ def _descend(
     torque_weight: np.ndarray,
     friction: float,
     iterations: int,
+    enough: float,
+    most: np.ndarray,
     left: np.ndarray,
 ) -> None:
     """Write what ``unresisted_wrenches`` leaves of each load, by accelerated projected gradient descent
@@ -128,16 +140,17 @@ def _descend(
 
     Args:
         contacts, used, center, reach, friction, iterations: as there.
+        enough, most: as there; where enough is negative, each load counts.
         loads: in units of force, shape [N, K, 6].
         torque_weight: what a torque of each joint weighs [1/(N m)], shape [N, U].
         left: shape [N, K, 6].
     """
     links, joints = used.shape[1], torque_weight.shape[1]
-    most = links * LOAD_CONE_EDGES
-    edges, around = np.empty((most, 3)), circle(np.int64(LOAD_CONE_EDGES))
-    wrench, torque = np.empty((most, 6)), np.empty((most, joints))
+    room = links * LOAD_CONE_EDGES
+    edges, around = np.empty((room, 3)), circle(np.int64(LOAD_CONE_EDGES))
+    wrench, torque = np.empty((room, 6)), np.empty((room, joints))
     columns, used_columns = np.empty((links, joints), np.int64), np.empty(links, np.int64)
-    matrix = np.empty((6 + joints, most))
+    matrix = np.empty((6 + joints, room))
     for i in range(len(used)):
         number = np.int64(0)
         for link in range(links):
@@ -176,15 +189,37 @@ def _descend(
         if number > 0:
             # The step is one over the largest eigenvalue of the objective's Hessian, the Lipschitz constant.
             step, steps = 1.0 / (largest_eigenvalue(matrix, 6 + joints, total) + 1e-3), iterations
+        bound = enough
         for load in range(loads.shape[1]):
-            _resist(wrench, torque, columns, used_columns, total, loads[i, load], step, steps, left[i, load])
+            found = left[i, load]
+            _resist(wrench, torque, columns, used_columns, total, loads[i, load], step, steps, bound, found)
+            if enough < 0.0:
+                continue
+            # Only a load of which more is left than of those before matters.
+            size = 0.0
+            for part in range(6):
+                size += found[part] * found[part]
+            if size > bound * bound:
+                bound = math.sqrt(size)
+            if bound >= most[i]:
+                break
 
 
 @compiled_part
 def _resist(
-    wrench, torque, columns, used_columns, count: int, load, step: float, iterations: int, left
+    wrench,
+    torque,
+    columns,
+    used_columns,
+    count: int,
+    load,
+    step: float,
+    iterations: int,
+    enough: float,
+    left,
 ) -> None:
-    """Write what the best contact forces, of ``count`` weights of cones' edges, leave of a load."""
+    """Write what the best contact forces, of ``count`` weights of cones' edges, leave of a load; or others
+    that leave no more than ``enough`` of it."""
     joints = torque.shape[1]
     weights, ahead, excess = np.empty(count), np.empty(count), np.empty(joints)
     for k in range(count):
@@ -207,11 +242,21 @@ def _resist(
                 contact = k // LOAD_CONE_EDGES
                 for q in range(used_columns[contact]):
                     excess[columns[contact, q]] += torque[k, q] * w
+        beyond = 0.0
         for u in range(joints):
             if abs(excess[u]) <= LIMIT_WEIGHT:
                 excess[u] = 0.0
             else:
                 excess[u] -= LIMIT_WEIGHT if excess[u] > 0 else -LIMIT_WEIGHT
+                beyond += excess[u] * excess[u]
+        if enough > 0.0 and a * a + b * b + c * c + d * d + e * e + f * f + beyond <= enough * enough:
+            pushing = True
+            for k in range(count):
+                pushing = pushing and ahead[k] >= 0.0
+            if pushing:
+                for k in range(count):
+                    weights[k] = ahead[k]
+                break
         following = 0.5 * (1 + math.sqrt(1 + 4 * momentum * momentum))
         carry = (momentum - 1) / following
         momentum = following
@@ -239,7 +284,8 @@ def unresisted_share(
     problem: RetargetingProblem,
     wrist_pose: np.ndarray,
     independent: np.ndarray,
-    which: np.ndarray | None = None,
+    enough: float = 0.0,
+    most: np.ndarray | None = None,
 ) -> np.ndarray:
     """``unresisted_load`` of the links in contact that should be, as a share of the objects' weight, shape
     [N]: force and torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without
@@ -250,9 +296,10 @@ def unresisted_share(
         problem: N grasps, object frame.
         wrist_pose: object frame, shape [N, 7].
         independent: joints [rad], shape [N, U].
-        which: grasps to judge, shape [N] bool; others have infinity. All if None.
+        enough, most: as for ``unresisted_load``; where most is no more than enough, the share is infinite.
     """
     limits = np.array([servo.force_limit for servo in points.kinematics.hand.actuators.values()])
+    which = None if most is None else most > enough
     contacts = contacts_of_links(points, problem, wrist_pose, independent, CONTACT_DISTANCE, which)
     inside = contacts.clearance.min(axis=1) < -DEEPEST
     force, torque = unresisted_load(
@@ -263,15 +310,17 @@ def unresisted_share(
         problem.weight,
         problem.up[:, -1],
         limits,
+        enough=enough,
+        most=most,
     )
     share = np.where(inside, NO_GRIP, np.hypot(force, torque / problem.extent) / problem.weight)
     return share if which is None else np.where(which, share, np.inf)
 
 
 def load_directions(up: np.ndarray) -> np.ndarray:
-    """Up, down and four horizontal directions, unit vectors, shape [N, 6, 3]. up: shape [N, 3]."""
+    """Down, up and four horizontal directions, unit vectors, shape [N, 6, 3]. up: shape [N, 3]."""
     helper = np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = cross(up, helper)
     first = first / np.linalg.norm(first, axis=1, keepdims=True)
     second = cross(up, first)
-    return np.stack([up, -up, first, -first, second, -second], axis=1)
+    return np.stack([-up, up, first, -first, second, -second], axis=1)

@@ -187,8 +187,8 @@ def _score(
         least: scores that count, shape [N]; of what is too far off by its places alone the share is infinite.
     """
     apart = likeness / ERROR_UNIT * contact_error(points, problem, *solution)
-    might = None if least is None else FIRM + apart < least
-    share = unresisted_share(points.dense, problem, *solution, might)
+    most = None if least is None else least - apart
+    share = unresisted_share(points.dense, problem, *solution, FIRM, most)
     collisions: list[Term] = [
         partial(terms.table_penetration, unit=DEEPEST, margin=0.0),
         partial(terms.self_penetration, unit=DEEPEST, margin=0.0),
