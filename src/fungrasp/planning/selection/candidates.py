@@ -37,8 +37,12 @@ class CandidateStatistics:
 
     @property
     def success(self) -> np.ndarray:
-        """Success expected after the rollouts: their mean with the prior's rollouts added."""
-        return (self.held + self.prior * self.expected) / (self.tried + self.prior)
+        """Success expected after the rollouts: their mean with the prior's rollouts added. Where the grasp's
+        candidates together hold less often than was expected of them, so much less is expected of each: what
+        the predictor does not see of an object fails them all."""
+        hoped = (self.tried * self.expected).sum(axis=0)
+        right = np.minimum((self.held.sum(axis=0) + self.prior) / (hoped + self.prior), 1.0)
+        return (self.held + self.prior * right * self.expected) / (self.tried + self.prior)
 
     @property
     def order(self) -> np.ndarray:
