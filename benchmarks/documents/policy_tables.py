@@ -225,11 +225,6 @@ def privileged_from_nothing() -> Table:
     return _reproduced("nothing-privileged", "policy")
 
 
-def retargeting_from_nothing() -> Table:
-    """Teachers on the grasps of each retargeting method, in the paper's setting."""
-    return _reproduced("nothing-retargeting", "grasps of")
-
-
 def _reproduced(name: str, what: str) -> Table:
     """A table of ``python -m benchmarks.paper``: the kept result's name, and what its rows are."""
     head = (what, "nominal", "contact ratio", "not adapted", "reality", "contact ratio", "paper: success")

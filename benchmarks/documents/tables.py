@@ -55,7 +55,6 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "robustness": policy_tables.robustness,
     "privileged": policy_tables.privileged,
     "privileged_from_nothing": policy_tables.privileged_from_nothing,
-    "retargeting_from_nothing": policy_tables.retargeting_from_nothing,
     "paper_hands": policy_tables.paper_hands,
     "paper_retargeting": policy_tables.paper_retargeting,
     "perception": other_tables.perception,
