@@ -36,9 +36,9 @@ FORCE_UNIT = 5.0
 SERVO_UNIT = 0.2
 """Difference between servo target and joint [rad]."""
 INPUT_LIMIT = 10.0
-"""Bound of what policy and value networks get. Scaled to be of the order of one, no part reaches it where a
-hand grasps: it is half a meter between hand and object, or an object that moves at 1 m/s. One that has been
-thrown would else be hundreds of standard deviations away, and one such step undoes a training."""
+"""Bound of what policy and value networks get. Scaled to be of the order of one, parts hardly ever reach it
+where a hand grasps: it is half a meter between hand and object, or an object that moves at 1 m/s. One that
+has been thrown would else be hundreds of standard deviations away, and one such step undoes a training."""
 _MOTION_UNITS = np.repeat(
     [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
 )
