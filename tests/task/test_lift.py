@@ -53,6 +53,17 @@ def test_the_lift_begins_at_6_s_at_the_latest_and_the_hold_lasts_3_s():
     assert lifted == pytest.approx(p.lift_height, abs=2e-3)
 
 
+def test_a_hand_whose_goal_never_rests_is_judged_all_the_same():
+    # The goal runs ahead of the wrist, as one does that is carried by an object that rolls.
+    task = ready([CUBE])
+    for _ in range(round((task.protocol.rise_time + task.protocol.hold_time) / CONTROL)):
+        assert not task.done[0]
+        ahead = task.setpoints.wrist.pose + np.array([0.2, 0, 0, 0, 0, 0, 0])
+        task.step(Action(ahead, task.setpoints.fingers.copy(), np.array([True])))
+    assert task.hold_time[0] - task.lift_time[0] == pytest.approx(task.protocol.rise_time, abs=CONTROL)
+    assert task.done[0] and not task.outcomes().success[0]
+
+
 def test_a_lift_begins_when_asked_for_and_cannot_be_taken_back():
     task = ready([CUBE, CUBE])
     task.step(stay(task, np.array([True, False])))

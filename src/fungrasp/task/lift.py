@@ -217,10 +217,12 @@ class LiftTask:
         return self.setpoints.advance(goal, action.finger_targets)
 
     def _update_hold(self, goal: Array) -> None:
-        """The hold begins when the setpoint has risen to its goal. goal: of the palm, shape [W, 7]."""
+        """The hold begins when the setpoint has risen to its goal, or has had the time to. goal: of the palm,
+        shape [W, 7]."""
         way = goal[:, :3] - self.setpoints.wrist.pose[:, :3]
         apart = array_namespace(way).sqrt((way * way).sum(axis=1))
-        risen = self._isfinite(self.lift_time) & (apart < 2e-3)
+        late = self.time - self.lift_time >= self.protocol.rise_time - 1e-9
+        risen = self._isfinite(self.lift_time) & ((apart < 2e-3) | late)
         begins = risen & ~self._isfinite(self.hold_time)
         self.hold_time = self._where(begins, self.time, self.hold_time)
         self.measurements.watch(self._isfinite(self.hold_time) & ~self.done)

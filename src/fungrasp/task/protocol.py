@@ -22,6 +22,9 @@ class LiftProtocol:
     """The lift begins after this at the latest [s]."""
     lift_height: float = 0.15
     """The wrist's goal rises by this [m]."""
+    rise_time: float = 6.0
+    """The hold begins this long after the lift at the latest [s]: a wrist that follows what rolls away never
+    comes to rest. A rise takes 1.4 s at the wrist's largest speed."""
     hold_time: float = 3.0
     """The object is held for this long [s]."""
     success_height: float = 0.10
