@@ -69,6 +69,8 @@ class TableOptions:
     """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
+    only: tuple[str, ...] = ()
+    """Rows of the table to train and test, by the names of their policies or hands; all by default."""
     steps: float = 3e6
     """Control steps that each policy is trained for."""
     distill_steps: float | None = None
@@ -95,12 +97,12 @@ class TableOptions:
         check_packages()
         import torch
 
-        from benchmarks.paper.variants import CONDITIONS, TABLES, comparison_rows, pooled
+        from benchmarks.paper.variants import CONDITIONS, comparison_rows, pooled, table_variants
         from fungrasp.evaluation.result_files import write_result
 
         self._check()
         torch.set_num_threads(1)
-        variants = TABLES[name]
+        variants = table_variants(name, self.only)
         # All rows with one seed before the next seed: an interrupted table has whole columns.
         by_seed = [[self._result(variant, seed) for variant in variants] for seed in self.seeds]
         kept = [list(each) for each in zip(*by_seed, strict=True)]

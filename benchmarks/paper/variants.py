@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import bootstrap
 
+from fungrasp.errors import UnknownNameError
+
 CONDITIONS = ("nominal", "nominal, not adapted", "reality")
 """What each policy is tried in: worlds as believed; the same with grasps that are not adapted to the settled
 object; and the reality protocol."""
@@ -68,6 +70,25 @@ TABLES: Mapping[str, tuple[Variant, ...]] = {
     ),
 }
 """Variants by the name of the table. Those of the same name and hand are the same in all tables."""
+
+
+def table_variants(table: str, only: Sequence[str] = ()) -> tuple[Variant, ...]:
+    """The variants of a table.
+
+    Args:
+        table: its name.
+        only: names of policies or hands; all variants if empty.
+
+    Raises:
+        FungraspError: the table has none of a name.
+    """
+    variants = TABLES[table]
+    names = [variant.hand or variant.name for variant in variants]
+    for name in only:
+        if name not in names:
+            raise UnknownNameError("row", name, names)
+    return tuple(v for v, name in zip(variants, names, strict=True) if not only or name in only)
+
 
 HEAD = (
     "policy",

@@ -23,6 +23,7 @@ TABLE = ("--grasps", "builtin", "--test", "builtin")
         (("paper", "policies", "--hands", "alegro"), "Did you mean 'allegro'?"),
         (("paper", "policies", "--grasp-seeds", -1), "must not be negative"),
         (("paper", "hands", *TABLE, "--seeds", 1, 1), "--seeds must be different ones"),
+        (("paper", "privileged", *TABLE, "--only", "techer"), "Did you mean 'teacher'?"),
     ],
 )
 def test_mistakes_are_one_line(arguments, words, tmp_path, capsys):
@@ -57,6 +58,8 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
     assert again[0] == 0 and len(tested) == 6, "nothing is tested twice"
     other = run_benchmark(capsys, *command, "--steps", 1e5, "--out", tmp_path / "out")
     assert other[0] == 0 and len(tested) == 12, "but with other settings"
+    one = run_benchmark(capsys, *command, "--only", "faive", "--out", tmp_path / "out")
+    assert one[0] == 0 and "Faive" in one[1] and "Shadow" not in one[1] and len(tested) == 12
 
 
 def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_path, capsys, monkeypatch):
