@@ -70,6 +70,15 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+LOAD_WEIGHTS = "fungrasp.perception.hand.mediapipe_models.load_weights"
+
+
+@pytest.fixture(autouse=True)
+def models(monkeypatch):
+    """Hand models need not be set up: a stand-in is in their place."""
+    monkeypatch.setattr(LOAD_WEIGHTS, dict)
+
+
 @pytest.fixture
 def found(monkeypatch) -> list[DetectedHand]:
     """What the detector finds; to be changed."""
@@ -162,6 +171,14 @@ def test_a_recorded_stream_is_taken_when_all_is_seen(folder, found, tmp_path, ca
     assert load_human_grasps(tmp_path / "g.npz").object_name[0] == NAME
     status, _, err = run(capsys, "perceive", *given, "--countdown", "30", "--out", tmp_path / "g.npz")
     assert status == 2 and "ended before a picture could be taken; last: all is seen" in err
+
+
+def test_missing_hand_models_are_said_before_anything_is_read(tmp_path, capsys, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path))
+    given = ("--folder", tmp_path / "none", "--mesh", "nothing", "--out", tmp_path / "g.npz")
+    status, _, err = run(capsys, "perceive", *given)
+    assert status == 2 and err.count("\n") == 1 and "run 'fungrasp setup perception' once" in err
 
 
 def room_detector():

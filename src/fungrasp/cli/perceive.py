@@ -82,12 +82,12 @@ class Perceive:
     def run(self) -> Answer:
         from time import perf_counter
 
+        start = perf_counter()
+        self._check()
         from fungrasp.objects import held_object
         from fungrasp.perception.pipeline import UNKNOWN, perceive
         from fungrasp.perception.several_looks import best_of_looks
 
-        start = perf_counter()
-        self._check()
         plane = parse_plane(self.table)
         held = None if self.mesh == UNKNOWN else held_object(self.mesh, self.mass)
         model = None if held is None else held.model
@@ -128,8 +128,9 @@ class Perceive:
         return Answer({"grasps": self.out, **perceived.as_json()}, "\n".join(lines), status=status)
 
     def _check(self) -> None:
-        """Complain about options that do not go together."""
+        """Complain about options that do not go together, and about hand models that are missing."""
         from fungrasp.errors import FungraspError
+        from fungrasp.perception.hand.mediapipe_models import load_weights
 
         if None not in (self.hand_file, self.hand_from):
             raise FungraspError("give --hand-file or --hand-from, not both")
@@ -137,6 +138,9 @@ class Perceive:
             raise FungraspError("give --object-pose-file or --object-pose-from, not both")
         if self.improve_pose and self.object_pose_file is None and self.object_pose_from is None:
             raise FungraspError("--improve-pose needs --object-pose-file or --object-pose-from")
+        if self.hand_file is None and self.hand_from is None:
+            # Before meshes and images are read, and the rest is imported.
+            load_weights()
 
     def _hand(self) -> Any:
         """Another program's or package's estimator of the hand; None if none is asked."""
