@@ -101,6 +101,10 @@ def test_a_training_begins_with_the_networks_of_another(tmp_path):
     for name, value in weights[0].items():
         if name.startswith("mlp"):
             torch.testing.assert_close(weights[1][name], value, atol=1e-6, rtol=0)
+    louder = replace(frozen, ppo=replace(frozen.ppo, noise=0.4))
+    train(tmp_path / "louder", [one], hand(), louder, BATCH, threads=1, initial=first)
+    noise = read_checkpoint(tmp_path / "louder" / "checkpoint.pt")["actor_state_dict"]
+    np.testing.assert_allclose(noise["distribution.log_std_param"].exp(), 0.4, atol=1e-6)
     with pytest.raises(FungraspError, match="does not fit"):
         wide = replace(frozen, ppo=replace(PPO, hidden=(16, 16)))
         train(tmp_path / "third", [one], hand(), wide, BATCH, threads=1, initial=first)

@@ -314,7 +314,7 @@ class Trainer:
         write_checkpoint(path, state)
 
     def begin_from(self, path: Path) -> None:
-        """Take the networks of another training's checkpoint, and nothing else.
+        """Take the networks of another training's checkpoint, and nothing else: noise begins as set.
 
         Raises:
             FungraspError: it can't be read, is damaged, or belongs to another hand, other observations or
@@ -323,8 +323,12 @@ class Trainer:
         state = read_checkpoint(path)
         check_environment(path, state, self.environment)
         self._begun = True
+        noise = self.actor.distribution
+        wanted = {} if noise is None else {name: p.clone() for name, p in noise.state_dict().items()}
         with _fitting(path):
             self.algorithm.load(state, {"actor": True, "critic": True}, True)
+        if noise is not None:
+            noise.load_state_dict(wanted)
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint.
