@@ -13,7 +13,7 @@ from benchmarks.perception.verdict_fit import RIGHT_HAND_MM, evidence_of, trial_
 from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.perception.hand.joint_confidence import SURE, WITHIN, joint_confidences
-from fungrasp.perception.object_pose.confidence import ACCEPT, features
+from fungrasp.perception.object_pose.confidence import ACCEPT, confidence
 from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.verdict import ACCEPTED_HAND
 
@@ -35,9 +35,7 @@ def verdict_figures(
     """
     weights = weights or {"OBJECT_WEIGHTS": OBJECT_WEIGHTS, "HAND_WEIGHTS": HAND_WEIGHTS}
     of_object = weights["OBJECT_WEIGHTS"]
-    said = np.array(
-        [of_object.probability(features(evidence_of(one))) if one.evidence else 0.0 for one in answers]
-    )
+    said = np.array([confidence(evidence_of(one), of_object) if one.evidence else 0.0 for one in answers])
     right = np.array([one.right for one in answers])
     accepted = said >= ACCEPT
     told: dict[str, Any] = {}

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from math import exp, isfinite, log
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.perception.object_pose.confidence import ACCEPT, features
+from fungrasp.perception.object_pose.confidence import ACCEPT, AS_WELL, confidence, features
 from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS
 from fungrasp.perception.scene.depth_edges import SMOOTHED
 
@@ -39,6 +39,9 @@ ALIKE = 0.9
 BETTER = 0.05
 """Logarithm of the quality of another size, over the mesh's own, from which on the mesh's is likely wrong."""
 
+USUAL_LONGER = -0.21
+"""The median of right answers: logarithm of the quality of the mesh a third longer, over the mesh's own."""
+
 AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
@@ -49,6 +52,7 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
     "told": ("a mask was given: 1, none: 0", 1.0, ""),
     "other_size": ("fit of the mesh in another size", 100.0, "%"),
     "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
+    "longer": ("fit of it a third longer, its length is open from 97 on", 100.0, "%"),
     "rival": ("fit of the best other pose, 80 or less", 100.0, "%"),
     "hand_score": ("hand: detector's score and agreement", 1.0, ""),
     "joints": ("hand: joints within 20 mm of where they are, expected, 88 or less", 100.0, "%"),
@@ -61,7 +65,7 @@ SHOWN: Mapping[str, Callable[[float], float]] = {
     "outside": lambda value: round(max(exp(value) - 0.01, 0.0), 6),
     "rival": lambda value: 0.8 + 0.2 * value,
     "joints": lambda value: 1.0 / (1.0 + exp(-value)),
-    **dict.fromkeys(("other_size", "other_side"), exp),
+    **dict.fromkeys(("other_size", "other_side", "longer"), exp),
 }
 """From what the odds are made of to what people read."""
 
@@ -175,6 +179,8 @@ def perception_verdict(thing: ObjectEstimate, hand: HandEstimate, fitted: str = 
         known = features(thing.evidence)
         shares = OBJECT_WEIGHTS.shares(known)
         evidence += [_meter(name, known[name], OBJECT_WEIGHTS.usual[name], shares[name]) for name in shares]
+        limited = _odds(confidence(thing.evidence)) - _odds(OBJECT_WEIGHTS.probability(known))
+        evidence.append(_meter("longer", thing.evidence.longer, USUAL_LONGER, limited))
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
     sure = thing.accepted and probability >= ACCEPTED_HAND
@@ -184,6 +190,11 @@ def perception_verdict(thing: ObjectEstimate, hand: HandEstimate, fitted: str = 
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
     return PerceptionVerdict(sure, thing.score, probability, tuple(evidence), advice, fitted)
+
+
+def _odds(probability: float) -> float:
+    """Logarithm of the odds."""
+    return log(max(probability, 1e-9)) - log(max(1.0 - probability, 1e-9))
 
 
 def _meter(name: str, value: float, usual: float, share: float) -> Meter:
@@ -199,7 +210,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
     if e is None or thing.accepted:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
-    size = shares["other_size"] + shares["other_side"]
+    size, length_open = shares["other_size"] + shares["other_side"], e.longer > AS_WELL
     covered = shares["agreement"] + shares["covered"] + shares["outside"]
     found = []
     if max(e.other_size, e.other_side) > BETTER and size < covered:
@@ -208,7 +219,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         found.append(f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background")
     if e.told == 0.0:
         found.append("a click at the object (--point u,v), or a mask")
-    if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
+    if length_open or e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
         found.append("another view, in which more of the object is seen")
     if e.edge_width > SMOOTHED:
         found.append("the camera's spatial and hole-filling filters turned off")

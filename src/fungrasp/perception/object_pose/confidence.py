@@ -12,7 +12,7 @@ from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS
+from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.scene.depth_edges import SHARP
 
 ACCEPT = 0.943
@@ -22,6 +22,13 @@ meshes were, cross-validated over the captures of the fit."""
 SMOOTHED_AGREES = 0.25
 """Where depth is smoothed right answers agree less: power of the outlines' width by which agreement counts
 more. Of 0, 0.25, 0.5 and 1 the one with the least cross-validated loss."""
+
+AS_WELL = -0.03
+"""Where a mesh a third longer fits as well as this one, logarithm of their qualities' ratio, an end of it is
+behind the hand, and the image does not say how long the thing is."""
+
+OPEN_LENGTH = 0.5
+"""Such an answer is not called more probable: the weights do not know how seldom it is right."""
 
 RIVAL_DISTANCE = 0.01
 """A pose so far from another (ADD-S [m]) is a different answer."""
@@ -57,9 +64,10 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
     }
 
 
-def confidence(evidence: PoseEvidence) -> float:
+def confidence(evidence: PoseEvidence, weights: Logistic = OBJECT_WEIGHTS) -> float:
     """Probability that ADD-S is below 10 mm and the mesh is the right one."""
-    return OBJECT_WEIGHTS.probability(features(evidence))
+    probability = weights.probability(features(evidence))
+    return min(probability, OPEN_LENGTH) if evidence.longer > AS_WELL else probability
 
 
 def best_rival(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> float:
