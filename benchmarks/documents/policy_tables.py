@@ -205,11 +205,6 @@ def _condition_shares(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def privileged() -> Table:
-    """What is known of the contacts (Table V of the paper), with three seeds, under nominal and reality."""
-    return _reproduced("table-privileged", "policy")
-
-
 def paper_retargeting() -> Table:
     """Teachers on the grasps of each retargeting method (Table IV of the paper), with three seeds."""
     return _reproduced("table-retargeting", "grasps of")

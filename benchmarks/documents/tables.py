@@ -53,7 +53,6 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "methods": policy_tables.methods,
     "peers": policy_tables.peers,
     "robustness": policy_tables.robustness,
-    "privileged": policy_tables.privileged,
     "privileged_from_nothing": policy_tables.privileged_from_nothing,
     "paper_hands": policy_tables.paper_hands,
     "paper_retargeting": policy_tables.paper_retargeting,
