@@ -51,8 +51,7 @@ class Verdict:
         figures = verdict_figures(answers, hands, fitted)
         print(table(verdict_rows(figures)))
         if self.json is not None:
-            rows = [asdict(one) | {"evidence": None} | one.evidence for one in answers]
-            write_result(self.json, run_record(0) | figures, rows)
+            write_result(self.json, run_record(0) | figures, map(asdict, answers))
         if self.figure is not None:
             self.figure.write_text(reliability_svg(figures), encoding="utf-8")
 

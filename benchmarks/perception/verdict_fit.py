@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
+from fungrasp.errors import FungraspError
 from fungrasp.perception.object_pose.confidence import features
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import Logistic
@@ -57,8 +58,15 @@ def object_data(answers: Sequence[VerdictTrial]) -> tuple[list[dict[str, float]]
 
 
 def evidence_of(answer: VerdictTrial) -> PoseEvidence:
-    """The record of an answer."""
-    return PoseEvidence(**{name: answer.evidence[name] for name in PoseEvidence.__dataclass_fields__})
+    """The record of an answer.
+
+    Raises:
+        FungraspError: it was measured before one of the numbers was.
+    """
+    names = PoseEvidence.__dataclass_fields__
+    if missing := sorted(names - answer.evidence.keys()):
+        raise FungraspError(f"trials of {answer.capture} lack {', '.join(missing)}: measure them again")
+    return PoseEvidence(**{name: answer.evidence[name] for name in names})
 
 
 def hand_data(hands: Sequence[HandTrial]) -> tuple[list[dict[str, float]], np.ndarray]:
