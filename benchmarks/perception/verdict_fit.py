@@ -63,9 +63,9 @@ def evidence_of(answer: VerdictTrial) -> PoseEvidence:
     Raises:
         FungraspError: it was measured before one of the numbers was.
     """
-    names = PoseEvidence.__dataclass_fields__
+    names = PoseEvidence.__dataclass_fields__.keys()
     if missing := sorted(names - answer.evidence.keys()):
-        raise FungraspError(f"trials of {answer.capture} lack {', '.join(missing)}: measure them again")
+        raise FungraspError(f"trials of {answer.capture} lack {', '.join(missing)}: delete and measure again")
     return PoseEvidence(**{name: answer.evidence[name] for name in names})
 
 
