@@ -30,16 +30,6 @@ def perception() -> Table:
     return Table(("figure", "target", "measured"), perception_rows(read), SOURCES)
 
 
-def chain() -> Table:
-    """From image to lift: how many objects are lifted from true and from perceived grasps."""
-    rows = []
-    for name, part in read("perception-chain").header["chain"]["policies"].items():
-        counts = [round(part[what]["rate"] * part[what]["count"]) for what in ("true", "perceived")]
-        rows.append((f"`{name}`", *map(str, counts), f"{100 * part['share']:.0f} %"))
-    head = ("policy", "lifted, of the true grasps", "of the perceived ones", "share")
-    return Table(head, rows, ["perception-chain"])
-
-
 def hands_added() -> Table:
     """Hands of other makers: what became of their descriptions, and how many grasps they lift."""
     head = (

@@ -57,7 +57,6 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "paper_hands": policy_tables.paper_hands,
     "paper_retargeting": policy_tables.paper_retargeting,
     "perception": other_tables.perception,
-    "chain": other_tables.chain,
     "driver_faults": robot_tables.driver_faults,
     "control_faults": robot_tables.control_faults,
     "driver_speed": robot_tables.driver_speed,

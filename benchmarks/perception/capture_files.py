@@ -1,4 +1,4 @@
-"""Writing rendered captures to folders that perception reads, and reading them back with the truth."""
+"""Writing rendered captures to folders that perception reads, with the truth beside them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,9 @@ from PIL import Image
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.render_capture import SyntheticCapture
-from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import one_line
-from fungrasp.formats.image_file import read_image
-from fungrasp.formats.json_file import read_json
-from fungrasp.formats.mesh_file import read_colored_mesh
 from fungrasp.geometry.poses import rotation_matrix
-from fungrasp.grasps import HumanGrasp
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.io.image_files import read_capture
 from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
 
 TRUTH_FILE, LABELS_FILE, OBJECT_MASK_FILE = "truth.json", "labels.png", "object_mask.png"
@@ -67,8 +60,6 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: Object
         "object_mass": float(grasp.object_mass),
         "task": str(grasp.task),
         "pose_world_camera": synthetic.pose_world_camera.tolist(),
-        "pose_camera_object": synthetic.pose_camera_object.tolist(),
-        "joints_camera": synthetic.joints_camera.tolist(),
         "object_pose": grasp.object_pose.tolist(),
         "object_rest_pose": grasp.object_rest_pose.tolist(),
         "hand_joints": grasp.hand_joints.tolist(),
@@ -94,43 +85,6 @@ def painted_mesh(painted: PaintedMesh) -> trimesh.Trimesh:
     """The same as a mesh with a color per vertex."""
     colors = np.round(255 * painted.colors).astype(np.uint8)
     return trimesh.Trimesh(painted.vertices, painted.faces, vertex_colors=colors, process=False)
-
-
-def read_synthetic_capture(folder: str | Path) -> SyntheticCapture:
-    """Read what ``write_capture`` wrote. Depth is rounded to ``DEPTH_UNIT``.
-
-    Raises:
-        FungraspError: a file is missing or bad.
-    """
-    folder = Path(folder)
-    capture = read_capture(folder / COLOR_FILE, folder / DEPTH_FILE, folder / LENS_FILE)
-    path = folder / TRUTH_FILE
-    try:
-        truth = read_json(path, "truth of a capture")
-        grasp = HumanGrasp(
-            object_name=truth["object_name"],
-            object_mass=truth["object_mass"],
-            object_pose=np.array(truth["object_pose"], dtype=float),
-            object_rest_pose=np.array(truth["object_rest_pose"], dtype=float),
-            hand_joints=np.array(truth["hand_joints"], dtype=float),
-            link_contacts=np.array(truth["link_contacts"], dtype=bool),
-            task=truth["task"],
-        )
-        pose = np.array(truth["pose_world_camera"], dtype=float)
-        labels = np.array(read_image(folder / LABELS_FILE, "labels of a capture"))
-        name = Path(f"{grasp.object_name}.ply").name
-        mesh: Any = read_colored_mesh(folder / name, "mesh of a capture")
-        if mesh is None:
-            raise FungraspError(f"{folder / name} has no colors")
-        painted = PaintedMesh(
-            np.array(mesh.vertices), np.array(mesh.faces), np.array(mesh.visual.vertex_colors)[:, :3] / 255
-        )
-    except FungraspError:
-        raise
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise FungraspError(f"{folder} is no rendered capture: {one_line(error)}") from error
-    side = "left" if truth.get("side") == "left" else "right"
-    return SyntheticCapture(capture, grasp, pose, labels, painted, side)
 
 
 def _visible_joints(synthetic: SyntheticCapture) -> list[list[float] | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from benchmarks.perception.captures import Captures
 from benchmarks.perception.depth import BenchDepth
 from benchmarks.perception.lifts import Lifts
 from benchmarks.perception.recorded import Recorded
@@ -11,7 +10,6 @@ from benchmarks.perception.varied import Varied
 from benchmarks.perception.verdict import Verdict
 
 COMMAND = {
-    "captures": Captures,
     "recorded": Recorded,
     "varied": Varied,
     "lifts": Lifts,

@@ -38,7 +38,7 @@ class Lifts:
         import numpy as np
         from scipy.spatial import KDTree
 
-        from benchmarks.perception.figures import rate_of
+        from benchmarks.perception.measurements import rate_of
         from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
         from benchmarks.perception.recorded_figures import hinted_captures
         from fungrasp.errors import FungraspError

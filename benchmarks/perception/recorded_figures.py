@@ -10,8 +10,7 @@ import numpy as np
 import trimesh
 from scipy import ndimage
 
-from benchmarks.perception.figures import rate_of
-from benchmarks.perception.measurements import RIGHT_MM, perceived, together
+from benchmarks.perception.measurements import RIGHT_MM, perceived, rate_of, together
 from benchmarks.perception.recorded_captures import RecordedCapture
 from fungrasp.formats.json_file import finite
 from fungrasp.objects import HeldObject, builtin_object

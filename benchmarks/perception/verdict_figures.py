@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.perception.figures import rate_of
+from benchmarks.perception.measurements import rate_of
 from benchmarks.perception.verdict_fit import RIGHT_HAND_MM, evidence_of, trial_weights
 from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
 from fungrasp.evaluation.statistics import wilson_interval

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Protocol
@@ -112,12 +112,6 @@ class CaptureScene:
         """The scene with more surfaces, behind the others in the list."""
         labels = np.concatenate([self.labels, np.array([label for label, _ in parts], np.uint8)])
         return replace(self, surfaces=(*self.surfaces, *(s for _, s in parts)), labels=labels)
-
-    def without(self, missing: Collection[Label]) -> CaptureScene:
-        """The scene without some of its surfaces; sleeve, rings and watch go with their hand."""
-        gone = {*missing, *([Label.SLEEVE, Label.WORN] if Label.HAND in missing else [])}
-        kept = [i for i, label in enumerate(self.labels.tolist()) if label not in gone]
-        return replace(self, surfaces=tuple(self.surfaces[i] for i in kept), labels=self.labels[kept])
 
 
 class SceneAdditions(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from benchmarks.synthetic_captures.capture_scene import Label, SceneAdditions
+from benchmarks.synthetic_captures.capture_scene import SceneAdditions
 from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCamera
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise
 from benchmarks.synthetic_captures.skin_and_sleeve import SKIN_TONES
@@ -36,9 +36,6 @@ class CaptureSettings:
     """Part of the image that must show the object, where a camera can be found that does."""
     hand_seen: float = 0.015
     """Part of the image that must show the hand, where a camera can be found that does."""
-    missing: tuple[Label, ...] = ()
-    """Labels that are taken out of the scene once the camera has found its place, to see what perception
-    makes of that: ``HAND`` (with its sleeve) or ``OBJECT``."""
     proportions: float = 0.0
     """Standard deviation of the size of hands, and of the lengths of their fingers, as a part; their
     fingertips stay where they are."""

@@ -156,9 +156,6 @@ def render_capture(
         scene = settings.additions(scene, grasp, center, towards, settings.skin, more)
         tracer = RayTracer(scene.surfaces, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
-    if settings.missing:
-        scene = scene.without(settings.missing)
-        tracer = RayTracer(scene.surfaces, scene.look)
     rays, shape = posed_rays(intrinsics, pose), (intrinsics.height, intrinsics.width)
     points = tracer.see(rays)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[points.surface].reshape(shape)

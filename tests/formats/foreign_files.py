@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from benchmarks.perception.capture_files import TRUTH_FILE, read_synthetic_capture
+from benchmarks.perception.recorded_captures import TRUTH, read_recorded
 from fungrasp.evaluation import replay
 from fungrasp.evaluation.result_files import read_result, write_result
 from fungrasp.evaluation.trajectory import Trajectory
@@ -264,21 +264,20 @@ def _record(folder: Path) -> tuple[str, bytes, Reader]:
 
 def _capture(folder: Path) -> tuple[str, bytes, Reader]:
     (folder / "K.json").write_bytes(_json(LENS))
-    pixels = np.zeros((48, 64, 3), np.uint8)
-    for name, array in (
-        ("rgb", pixels),
+    for name, pixels in (
+        ("rgb", np.zeros((48, 64, 3), np.uint8)),
         ("depth", np.full((48, 64), 500, np.uint16)),
-        ("labels", pixels[..., 0]),
     ):
-        (folder / f"{name}.png").write_bytes(_image(array))
-    box = trimesh.creation.box((0.1, 0.1, 0.1))
-    box.visual.vertex_colors = np.full((8, 4), 200, np.uint8)  # pyright: ignore
-    box.export(folder / "can.ply")
-    one = builtin_grasps()[0]
-    truth = {name: getattr(one, name).tolist() for name in ("object_pose", "object_rest_pose", "hand_joints")}
-    truth |= {"object_name": "can", "object_mass": 0.3, "task": "drink", "pose_world_camera": [0.0] * 7}
-    truth |= {"link_contacts": one.link_contacts.tolist()}
-    return TRUTH_FILE, _json(truth), lambda path: read_synthetic_capture(path.parent)
+        (folder / f"{name}.png").write_bytes(_image(pixels))
+    joints = builtin_grasps()[0].hand_joints
+    truth = {
+        "object": "can",
+        "object_pose_camera_wxyz": [0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0],
+        "joints_camera_m": joints.tolist(),
+        "visible_joint_pixels": [None, *joints[1:, :2].tolist()],
+        "table_plane_camera": [0.0, 0.0, -1.0, 0.7],
+    }
+    return TRUTH, _json(truth), lambda path: read_recorded(path.parent)
 
 
 KINDS: dict[str, Kind] = {

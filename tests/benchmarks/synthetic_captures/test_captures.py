@@ -6,11 +6,13 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from benchmarks.perception.capture_files import read_synthetic_capture, write_capture
+from benchmarks.perception.capture_files import write_capture
+from benchmarks.perception.recorded_captures import read_recorded
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
-from benchmarks.synthetic_captures.render_capture import capture_at, render_capture, render_captures
+from benchmarks.synthetic_captures.render_capture import render_capture, render_captures
 from fungrasp.errors import FungraspError
+from fungrasp.formats.mesh_file import read_colored_mesh
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps, load_human_grasps
 from fungrasp.objects import builtin_object, load_object
@@ -98,18 +100,6 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_count(noisy):
     assert not np.array_equal(other.capture.color, noisy[0].capture.color)
 
 
-def test_a_part_can_be_missing_from_the_same_scene(noisy):
-    grasps = builtin_grasps()
-    objects = {name: builtin_object(name) for name in np.unique(grasps.object_name).tolist()}
-    whole = noisy[0]
-    for part, gone in ((Label.HAND, {Label.HAND, Label.SLEEVE}), (Label.OBJECT, {Label.OBJECT})):
-        lacking = capture_at(0, grasps, objects, 4, dataclasses.replace(SMALL, missing=(part,)))
-        np.testing.assert_array_equal(lacking.pose_world_camera, whole.pose_world_camera)
-        assert not np.isin(lacking.labels, list(gone)).any()
-        other = ~np.isin(whole.labels, list(gone))
-        np.testing.assert_array_equal(lacking.labels[other], whole.labels[other])
-
-
 def test_every_grasp_has_its_turn():
     grasps = builtin_grasps().select(slice(3))
     objects = {name: builtin_object(name) for name in np.unique(grasps.object_name).tolist()}
@@ -130,23 +120,23 @@ def test_hand_and_object_are_both_to_be_seen(noisy):
 
 def test_what_was_written_is_read_again(noisy, tmp_path):
     synthetic = noisy[0]
-    write_capture(synthetic, tmp_path)
-    read = read_synthetic_capture(tmp_path)
+    name = synthetic.grasp.object_name
+    write_capture(synthetic, tmp_path, builtin_object(name))
+    read = read_recorded(tmp_path)
     np.testing.assert_array_equal(read.capture.color, synthetic.capture.color)
     np.testing.assert_allclose(read.capture.depth, synthetic.capture.depth, atol=1e-6)
     assert read.capture.intrinsics == synthetic.capture.intrinsics
-    assert read.capture.mask is None
-    np.testing.assert_array_equal(read.labels, synthetic.labels)
+    np.testing.assert_array_equal(read.capture.mask, synthetic.object_mask)
     np.testing.assert_allclose(read.pose_camera_object, synthetic.pose_camera_object, atol=1e-12)
     np.testing.assert_allclose(read.joints_camera, synthetic.joints_camera, atol=1e-12)
-    np.testing.assert_allclose(read.painted.vertices, synthetic.painted.vertices, atol=1e-6)
-    np.testing.assert_allclose(read.painted.colors, synthetic.painted.colors, atol=0.003)
-    # The mesh that perception is given is the object itself.
-    mesh = load_object(synthetic.grasp.object_name, 0.2, tmp_path)
-    np.testing.assert_allclose(mesh.size, builtin_object(synthetic.grasp.object_name).size, atol=1e-6)
-    (tmp_path / "truth.json").write_text("{}")
-    with pytest.raises(FungraspError, match="no rendered capture"):
-        read_synthetic_capture(tmp_path)
+    # The mesh that perception is given is the object itself, with its paint.
+    painted = read_colored_mesh(tmp_path / f"{name}.ply")
+    assert painted is not None
+    np.testing.assert_allclose(painted.vertices, synthetic.painted.vertices, atol=1e-6)
+    colors = np.asarray(painted.visual.vertex_colors)[:, :3] / 255  # pyright: ignore[reportAttributeAccessIssue]
+    np.testing.assert_allclose(colors, synthetic.painted.colors, atol=0.003)
+    mesh = load_object(name, 0.2, tmp_path)
+    np.testing.assert_allclose(mesh.size, builtin_object(name).size, atol=1e-6)
 
 
 def test_a_missing_object_is_named():
