@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 BENCHMARKS = {
-    "speed": "retargeting, planning, training, clusters and drivers: how fast, at what quality",
+    "speed": "planning, clusters and drivers: how fast",
     "engines": "physics steps per second: the environment beside bare physics",
     "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",
@@ -16,7 +16,6 @@ BENCHMARKS = {
     "hands": "hands of other makers: what hands add makes of their descriptions, how well they grasp",
     "identification": "fitted joint dynamics against known ones",
     "paper": "the free policies of all hands, and the paper's tables",
-    "viewer": "the interactive page: how soon it is there, how fast a hand follows, what is left afterwards",
     "cold_start": "a newcomer's first commands, from nothing",
     "extras": "each optional extra alone, from nothing",
     "documents.tables": "the tables of README and docs, from docs/lab/results",
