@@ -15,7 +15,6 @@ from benchmarks.documents.measured import (
     percent,
     read,
 )
-from benchmarks.twins.twin_series import FORMER_VARIANTS
 from fungrasp.evaluation.statistics import wilson_interval
 
 
@@ -256,8 +255,9 @@ def twin_variants() -> Table:
             off = f"{np.median([row['tracking_rad'] for row in begun]):.3f}"
             sag = f"{np.rad2deg(np.median([row['sag_rad'] for row in begun])):.1f}"
             counts = (f"{n}" for n in (len(group), len(group) - len(begun), len(begun), lifted))
-            name_now = FORMER_VARIANTS.get(variant, variant)
-            rows.append((results.header["robot"], name_now, *counts, rate, off, sag))
+            # As some results call it.
+            name = variant.replace("ours", "full")
+            rows.append((results.header["robot"], name, *counts, rate, off, sag))
     return Table(head, rows, list(TWINS))
 
 

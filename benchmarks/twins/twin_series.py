@@ -3,7 +3,6 @@ of the paper)."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -46,11 +45,6 @@ VARIANTS = (
     TwinVariant("full, two attempts", attempts=2),
 )
 """The columns of Table VI, and what a second attempt adds."""
-
-FORMER_VARIANTS = {"ours": "full", "ours, two attempts": "full, two attempts"}
-"""Names that variants had in earlier versions, and have in their results."""
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -102,15 +96,12 @@ class TwinSeriesSpec:
 
 
 def variant_name(name: str) -> str:
-    """The name of a variant as it is today.
+    """The name of a variant, checked.
 
     Raises:
         FungraspError: there is none of this name.
     """
     known = {variant.name for variant in VARIANTS}
-    if name in FORMER_VARIANTS:
-        _log.warning("the variant '%s' is called '%s' now", name, FORMER_VARIANTS[name])
-        return FORMER_VARIANTS[name]
     if name not in known:
         raise UnknownNameError("variant", name, sorted(known))
     return name

@@ -197,19 +197,3 @@ sys.exit(cli.main(["--help"]))
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait(timeout=60) == cli.BROKEN_PIPE
-
-
-@pytest.mark.parametrize(
-    ("arguments", "now"),
-    [
-        (("bench",), "python -m benchmarks'"),
-        (("bench", "robot", "--seconds", "1"), "python -m benchmarks.speed drivers'"),
-        (("reproduce", "hands"), "python -m benchmarks.paper hands'"),
-        (("robots", "evaluate", "--twins", "0"), "python -m benchmarks.twins'"),
-        (("reproduce", "--help"), "python -m benchmarks.paper'"),
-    ],
-)
-def test_commands_that_are_benchmarks_now_say_so_in_one_line(arguments, now, capsys):
-    assert cli.main(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1 and now in said.err

@@ -15,7 +15,7 @@ from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet, load_robot_grasps, save_robot_grasps
 from fungrasp.hands import load_hand
 from fungrasp.jobs import PartStore
-from fungrasp.retargeting import RetargetSpec, retarget
+from fungrasp.retargeting import retarget
 
 MODULE = import_module("fungrasp.retargeting.retarget")
 
@@ -69,11 +69,6 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     assert known("dexgraspnet")[0] == 0, "parts of another method are not taken"
     heavier = {name: replace(model, mass=2 * model.mass) for name, model in plain_objects().items()}
     assert known(objects=heavier)[0] == 0, "nor those of other objects"
-
-
-def test_a_former_name_of_a_method_still_works(caplog):
-    assert RetargetSpec(method="ours") == RetargetSpec(method="contact")
-    assert "the retargeting method 'ours' is called 'contact' now" in caplog.text
 
 
 def test_a_set_knows_a_hand_that_was_added(tmp_path):

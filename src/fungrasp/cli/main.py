@@ -46,28 +46,6 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 }
 """Module and summary of every command, in the order of the help."""
 
-MOVED: Mapping[str, str] = {
-    "bench": "",
-    "bench retarget": ".speed retarget",
-    "bench simulation": ".engines",
-    "bench training": ".speed training",
-    "bench planning": ".speed planning",
-    "bench cluster": ".speed cluster",
-    "bench perception": ".perception captures",
-    "bench depth": ".perception depth",
-    "bench robot": ".speed drivers",
-    "bench faults": ".faults",
-    "bench wire": ".wire",
-    "bench identify": ".identification",
-    "robots evaluate": ".twins",
-    "reproduce": ".paper",
-    "reproduce retargeting": ".paper retargeting",
-    "reproduce privileged": ".paper privileged",
-    "reproduce hands": ".paper hands",
-    "reproduce policies": ".paper policies",
-}
-"""What ``python -m benchmarks<...>`` has replaced, for one version."""
-
 USAGE_ERROR = 2
 INTERRUPTED = 130
 BROKEN_PIPE = 141
@@ -153,12 +131,6 @@ def _dispatch(arguments: list[str]) -> int:
         print(f"fungrasp {__version__}")
         return 0
     commands = available_commands()
-    moved = f"{first} {rest[0]}" if rest and f"{first} {rest[0]}" in MOVED else first
-    if moved in MOVED:
-        raise FungraspError(
-            f"'fungrasp {moved}' is no longer part of the package: in a clone of the repository, run "
-            f"'python -m benchmarks{MOVED[moved]}'"
-        )
     if first not in commands:
         raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
     return _run(f"fungrasp {first}", importlib.import_module(commands[first][0]).COMMAND, rest)

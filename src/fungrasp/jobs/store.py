@@ -62,9 +62,6 @@ class PartStore:
         Raises:
             FungraspError: the file can't be written.
         """
-        if self._folder.is_file():
-            # Earlier versions kept all parts in one file.
-            self._folder.unlink()
         with atomic_path(self._file(key)) as temporary, temporary.open("wb") as stream:
             np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
 

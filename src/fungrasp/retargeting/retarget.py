@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,9 +32,6 @@ METHODS: dict[str, Solver] = {
     "dexgraspnet": retarget_by_dexgraspnet,
 }
 
-FORMER_METHODS = {"ours": "contact"}
-"""Names that methods had in earlier versions."""
-
 GRASPS_PER_PART = 128
 """Grasps that are kept together, and one job on a cluster: some seconds of work."""
 
@@ -45,18 +41,13 @@ TOGETHER = 8
 CHUNK = 64
 """Grasps that one thread solves together."""
 
-_log = logging.getLogger(__name__)
-
 
 def method_name(name: str) -> str:
-    """The name of a retargeting method as it is today.
+    """The name of a retargeting method, checked.
 
     Raises:
         FungraspError: there is none of this name.
     """
-    if name in FORMER_METHODS:
-        _log.warning("the retargeting method '%s' is called '%s' now", name, FORMER_METHODS[name])
-        return FORMER_METHODS[name]
     if name not in METHODS:
         raise UnknownNameError("retargeting method", name, METHODS)
     return name

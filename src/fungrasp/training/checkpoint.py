@@ -95,8 +95,7 @@ def check_environment(path: Path, state: Mapping[str, Any], environment: Trainin
     hand = environment.hand.name
     if state.get("hand") != hand:
         raise FungraspError(f"the checkpoint {path} is of the hand '{state.get('hand')}', not of '{hand}'")
-    # Absent in checkpoints of earlier versions, which had no other.
-    name, wanted = state.get("layout_name", "full"), environment.settings.layout
+    name, wanted = state.get("layout_name"), environment.settings.layout
     if name != wanted:
         raise FungraspError(
             f"the checkpoint {path} was trained with the observation layout '{name}', not '{wanted}'"

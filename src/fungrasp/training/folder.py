@@ -81,10 +81,6 @@ class RunFolder:
             raise FungraspError(f"{self.path} is not the folder of a training: it has no {self.config.name}")
         config = read_json(self.config, "settings of a training")
         if isinstance(config, dict) and isinstance(config.get("settings"), dict):
-            environment = config["settings"].get("environment")
-            if isinstance(environment, dict):
-                # Trainings of earlier versions had no other.
-                environment.setdefault("layout", "full")
             return config
         raise FungraspError(f"{self.config} is damaged, or not of a training")
 

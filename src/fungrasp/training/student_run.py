@@ -93,8 +93,7 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
         hand = load_hand(config["hand"])
         if hand_digest(hand) != wanted["hand_sha256"]:
             raise FungraspError(f"the hand '{hand.name}' has changed since {folder} was trained")
-        # Absent in folders of earlier versions.
-        identified = config.get("hand_dynamics")
+        identified = config["hand_dynamics"]
         if identified is not None:
             hand = _identified(hand, Path(identified), wanted.get("hand_dynamics_sha256"), folder)
         things: dict[str, ObjectModel] = {}

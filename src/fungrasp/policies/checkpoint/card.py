@@ -15,8 +15,6 @@ from fungrasp.task.observation_layouts import LayoutName, check_layout
 
 FORMAT_VERSION = 1
 KINDS = ("teacher", "student", "predictor")
-FORMER_KINDS = {"critic": "predictor"}
-"""What files of earlier versions call them."""
 
 
 class Part(NamedTuple):
@@ -207,9 +205,6 @@ def card_from_text(text: str | bytes) -> PolicyCard:
         raise FungraspError(
             f"its policy card is of format {version!r}; this version of fungrasp reads {FORMAT_VERSION}"
         )
-    kind = values.get("kind")
-    if isinstance(kind, str):
-        values["kind"] = FORMER_KINDS.get(kind, kind)
     hints = get_type_hints(PolicyCard)
     needed = [f.name for f in fields(PolicyCard) if f.default is MISSING and f.default_factory is MISSING]
     for name in needed:
