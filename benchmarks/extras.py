@@ -144,7 +144,6 @@ TRIALS = {
     "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),
     "viewer": Trial("python page.py", f"{GRASPS}\nopen('page.py', 'w').write({PAGE!r})"),
-    "wandb": Trial(f"{TRAIN} --wandb project", GRASPS, missing="learning"),
 }
 """By extra; those of development, ``dev`` and ``docs``, are what ``make test`` installs."""
 

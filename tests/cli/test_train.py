@@ -76,18 +76,6 @@ def test_what_differs_from_an_interrupted_training_is_named(tmp_path, capsys):
         assert status == 2 and err.count("\n") == 1 and words in err and str(out) in err
 
 
-def test_wandb_is_asked_for_in_words(tmp_path, capsys):
-    pytest.importorskip("torch")
-    try:
-        import wandb  # noqa: F401  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        pass
-    else:
-        pytest.skip("wandb is installed")
-    status, _, err = run(capsys, "train", "--out", tmp_path, "--wandb", "project")
-    assert status == 2 and "pip install 'fungrasp[wandb]'" in err
-
-
 def test_a_sweep_is_every_combination_with_every_seed(tmp_path):
     sweep = ("ppo.hidden=64,32 16", "sees=nothing,contacts", "environment.history=True")
     each = each_training(Train(tmp_path, seeds=(3, 5), sweep=sweep, shrink=0.5))

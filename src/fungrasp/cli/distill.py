@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from fungrasp.cli.console import Answer, Answering
-from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines, wandb_log
+from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
 from fungrasp.training.settings import DistillSettings
 
 
@@ -33,8 +33,6 @@ class Distill(Answering):
     """Seed of all random numbers."""
     threads: int = 0
     """Threads of the simulation; 0 means all processors."""
-    wandb: str | None = None
-    """Log to this project of Weights & Biases too."""
     settings: DistillSettings = field(default_factory=DistillSettings)
     """Settings of the learning."""
 
@@ -45,7 +43,6 @@ class Distill(Answering):
         from fungrasp.training.student_run import STUDENT, train_student
 
         check_numbers(self.steps, self.seed, self.threads)
-        log = None if self.wandb is None else wandb_log(self.wandb, self.out)
         # More threads make the small networks slower.
         torch.set_num_threads(1)
         card = train_student(
@@ -57,7 +54,6 @@ class Distill(Answering):
             objects=self.objects,
             threads=self.threads,
             progress=progress_lines(int(self.steps)),
-            log=log,
         )
         return Answer(
             {"policy": self.out / STUDENT, "card": card.to_json()},

@@ -18,7 +18,7 @@ from fungrasp.jobs import Arrays, Job, part_key
 if TYPE_CHECKING:
     from fungrasp.cli.train import Train
 
-NOT_SWEPT = ("out", "seed", "seeds", "sweep", "json", "ray", "threads", "device", "buffers", "wandb")
+NOT_SWEPT = ("out", "seed", "seeds", "sweep", "json", "ray", "threads", "device", "buffers")
 """Options that do not tell trainings apart, or for which there is another way to do it."""
 
 

@@ -12,7 +12,6 @@ from fungrasp.cli.training_options import (
     check_packages,
     predictor_file,
     progress_lines,
-    wandb_log,
 )
 from fungrasp.errors import FungraspError
 from fungrasp.sim2real import preset
@@ -84,8 +83,6 @@ class Train(Answering):
     """Under what terms each of --grasps may be used, for the policy's card."""
     licence: str = ""
     """Licence of the policy, for its card."""
-    wandb: str | None = None
-    """Log to this project of Weights & Biases too."""
     curve: CurveSettings = field(default_factory=CurveSettings)
     """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder; of several
     trainings, <out>/curve.svg shows all."""
@@ -125,7 +122,6 @@ class Train(Answering):
         if self.worlds is not None:
             environment = replace(environment, randomization=preset(self.worlds))
         settings = consistent(RunSettings(self.seed, self.variety, environment, ppo))
-        log = None if self.wandb is None else wandb_log(self.wandb, self.folder)
         sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
         # More threads make the small networks slower.
         torch.set_num_threads(1)
@@ -149,7 +145,6 @@ class Train(Answering):
                 processes=processes,
                 planning=show,
                 progress=progress_lines(int(self.steps)),
-                log=log,
             )
         if not processes.first:
             # Only the first of several processes answers.

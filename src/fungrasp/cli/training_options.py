@@ -12,7 +12,6 @@ from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
-    from fungrasp.training.run import Log
 
 LINE_PERIOD = 10.0
 """Time between two lines of progress [s]."""
@@ -87,24 +86,6 @@ def progress_lines(steps: int) -> Callable[[Any], None]:
         print(f"{p.steps:,} of {steps:,} steps, success {p.success:.1%}{left}", flush=True)
 
     return show
-
-
-def wandb_log(project: str, folder: Path) -> Log:
-    """Sends numbers to Weights & Biases, to one run for each folder.
-
-    Raises:
-        FungraspError: the package is not installed.
-    """
-    import hashlib
-
-    try:
-        import wandb  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise FungraspError("--wandb needs the package wandb: pip install 'fungrasp[wandb]'") from error
-    name = folder.absolute()
-    key = hashlib.sha256(str(name).encode()).hexdigest()[:16]
-    run = wandb.init(project=project, name=name.name, id=key, resume="allow")
-    return lambda numbers, steps: run.log(dict(numbers), step=steps)
 
 
 def _duration(seconds: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -44,9 +44,6 @@ EXPLORING = "in training, exploring"
 PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256", "hand_dynamics_sha256")
 """Settings that the plans depend on."""
 
-Log = Callable[[Mapping[str, float], int], None]
-"""Takes numbers by name, and the control steps so far."""
-
 
 @dataclass(frozen=True)
 class RunSettings:
@@ -81,7 +78,6 @@ def train(
     processes: Processes = ALONE,
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
-    log: Log | None = None,
 ) -> PolicyCard:
     """Train a policy, or go on training it, until ``steps`` have been made in all; its file is
     ``policy.onnx``.
@@ -106,7 +102,6 @@ def train(
         processes: that learn together, each in as many worlds; the first one writes the files.
         planning: called with the number of plans that are made.
         progress: called after each update.
-        log: gets the numbers of each update, besides TensorBoard.
 
     Returns:
         The policy's card.
@@ -212,8 +207,6 @@ def train(
             run.add_progress(numbers)
             for name, value in numbers.items():
                 events.add_scalar(name, value, p.steps)
-            if log is not None:
-                log(numbers, p.steps)
             if measured is not None:
                 measured.update(p.steps, p.seconds, network, p.steps >= steps)
             progress(p)

@@ -29,7 +29,6 @@ from fungrasp.training.run import (
     EXPLORING,
     PLANNED_FROM,
     PLANS,
-    Log,
     RunSettings,
     checkpoint_digest,
     keep_beside,
@@ -123,7 +122,6 @@ def train_student(
     objects: Path | None = None,
     threads: int = 0,
     progress: Callable[[DistillProgress], None] = lambda p: None,
-    log: Log | None = None,
 ) -> PolicyCard:
     """Distil a student, or go on distilling it; its file is ``student.onnx``.
 
@@ -136,7 +134,6 @@ def train_student(
         objects: folder of meshes; where they were when the teacher was trained if None.
         threads: 0 means all processors.
         progress: called after each round.
-        log: gets the numbers of each round, besides TensorBoard.
 
     Returns:
         The student's card.
@@ -173,8 +170,6 @@ def train_student(
             run.add_progress(numbers)
             for name, value in numbers.items():
                 events.add_scalar(name, value, p.steps)
-            if log is not None:
-                log(numbers, p.steps)
             progress(p)
 
         done = distill(trainer.actor, environment, steps, s, seed, report, run.checkpoint)
