@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 BENCHMARKS = {
-    "speed": "planning, clusters and drivers: how fast",
+    "speed": "retargeting, planning, training, clusters and drivers: how fast, at what quality",
     "engines": "physics steps per second: the environment beside bare physics",
     "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",

@@ -20,6 +20,19 @@ def human(tmp_path_factory):
     return path
 
 
+def test_retargeting_side_by_side(human, tmp_path, capsys):
+    path = tmp_path / "b.json"
+    status, out, _ = run_benchmark(
+        capsys, "speed", "retarget", "--grasps", human, "--repeat", 1, "--json", path
+    )
+    assert status == 0
+    methods = json.loads(path.read_text())["methods"]
+    assert {"contact", "angle-copy", "dexgraspnet"} <= set(methods)
+    for name, numbers in methods.items():
+        assert numbers["grasps_per_second"] > 0 and "contact_error_mm" in numbers["quality"]
+        assert name in out
+
+
 def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys):
     path = tmp_path / "b.json"
     status, out, _ = run_benchmark(
@@ -56,11 +69,12 @@ def test_planning_counts_core_seconds_with_and_without_rollouts(human, tmp_path,
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("speed", "planning", "--number", 0), "--number must be at least 1"),
+        (("speed", "retarget", "--method", "contakt"), "Did you mean 'contact'?"),
+        (("speed", "retarget", "--repeat", 0), "--repeat must be at least 1"),
         (("engines", "--worlds", 0), "--worlds must be at least 1"),
         (("engines", "--hand", "alegro"), "Did you mean 'allegro'?"),
-        (("speed", "planning", "--grasps", "none.npz"), "none.npz does not exist"),
-        (("speed", "plannin"), "Did you mean 'planning'?"),
+        (("speed", "retarget", "--grasps", "none.npz"), "none.npz does not exist"),
+        (("speed", "retargeting"), "Did you mean 'retarget'?"),
     ],
 )
 def test_mistakes_are_one_line(arguments, words, capsys):
