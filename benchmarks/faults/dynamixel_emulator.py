@@ -11,6 +11,7 @@ import tty
 
 import numpy as np
 
+from benchmarks.faults import dynamixel_packets as wire
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.emulators.emulator import Emulator, Fault
@@ -109,44 +110,44 @@ class DynamixelEmulator(Emulator):
                 continue
             with contextlib.suppress(BlockingIOError, OSError):
                 self._stream += os.read(master, 4096)
-            packets, self._stream = codec.split_servo_packets(self._stream)
+            packets, self._stream = wire.split_servo_packets(self._stream)
             for packet in packets:
                 answer = b"".join(map(self._disturbed, self._answers(packet)))
                 if answer:
                     time.sleep(BITS_PER_BYTE * (len(packet.parameters) + 10 + len(answer)) / self._baud)
                     os.write(master, answer)
 
-    def _answers(self, packet: codec.ServoPacket) -> list[bytes]:
+    def _answers(self, packet: wire.ServoPacket) -> list[bytes]:
         if any(self.shows(fault) for fault in (Fault.STALLED, Fault.KILLED, Fault.POWER_LOSS)):
             return []
         data = packet.parameters
-        if packet.instruction == codec.SYNC_WRITE:
+        if packet.instruction == wire.SYNC_WRITE:
             address, size = struct.unpack("<HH", data[:4])
             for at in range(4, len(data), size + 1):
                 self._write(data[at], address, data[at + 1 : at + 1 + size])
             self._drive(address)
             return []
-        if packet.instruction == codec.SYNC_READ:
+        if packet.instruction == wire.SYNC_READ:
             address, size = struct.unpack("<HH", data[:4])
             self._measure()
             return [self._status(servo, self._memory[servo][address : address + size]) for servo in data[4:]]
         servo = packet.device
         if servo not in self._memory or (self.shows(Fault.WRONG_DEVICE) and servo == self._servos[-1]):
             return []
-        if packet.instruction == codec.PING:
+        if packet.instruction == wire.PING:
             return [self._status(servo, MODEL.to_bytes(2, "little") + b"\x30")]
-        if packet.instruction == codec.READ:
+        if packet.instruction == wire.READ:
             address, size = struct.unpack("<HH", data[:4])
             self._measure()
             return [self._status(servo, self._memory[servo][address : address + size])]
-        if packet.instruction == codec.WRITE:
+        if packet.instruction == wire.WRITE:
             self._write(servo, struct.unpack("<H", data[:2])[0], data[2:])
             self._drive(struct.unpack("<H", data[:2])[0])
             return [self._status(servo, b"")]
         return []
 
     def _status(self, servo: int, data: bytes | bytearray) -> bytes:
-        return codec.encode_packet(codec.ServoPacket(servo, codec.STATUS, b"\x00" + bytes(data)))
+        return wire.encode_packet(wire.ServoPacket(servo, wire.STATUS, b"\x00" + bytes(data)))
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
         if servo not in self._memory or address + len(data) > REGISTERS:

@@ -23,6 +23,9 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.judge import held_throughout
 from fungrasp.task import LiftProtocol
 
+EDGES_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+"""Edges of the histogram of lateness [ms]."""
+
 
 @dataclass(frozen=True)
 class WireRun:
@@ -128,8 +131,8 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray, attempts: in
         height_m=min((s.height for s in held), default=-1.0),
         phase=str(result.phase),
         fault=result.fault,
-        ticks_10hz=result.ticks.histogram(),
-        ticks_50hz=result.setpoints.histogram(),
+        ticks_10hz=_histogram(result.ticks),
+        ticks_50hz=_histogram(result.setpoints),
         latest_10hz_ms=_latest(result.ticks),
         latest_50hz_ms=_latest(result.setpoints),
         longest_silence_ms={name: 1e3 * s for name, s in result.longest_silence.items()},
@@ -150,8 +153,8 @@ def _not_begun(task: DeploymentTask, twin: int, fault: str, placements: int, sec
         height_m=-1.0,
         phase=str(Phase.IDLE),
         fault=fault,
-        ticks_10hz=none.histogram(),
-        ticks_50hz=none.histogram(),
+        ticks_10hz=_histogram(none),
+        ticks_50hz=_histogram(none),
         latest_10hz_ms=_latest(none),
         latest_50hz_ms=_latest(none),
         longest_silence_ms={},
@@ -170,6 +173,13 @@ def _held(result: DeploymentResult, record: EmulationRecord) -> list:
     if begin is None or end is None:
         return []
     return [s for s in record.samples if begin <= s.time <= end]
+
+
+def _histogram(monitor: DeadlineMonitor) -> dict[str, int]:
+    """Number of ticks by lateness: "<= 0.1 ms", ..., "> 50 ms"."""
+    place = np.searchsorted(EDGES_MS, 1e3 * np.array(monitor.lateness))
+    names = [f"<= {edge:g} ms" for edge in EDGES_MS] + [f"> {EDGES_MS[-1]:g} ms"]
+    return {name: int(np.sum(place == i)) for i, name in enumerate(names)}
 
 
 def _latest(monitor: DeadlineMonitor) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
 
 from fungrasp.deployment import holding, wired_deployment
@@ -24,7 +25,7 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Observation
 

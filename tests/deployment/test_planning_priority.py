@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
 
 from fungrasp.deployment import wired_deployment
@@ -20,7 +21,7 @@ from fungrasp.robots.process_priority import NICENESS, at_priority, present_prio
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Belief, GraspPlan, Observation
 

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from ideal_twin import IDEAL
 
 from fungrasp.deployment.deployment import DeploymentSettings
 from fungrasp.deployment.phases import Phase
@@ -19,7 +20,7 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+from fungrasp.robots.twin.parameters import draw_twin
 
 ROW = 10
 """A built-in grasp that an ideal twin lifts: the wine glass."""

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from driver_contract import wait_for
 
+from benchmarks.faults import dynamixel_packets as wire
 from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
 from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
@@ -39,22 +40,24 @@ SDK_FRAMES = {
     "present of all": "fffffd00fe170082 7e00 0a00 000102030405060708090a0b0c0d0e0f e03d",
 }
 PACKETS = {
-    "ping 1": dynamixel.ServoPacket(1, dynamixel.PING, b""),
-    "read 4 bytes at 132 of 7": dynamixel.ServoPacket(7, dynamixel.READ, struct.pack("<HH", 132, 4)),
-    "torque on 3": dynamixel.ServoPacket(3, dynamixel.WRITE, struct.pack("<HB", 64, 1)),
-    "goal -1 of 3": dynamixel.ServoPacket(3, dynamixel.WRITE, struct.pack("<Hi", 116, -1)),
-    "gain of the side joints": dynamixel.ServoPacket(
-        dynamixel.BROADCAST,
-        dynamixel.SYNC_WRITE,
+    "ping 1": wire.ServoPacket(1, wire.PING, b""),
+    "read 4 bytes at 132 of 7": wire.ServoPacket(7, wire.READ, struct.pack("<HH", 132, 4)),
+    "torque on 3": wire.ServoPacket(3, wire.WRITE, struct.pack("<HB", 64, 1)),
+    "goal -1 of 3": wire.ServoPacket(3, wire.WRITE, struct.pack("<Hi", 116, -1)),
+    "gain of the side joints": wire.ServoPacket(
+        wire.BROADCAST,
+        wire.SYNC_WRITE,
         struct.pack("<HH", 84, 2) + b"".join(struct.pack("<BH", servo, 450) for servo in (0, 4, 8)),
     ),
-    "goals of 0 and 1": dynamixel.ServoPacket(
-        dynamixel.BROADCAST,
-        dynamixel.SYNC_WRITE,
+    "goals of 0 and 1": wire.ServoPacket(
+        wire.BROADCAST,
+        wire.SYNC_WRITE,
         struct.pack("<HH", 116, 4) + struct.pack("<Bi", 0, 2048) + b"\x01\xff\xff\xfd\xff",
     ),
-    "present of all": dynamixel.ServoPacket(
-        dynamixel.BROADCAST, dynamixel.SYNC_READ, struct.pack("<HH", 126, 10) + bytes(range(16))
+    "present of all": wire.ServoPacket(
+        wire.BROADCAST,
+        wire.SYNC_READ,
+        struct.pack("<HH", 126, 10) + bytes(range(16)),
     ),
 }
 
@@ -126,12 +129,12 @@ UNSTUFFED = {"goals of 0 and 1"}
 @pytest.mark.parametrize("name", PACKETS)
 def test_servo_packets_are_those_of_the_sdk(name: str):
     frame, packet = bytes.fromhex(SDK_FRAMES[name]), PACKETS[name]
-    assert dynamixel.split_servo_packets(frame) == ([packet], b"")
+    assert wire.split_servo_packets(frame) == ([packet], b"")
     if name in UNSTUFFED:
-        ours = dynamixel.encode_packet(packet)
+        ours = wire.encode_packet(packet)
         assert len(ours) == len(frame) + 1 and b"\xff\xff\xfd\xfd" in ours
     else:
-        assert dynamixel.encode_packet(packet) == frame
+        assert wire.encode_packet(packet) == frame
 
 
 def test_the_recorded_packets_are_those_of_the_installed_sdk():
@@ -149,7 +152,7 @@ def test_goals_of_a_leap_hand_never_need_the_byte_that_the_sdk_leaves_out():
 @pytest.mark.parametrize("data", [b"\x00\x08\x00\x00", b"\xff\xff\xfd\x00\x01\xff\xff\xfd"])
 def test_the_sdk_reads_answers_of_our_codec(data: bytes):
     sdk = pytest.importorskip("dynamixel_sdk")
-    frame = dynamixel.encode_packet(dynamixel.ServoPacket(3, dynamixel.STATUS, b"\x00" + data))
+    frame = wire.encode_packet(wire.ServoPacket(3, wire.STATUS, b"\x00" + data))
     packet, result = sdk.PacketHandler(2.0).rxPacket(WirePort(frame), False)
     assert result == sdk.COMM_SUCCESS
     assert bytes(packet[9 : 9 + len(data)]) == data

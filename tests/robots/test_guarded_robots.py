@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from benchmarks.faults.plants import ServoPlant
@@ -25,7 +26,7 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 
 pytest.importorskip("mink")

@@ -12,6 +12,7 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.faults import dynamixel_packets as wire
 from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
 from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
@@ -44,23 +45,23 @@ class TestLeap(DriverContract):
 def test_packets_of_the_manual():
     # Examples of the e-Manual: ping of servo 1, and its answer by model 1030 with firmware 38.
     ping = bytes.fromhex("fffffd00010300 01 194e")
-    assert codec.encode_packet(codec.ServoPacket(1, codec.PING, b"")) == ping
+    assert wire.encode_packet(wire.ServoPacket(1, wire.PING, b"")) == ping
     answer = bytes.fromhex("fffffd00010700 55 00 060426 655d")
-    packets, rest = codec.split_servo_packets(b"\x00" + ping + answer + b"\xff")
+    packets, rest = wire.split_servo_packets(b"\x00" + ping + answer + b"\xff")
     assert packets == [
-        codec.ServoPacket(1, codec.PING, b""),
-        codec.ServoPacket(1, codec.STATUS, b"\x00\x06\x04\x26"),
+        wire.ServoPacket(1, wire.PING, b""),
+        wire.ServoPacket(1, wire.STATUS, b"\x00\x06\x04\x26"),
     ]
     assert rest == b"\xff"
     # Read 4 bytes of the present position, 132 = 0x84, of servo 1.
-    read = codec.encode_packet(codec.ServoPacket(1, codec.READ, b"\x84\x00\x04\x00"))
+    read = wire.encode_packet(wire.ServoPacket(1, wire.READ, b"\x84\x00\x04\x00"))
     assert read == bytes.fromhex("fffffd00010700 02 84000400 1d15")
 
 
 @given(st.binary(max_size=40), st.integers(0, 252))
 def test_any_parameters_come_back(parameters: bytes, device: int):
-    packet = codec.ServoPacket(device, codec.WRITE, parameters)
-    packets, rest = codec.split_servo_packets(codec.encode_packet(packet))
+    packet = wire.ServoPacket(device, wire.WRITE, parameters)
+    packets, rest = wire.split_servo_packets(wire.encode_packet(packet))
     # A parameter string that holds the escape itself can't be told from an escaped one.
     if b"\xff\xff\xfd\xfd" not in parameters:
         assert packets == [packet] and rest == b""

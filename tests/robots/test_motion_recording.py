@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from fungrasp.errors import FungraspError
@@ -20,7 +21,7 @@ from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinHand
-from fungrasp.robots.twin.parameters import IDEAL, draw_twin
+from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.sim2real.identification.excitation import Excitation
 from fungrasp.sim2real.identification.motion_log import (

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from fungrasp.errors import FungraspError
@@ -14,7 +15,7 @@ from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import IDEAL, TwinSpread, cell_twin, draw_twin
+from fungrasp.robots.twin.parameters import TwinSpread, cell_twin, draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action
 

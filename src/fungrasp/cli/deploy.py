@@ -50,8 +50,6 @@ class Deploy(Answering):
     """Do not ask before each phase of --execute, or of a real robot."""
     dry_run: bool = False
     """Read everything, decide everything, log everything, and send nothing."""
-    no_gravity_compensation: bool = False
-    """Let the hand sag under its own weight."""
     attempts: int = 1
     """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
     looks where the object lies, plans anew and tries again."""
@@ -180,7 +178,6 @@ class Deploy(Answering):
             until=self.until,
             speed=self.speed,
             dry_run=self.dry_run,
-            gravity_compensation=not self.no_gravity_compensation,
             hand_dynamics=str(self.hand_dynamics or ""),
             seed=self.seed,
             twin=self.twin,

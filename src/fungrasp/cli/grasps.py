@@ -268,8 +268,6 @@ class SelectGrasps(Answering):
     """The number by which robot grasps are compared, one of those that 'fungrasp grasps show' prints."""
     best: float | None = None
     """Keep this share of them, those with the smallest numbers: 0.75."""
-    at_most: float | None = None
-    """Keep those whose number is no larger."""
 
     def run(self) -> Answer:
         import numpy as np
@@ -288,18 +286,15 @@ class SelectGrasps(Answering):
                 kept &= np.isin(names, wanted)
         if self.rows:
             kept &= _rows(self.rows, len(grasps))
-        if self.best is not None or self.at_most is not None:
+        if self.best is not None:
             if not isinstance(grasps, RobotGraspSet):
                 raise FungraspError("only robot grasps carry numbers to compare: give the file of 'retarget'")
             if self.by not in grasps.extra or grasps.extra[self.by].ndim != 1:
                 raise UnknownNameError("number of the grasps", self.by, grasps.extra)
             values = np.where(kept, grasps.extra[self.by].astype(float), np.nan)
-            if self.at_most is not None:
-                kept &= values <= self.at_most
-            if self.best is not None:
-                if not 0 < self.best <= 1:
-                    raise FungraspError(f"--best must be a share in (0, 1], not {self.best:g}")
-                kept &= values <= np.nanquantile(values, self.best) if np.isfinite(values).any() else False
+            if not 0 < self.best <= 1:
+                raise FungraspError(f"--best must be a share in (0, 1], not {self.best:g}")
+            kept &= values <= np.nanquantile(values, self.best) if np.isfinite(values).any() else False
         if not kept.any():
             raise FungraspError(f"none of the {len(grasps)} grasps of {self.file} is left")
         chosen = grasps.select(kept)

@@ -6,9 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-EDGES_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-"""Edges of the histogram of lateness [ms]."""
-
 
 @dataclass
 class DeadlineMonitor:
@@ -37,13 +34,6 @@ class DeadlineMonitor:
     def late(self) -> int:
         """Number of ticks that were late."""
         return int(np.sum(np.array(self.lateness) > self.late_tick))
-
-    def histogram(self) -> dict[str, int]:
-        """Number of ticks by lateness: "<= 0.1 ms", ..., "> 50 ms"."""
-        ms = 1e3 * np.array(self.lateness)
-        place = np.searchsorted(EDGES_MS, ms)
-        names = [f"<= {edge:g} ms" for edge in EDGES_MS] + [f"> {EDGES_MS[-1]:g} ms"]
-        return {name: int(np.sum(place == i)) for i, name in enumerate(names)}
 
     def summary(self) -> str:
         """One line."""

@@ -12,11 +12,11 @@ from grasp_files import some_grasps
 
 from benchmarks.choose.confirm_uses import record_use
 from benchmarks.choose.measurement import MeasurementRequest
-from benchmarks.choose.pairing import paired_means, paired_rates
+from benchmarks.choose.pairing import paired_interval, paired_means, paired_rates
 from benchmarks.choose.variant import Variant
 from benchmarks.grasp_set.parts import OBJECTS, save_set
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.statistics import paired_interval, wilson_interval
+from fungrasp.evaluation.statistics import wilson_interval
 
 
 def test_a_variant_sets_fields_of_retargeting_motion_and_test():
