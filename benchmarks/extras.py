@@ -33,6 +33,11 @@ Path("images/arm.json").write_text('{"a.png": [0, 0, 0, 0, 0, 0]}')
 Path("images/camera.json").write_text('{"width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 32, "cy": 24}')
 Image.new("RGB", (64, 48)).save("images/a.png")
 """
+STEP = """
+rows = [(0.02 * i, 1000 if i < 10 else 300, 1000 if i < 14 else max(300, 1840 - 60 * i)) for i in range(80)]
+text = "".join("%.2f,%d,%d\\n" % row for row in rows)
+open("step.csv", "w").write("time_s,target_value,measured_value\\n" + text)
+"""
 SEQUENCE = """
 from pathlib import Path
 Path("dexycb/subject/sequence").mkdir(parents=True)
@@ -88,6 +93,7 @@ LiftEnv(grasps="few.npz").reset(seed=0)
 """
 )
 TRAIN = "fungrasp train --out t --grasps few.npz --steps 100 --environment.worlds 4 --variety.copies 1"
+FIT = "fungrasp identify fit step.csv --hand inspire --method"
 PEERS = "python -m benchmarks.peers --grasps few.npz --method"
 DRIVER = "python -m benchmarks.speed drivers --seconds 0.5 --devices"
 
@@ -135,6 +141,7 @@ TRIALS = {
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
     "realsense": Trial("fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera|libusb"),
     "sapien": Trial("fungrasp audit episodes --engine sapien", RECORDED),
+    "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),
     "viewer": Trial("python page.py", f"{GRASPS}\nopen('page.py', 'w').write({PAGE!r})"),
 }

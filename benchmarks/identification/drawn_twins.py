@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,8 @@ class TwinFit:
     """Name of the hand."""
     twin: int
     """Which twin."""
+    method: str
+    """Of the fit."""
     median_error: float
     """Over all quantities of all joints, of the truth."""
     errors: dict[str, float]
@@ -56,6 +58,8 @@ def twin_fit(
     hand: Hand,
     thing: ObjectModel,
     twin: int,
+    method: str,
+    evaluations: int,
     weight: float = 0.0,
 ) -> TwinFit:
     """Identify the hand of a twin whose parameters are drawn.
@@ -65,10 +69,13 @@ def twin_fit(
         hand: on its arm.
         thing: an object, which lies aside.
         twin: which one.
+        method: of the fit.
+        evaluations: of CMA-ES.
         weight: mass on each fingertip in as many logs more [kg]; 0 for none.
     """
     truth = cell_twin(cell, hand, twin)
-    identified = identify_on_twin(cell, hand, thing, truth, settings=ALL_ERRORS, weight=weight)
+    settings = replace(ALL_ERRORS, method=method, evaluations=evaluations)
+    identified = identify_on_twin(cell, hand, thing, truth, settings=settings, weight=weight)
     found, true = identified.found.dynamics, true_dynamics(hand, truth)
     model = true_dynamics(hand, None)
     errors = {name: _errors(found, true, name) for name in QUANTITIES}
@@ -79,6 +86,7 @@ def twin_fit(
     return TwinFit(
         hand.name,
         twin,
+        method,
         float(np.median(everything)),
         {name: float(np.median(values)) for name, values in errors.items()},
         {name: float(np.median(off[name])) for name in QUANTITIES[1:]},

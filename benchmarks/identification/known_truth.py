@@ -26,6 +26,8 @@ FITTED = ("damping", "friction", "armature")
 class KnownTruthFit:
     """One fit to the log of a simulated finger whose dynamics are known."""
 
+    method: str
+    """Of the fit."""
     seed: int
     """Of the truth and the motion."""
     median_error: float
@@ -42,7 +44,7 @@ class KnownTruthFit:
     """Time the fit took [s]."""
 
 
-def known_truth_fit(hand: Hand, finger: str, seed: int) -> KnownTruthFit:
+def known_truth_fit(hand: Hand, finger: str, method: str, seed: int, evaluations: int) -> KnownTruthFit:
     """Fit a finger to 8 s of motion of a truth drawn from a seed: half of it fitted, half held out.
 
     Stiffness is given, as where a host computes torques; positions come in counts of 0.088°.
@@ -50,7 +52,9 @@ def known_truth_fit(hand: Hand, finger: str, seed: int) -> KnownTruthFit:
     Args:
         hand: its model is right in all but the joints' dynamics.
         finger: whose joints are moved.
+        method: of the fit.
         seed: of truth and motion.
+        evaluations: of CMA-ES.
     """
     model, rng = model_dynamics(hand), np.random.default_rng(seed)
     bodies = hand.fingers[finger].links if finger in hand.fingers else ()
@@ -70,10 +74,11 @@ def known_truth_fit(hand: Hand, finger: str, seed: int) -> KnownTruthFit:
     count = np.deg2rad(0.088)
     positions = np.rint(simulate_log(hand, log, [truth])[0] / count) * count
     log = MotionLog(joints, times, commands, positions, gravity)
-    settings = FitSettings(fixed=("stiffness",))
+    settings = FitSettings(method=method, fixed=("stiffness",), evaluations=evaluations)
     found = fit_dynamics(hand, log.part(0.0, 0.5), settings)
     errors = np.concatenate([np.abs(getattr(found.dynamics, n) / getattr(truth, n) - 1) for n in FITTED])
     return KnownTruthFit(
+        method,
         seed,
         float(np.median(errors)),
         float(errors.max()),
@@ -88,6 +93,8 @@ def known_truth_fit(hand: Hand, finger: str, seed: int) -> KnownTruthFit:
 class StepFit:
     """One fit to a real hand's step response: every other row fitted, the others held out."""
 
+    method: str
+    """Of the fit."""
     delay: float
     """Measured until 2 % of the step, on the held-out rows [s]."""
     delay_predicted: float
@@ -102,25 +109,27 @@ class StepFit:
     """Time the fit took [s]."""
 
 
-def step_fit(hand: Hand, path: str | Path, joint: str) -> StepFit:
+def step_fit(hand: Hand, path: str | Path, joint: str, method: str, evaluations: int) -> StepFit:
     """Fit one joint to a step response of an Inspire hand.
 
     Args:
         hand: its model.
         path: a .csv as ``read_step_csv`` takes it.
         joint: that moved.
+        method: of the fit.
+        evaluations: of CMA-ES.
     """
     low, high = hand.joint_limits[hand.joint_names.index(joint)]
     log = read_step_csv(path, joint, float(low), float(high)).part(0.0, 0.25)
     even, odd = np.arange(0, len(log.times), 2), np.arange(1, len(log.times), 2)
-    found = fit_dynamics(hand, log.rows(even))
+    found = fit_dynamics(hand, log.rows(even), FitSettings(method=method, evaluations=evaluations))
     predicted = simulate_log(hand, log, [found.dynamics])[0][odd, 0]
     times, measured = log.times[odd], log.positions[odd, 0]
     first, last = measured[0], measured[-1]
     delay, rise = step_times(times, (measured - first) / (last - first))
     delay_predicted, rise_predicted = step_times(times, (predicted - first) / (last - first))
     rms = float(np.sqrt(np.mean((predicted - measured) ** 2)))
-    return StepFit(delay, delay_predicted, rise, rise_predicted, rms, found.seconds)
+    return StepFit(method, delay, delay_predicted, rise, rise_predicted, rms, found.seconds)
 
 
 def step_times(times: np.ndarray, share: np.ndarray) -> tuple[float, float]:
