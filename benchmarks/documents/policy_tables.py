@@ -205,18 +205,18 @@ def _condition_shares(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     }
 
 
-def paper_retargeting() -> Table:
-    """Teachers on the grasps of each retargeting method (Table IV of the paper), with three seeds."""
-    return _reproduced("table-retargeting", "grasps of")
+def hands_from_nothing() -> Table:
+    """Students of the paper's hands (Table III of the paper), in its setting."""
+    return _reproduced("nothing-hands", "hand")
 
 
-def paper_hands() -> Table:
-    """Students of the paper's hands (Table III of the paper), with equal budgets."""
-    return _reproduced("table-hands", "hand")
+def retargeting_from_nothing() -> Table:
+    """Teachers on the grasps of each retargeting method (Table IV of the paper), in its setting."""
+    return _reproduced("nothing-retargeting", "grasps of")
 
 
 def privileged_from_nothing() -> Table:
-    """What is known of the contacts, in the paper's setting."""
+    """What is known of the contacts (Table V of the paper), in its setting."""
     return _reproduced("nothing-privileged", "policy")
 
 
