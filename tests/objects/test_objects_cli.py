@@ -85,6 +85,7 @@ def test_picture(tmp_path, capsys, options):
         (["show", "mug", "--mass", "-1"], "'mug': the mass must be positive"),
         (["show", "mug", "--picture", "mug.gif"], "must be a .png or .jpg file"),
         (["show", "mug", "--objects", "nowhere"], "nowhere does not exist"),
+        (["show", "mug", "--objects", __file__], "is a file: give the folder it lies in"),
         (["show", "nothing.obj"], "unknown object 'nothing.obj'"),
     ],
 )

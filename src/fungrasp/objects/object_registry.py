@@ -104,7 +104,8 @@ def _mesh(path: Path, stamp: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ..
 
 def _meshes_in(folder: Path) -> dict[str, Path]:
     if not folder.is_dir():
-        raise FungraspError(f"the folder of objects {folder} does not exist")
+        problem = "is a file: give the folder it lies in" if folder.exists() else "does not exist"
+        raise FungraspError(f"the folder of objects {folder} {problem}")
     return {
         path.stem: path
         for suffix in reversed(MESH_SUFFIXES)
