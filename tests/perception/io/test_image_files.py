@@ -10,7 +10,7 @@ from PIL import Image
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.io.capture import check_alignment, looks_bgr
-from fungrasp.perception.io.image_files import parse_box, read_capture
+from fungrasp.perception.io.image_files import parse_box, read_capture, read_mask
 
 
 def test_files_become_a_capture_in_metres(tmp_path, caplog):
@@ -201,3 +201,11 @@ def test_a_box_is_four_numbers():
     assert parse_box("1,2.5, 30,40") == (1, 2.5, 30, 40)
     with pytest.raises(FungraspError, match=re.escape("x0,y0,x1,y1 in pixels, not '1,2,3'")):
         parse_box("1,2,3")
+
+
+@pytest.mark.parametrize("mode", ["LA", "RGBA"])
+def test_an_opaque_pixel_of_a_mask_is_not_marked_for_that(tmp_path, mode):
+    marked = np.zeros((HEIGHT, WIDTH), bool)
+    marked[2:5, 3:9] = True
+    Image.fromarray(np.where(marked, 255, 0).astype(np.uint8)).convert(mode).save(tmp_path / "mask.png")
+    assert np.array_equal(read_mask(tmp_path / "mask.png", marked.shape), marked)

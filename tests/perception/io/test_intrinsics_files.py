@@ -86,3 +86,13 @@ def test_distortion_is_not_passed_over_in_silence(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         read_intrinsics(path, SIZE)
     assert "distortion" in caplog.text
+
+
+def test_a_matrix_with_an_image_size_is_held_to_it_and_its_distortion_named(tmp_path, caplog):
+    path = tmp_path / "camera_info.json"
+    path.write_text(json.dumps({"K": FLAT, "width": SIZE[0], "height": SIZE[1], "D": [0.1, -0.2, 0, 0, 0]}))
+    with caplog.at_level(logging.WARNING):
+        read_intrinsics(path, SIZE)
+    assert "distortion" in caplog.text
+    with pytest.raises(FungraspError, match="multiply fx"):
+        read_intrinsics(path, (SIZE[0] + 40, SIZE[1] + 30))

@@ -161,8 +161,11 @@ def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         FungraspError: it can't be read or has another shape.
     """
-    mask = np.array(read_image(path, "mask")) != 0
-    mask = mask[..., :3].any(axis=-1) if mask.ndim == 3 else mask
+    image = read_image(path, "mask")
+    mask = np.array(image) != 0
+    if mask.ndim == 3:
+        # How opaque a pixel is says nothing about what it shows.
+        mask = mask[..., [band not in ("A", "a") for band in image.getbands()]].any(axis=-1)
     if mask.shape != shape:
         raise FungraspError(
             f"the mask {path} has {mask.shape[1]} x {mask.shape[0]} pixels and the color image {shape[1]} x "

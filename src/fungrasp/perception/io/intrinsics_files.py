@@ -24,6 +24,7 @@ FOCAL_RANGE = (0.25, 6.0)
 MILLIMETRE = 0.001
 
 _MATRIX_NAMES = ("cam_K", "K", "camera_matrix", "intrinsic_matrix")
+_DISTORTION_NAMES = ("coeffs", "D", "d")
 _DISTORTION = 1e-6
 _log = logging.getLogger(__name__)
 
@@ -48,7 +49,8 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
     - RealSense: ``width, height, fx, fy, ppx, ppy``, maybe inside ``color``; ``depth_scale`` [m per unit];
     - BOP ``camera.json``: ours with ``depth_scale`` [mm per unit] instead of ``depth_unit``;
     - BOP ``scene_camera.json``: by image number, ``cam_K`` (9 numbers) and ``depth_scale`` [mm per unit];
-    - a matrix: 3 lists of 3 numbers or 9 numbers, alone or as ``K``, ``cam_K`` or ``camera_matrix``.
+    - a matrix: 3 lists of 3 numbers or 9 numbers, alone or as ``K``, ``cam_K`` or ``camera_matrix``,
+      with ``width`` and ``height`` if wanted.
 
     Args:
         path: the JSON file.
@@ -75,24 +77,24 @@ def intrinsics_from(
             content = {**content, **content[name]}
     if content and all(str(key).isdigit() and isinstance(content[key], Mapping) for key in content):
         content = _of_image(content, image, where)
+    own = tuple(
+        int(_number(content, name, where)) if name in content else None for name in ("width", "height")
+    )
+    width, height = (value or of_image for value, of_image in zip(own, size, strict=True))
+    if (width, height) != size:
+        raise FungraspError(
+            f"{where}: the intrinsics are for an image of {width} x {height} pixels, but the color image "
+            f"has {size[0]} x {size[1]}{_scale_hint((width, height), size)}"
+        )
+    coefficients = next((content[name] for name in _DISTORTION_NAMES if content.get(name)), [0.0])
+    if np.abs(np.asarray(coefficients, dtype=float)).max() > _DISTORTION:
+        _log.warning("%s: the lens's distortion is not taken into account; undistort the images", where)
     for name in _MATRIX_NAMES:
         if name in content:
             return FileIntrinsics(_from_matrix(content[name], size, where), _unit(content, MILLIMETRE, where))
     real_sense = "ppx" in content
     names = ("fx", "fy", "ppx", "ppy") if real_sense else ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = (_number(content, name, where) for name in names)
-    given = tuple(
-        int(_number(content, name, where)) if name in content else None for name in ("width", "height")
-    )
-    width, height = (value or own for value, own in zip(given, size, strict=True))
-    if (width, height) != size:
-        raise FungraspError(
-            f"{where}: the intrinsics are for an image of {width} x {height} pixels, but the color image "
-            f"has {size[0]} x {size[1]}{_scale_hint((width, height), size)}"
-        )
-    coefficients = np.abs(np.asarray(content.get("coeffs") or [0.0], dtype=float))
-    if coefficients.max() > _DISTORTION:
-        _log.warning("%s: the lens's distortion is not taken into account; undistort the images", where)
     lens = _checked(width, height, fx, fy, cx, cy, where)
     return FileIntrinsics(lens, _unit(content, 1.0 if real_sense else MILLIMETRE, where))
 
