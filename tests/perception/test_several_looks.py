@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
@@ -59,17 +60,38 @@ def test_a_look_that_says_no_or_sees_it_elsewhere_counts_against():
     assert elsewhere.verdict.object < 0.8 and not elsewhere.verdict.sure
 
 
+def images(*probabilities: float) -> list[SimpleNamespace]:
+    """Captures that differ where what is said of them does."""
+    return [SimpleNamespace(said=p, color=np.full((2, 2, 3), p)) for p in probabilities]
+
+
 def test_no_further_look_where_one_is_sure():
     seen = []
 
-    def perceived(probability):
-        seen.append(probability)
-        return look(probability)
+    def perceived(capture):
+        seen.append(capture.said)
+        return look(capture.said)
 
-    assert best_of_looks(iter([0.98, 0.2]), perceived, 2).verdict.looks == 1 and seen == [0.98]
+    assert best_of_looks(images(0.98, 0.2), perceived, 2).verdict.looks == 1 and seen == [0.98]
     seen.clear()
-    assert best_of_looks(iter([0.8, 0.85, 0.1]), perceived, 2).verdict.object == pytest.approx(0.87, abs=0.02)
-    assert seen == [0.8, 0.85], "two were asked for"
-    assert best_of_looks(iter([0.6]), perceived, 5).verdict == look(0.6).verdict
+    assert best_of_looks(images(0.8, 0.85, 0.1), perceived, 2).verdict.object == pytest.approx(0.87, abs=0.02)
+    assert seen == [0.8, 0.85], "no more than two were wanted"
+    assert best_of_looks(images(0.6), perceived, 5).verdict == look(0.6).verdict
     weak = [replace(look(0.98), verdict=replace(look(0.98).verdict, hand=0.2, sure=False)) for _ in range(2)]
     assert not together(weak).verdict.sure, "the hand is not"
+
+
+def test_an_image_that_was_looked_at_already_says_nothing_new():
+    said = best_of_looks(images(0.9, 0.9, 0.9), lambda capture: look(capture.said), 3).verdict
+    assert said == look(0.9).verdict and said.looks == 1
+
+
+def test_a_later_image_without_a_hand_does_not_take_the_first_answer_away():
+    def perceived(capture):
+        if capture.said == 0.5:
+            raise FungraspError("no hand found")
+        return look(capture.said)
+
+    assert best_of_looks(images(0.8, 0.5, 0.85), perceived, 3).verdict.looks == 2
+    with pytest.raises(FungraspError, match="no hand"):
+        best_of_looks(images(0.5, 0.8), perceived, 3)

@@ -9,6 +9,7 @@ from math import exp, log
 import numpy as np
 from scipy.spatial import KDTree
 
+from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
@@ -33,7 +34,8 @@ PALM = (0, 1, 5, 9, 13, 17)
 def best_of_looks(
     captures: Iterable[Capture], perceived: Callable[[Capture], Perceived], most: int
 ) -> Perceived:
-    """The surest look, with the verdict of all of them together; no more are taken once that is sure.
+    """The surest look, with the verdict of all of them together; no more are taken once that is sure. An
+    image that was looked at already says nothing new, nor does a later one in which nothing is found.
 
     Args:
         captures: of one grasp; camera and hand may move in between.
@@ -41,11 +43,20 @@ def best_of_looks(
         most: so many are taken at most.
 
     Raises:
-        FungraspError: as ``perceived``.
+        FungraspError: as ``perceived`` of the first.
     """
     looks: list[Perceived] = []
+    seen: list[np.ndarray] = []
     for capture in captures:
-        looks.append(perceived(capture))
+        if any(np.array_equal(capture.color, color) for color in seen):
+            continue
+        seen.append(capture.color)
+        try:
+            looks.append(perceived(capture))
+        except FungraspError:
+            if not looks:
+                raise
+            continue
         best = together(looks)
         if best.confident or len(looks) >= most:
             break

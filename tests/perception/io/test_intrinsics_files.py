@@ -62,6 +62,7 @@ def test_every_layout_gives_the_same_lens(tmp_path, content, unit):
         ({"fx": 1, "fy": 1}, "'cx' must be a number"),
         ({"1": {"cam_K": FLAT}, "2": {"cam_K": FLAT}}, "has no image 3"),
         ({**OURS, "depth_unit": 0}, "unit of depth must be positive"),
+        ({"K": FLAT, "D": ["none"]}, "distortion must be numbers"),
         ("K", "3 x 3 matrix"),
     ],
 )

@@ -87,7 +87,11 @@ def intrinsics_from(
             f"has {size[0]} x {size[1]}{_scale_hint((width, height), size)}"
         )
     coefficients = next((content[name] for name in _DISTORTION_NAMES if content.get(name)), [0.0])
-    if np.abs(np.asarray(coefficients, dtype=float)).max() > _DISTORTION:
+    try:
+        distorted = np.abs(np.asarray(coefficients, dtype=float)).max() > _DISTORTION
+    except (TypeError, ValueError) as error:
+        raise FungraspError(f"{where}: the lens's distortion must be numbers") from error
+    if distorted:
         _log.warning("%s: the lens's distortion is not taken into account; undistort the images", where)
     for name in _MATRIX_NAMES:
         if name in content:
