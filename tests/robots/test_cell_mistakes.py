@@ -3,11 +3,13 @@ key and what to write."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fungrasp.cli.main import main
+from fungrasp.robots.cell import RobotCell, cell_faults
 
 CELL = """
 name = "lab"
@@ -172,3 +174,24 @@ def test_the_cell_without_a_mistake_is_taken(tmp_path: Path, capsys: pytest.Capt
     path = tmp_path / "cell.toml"
     path.write_text(CELL)
     assert main(["robots", "check", str(path)]) == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("section", "name", "value", "meant"),
+    [
+        ("watchdog", "arm_silence", 40.0, "0.04 s"),
+        ("watchdog", "hand_silence", 100.0, "0.1 s"),
+        ("watchdog", "pose_stale", 500.0, "0.5 s"),
+        ("watchdog", "overrun", 250.0, "0.25 s"),
+        ("watchdog", "pose_jump", 50.0, "0.05 m"),
+        ("watchdog", "pose_turn", 30.0, "0.5236 rad"),
+        ("limits", "goal_distance", 300.0, "0.3 m"),
+        ("limits", "hand_speed", 90.0, "1.571 rad/s"),
+        ("workspace", "hand_depth", 12.0, "0.012 m"),
+    ],
+)
+def test_a_wrong_unit_does_not_switch_a_check_off(section: str, name: str, value: float, meant: str) -> None:
+    cell = RobotCell("allegro")
+    wrong = replace(cell, **{section: replace(getattr(cell, section), **{name: value})})
+    faults = cell_faults(wrong)
+    assert any(f"'{section}.{name}'" in fault and meant in fault for fault in faults), faults

@@ -209,3 +209,21 @@ def test_poses(pose, age, said) -> None:
     tracked = None if pose is None else TrackedPose(pose, 2.0 - age, 1.0, TrackingStatus.TRACKING)
     found = check_pose(tracked, reference, 2.0, CELL)
     assert said in found and bool(said) == bool(found)
+
+
+@pytest.mark.parametrize("device", ["arm", "hand"])
+@pytest.mark.parametrize("what", ["positions", "torques", "device_time"])
+def test_a_measured_value_that_is_no_number_stops_the_robot(device: str, what: str) -> None:
+    count = 6 if device == "arm" else 4
+    value = np.nan if what == "device_time" else np.full(count, np.nan)
+    said = state(**{device: joints(count, **{what: value})})
+    verdict = check_setpoint(said, command(), context(), FREE)
+    assert verdict.reaction is Reaction.HOLD
+    assert verdict.reason == f"what the {device} says is not finite"
+
+
+@pytest.mark.parametrize("change", [{"score": np.nan}, {"captured": np.nan}])
+def test_a_pose_with_a_score_or_a_time_that_is_no_number_is_not_used(change: dict[str, float]) -> None:
+    pose = np.array([0.0, 0, 0, 1, 0, 0, 0])
+    tracked = replace(TrackedPose(pose, 1.0, 1.0, TrackingStatus.TRACKING), **change)
+    assert check_pose(tracked, pose, 1.0, CELL)

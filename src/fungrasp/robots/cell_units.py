@@ -23,6 +23,19 @@ FARTHEST = {
     "obstacles.size": 20.0,
 }
 """Lengths beyond these [m] are millimeters or centimeters, by our judgment: a UR5 reaches 0.95 m."""
+LARGEST = {
+    "watchdog.arm_silence": (5.0, "s", "ms", 1e-3),
+    "watchdog.hand_silence": (5.0, "s", "ms", 1e-3),
+    "watchdog.pose_stale": (5.0, "s", "ms", 1e-3),
+    "watchdog.overrun": (5.0, "s", "ms", 1e-3),
+    "watchdog.pose_jump": (0.5, "m", "mm", 1e-3),
+    "watchdog.pose_turn": (np.pi, "rad", "degrees", np.pi / 180),
+    "limits.goal_distance": (2.0, "m", "mm", 1e-3),
+    "limits.hand_speed": (20.0, "rad/s", "degrees/s", np.pi / 180),
+    "workspace.hand_depth": (0.1, "m", "mm", 1e-3),
+}
+"""Most that each can be, its unit, the one it must be in beyond that, and its size, by our judgment: a limit
+in another unit would be no limit."""
 BASE_AXIS = np.array([[0.0, 0.0, z] for z in (0.02, 0.08, 0.14)])
 """Points within an arm's base and shoulder, on its first axis [m]; the pedestal below ends at zero."""
 
@@ -36,6 +49,14 @@ def unit_faults(cell: RobotCell) -> list[str]:
             faults.append(
                 f"'{name}' is in meters, and {largest:g} m can't be: is it {largest:g} mm, "
                 f"{largest / 1e3:g} m?"
+            )
+    for name, (most, unit, other, size) in LARGEST.items():
+        section, _, key = name.partition(".")
+        value = getattr(getattr(cell, section), key)
+        if value > most:
+            faults.append(
+                f"'{name}' is in {unit}, and {value:g} {unit} can't be: is it {value:g} {other}, "
+                f"{value * size:.4g} {unit}?"
             )
     turned = max((abs(q) for q in cell.arm.home), default=0.0)
     if turned > 2 * np.pi:

@@ -11,7 +11,13 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.device import JointDriver, JointState, RobotError, StopKind
 from fungrasp.robots.robot_state import SafetyStop
-from fungrasp.robots.safety import TOLERANCE, StandingStamp, torque_beyond, warn_unguarded
+from fungrasp.robots.safety import (
+    TOLERANCE,
+    StandingStamp,
+    joint_state_finite,
+    torque_beyond,
+    warn_unguarded,
+)
 from fungrasp.robots.stop_switch import StopSwitch
 
 LONGEST_STEP = 0.1
@@ -108,6 +114,8 @@ class GuardedDriver:
     def _allowed(self, goal: np.ndarray) -> np.ndarray:
         """The goal within the limits of speed. Raises: SafetyStop: it may not be sent."""
         state, now = self._driver.read(), self._clock.now()
+        if not joint_state_finite(state):
+            raise SafetyStop(f"what the {self._part} says is not finite", StopKind.HOLD)
         silence = self._stamp.age(state.device_time, now)
         # Between commands nothing is read, so that an old stamp says nothing.
         if silence > self._most and now - self._when < self._most:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Self
 
@@ -144,9 +145,10 @@ class Robot:
             self.hand_driver.take_control()
 
     def close(self) -> None:
-        """Stop and end all connections. May be called twice."""
-        for device in (self.arm, self.hand_driver, self.tracker):
-            device.close()
+        """Stop and end all connections, though one of them fails to. May be called twice."""
+        with ExitStack() as last_first:
+            for device in (self.tracker, self.hand_driver, self.arm):
+                last_first.callback(device.close)
 
     def __enter__(self) -> Self:
         self.connect()
@@ -156,9 +158,11 @@ class Robot:
         self.close()
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """End motion: the arm brakes and holds, the hand does as asked. Never raises."""
-        self.arm.stop(StopKind.HOLD)
-        self.hand_driver.stop(kind)
+        """End motion: the arm brakes and holds, the hand does as asked. Never raises, if no driver does."""
+        try:
+            self.arm.stop(StopKind.HOLD)
+        finally:
+            self.hand_driver.stop(kind)
 
     def state(self) -> RobotState:
         """What all devices say now, without waiting."""

@@ -5,7 +5,7 @@ robot's own controller, with its limits set, and an emergency stop within reach.
 
 | check | reaction |
 | --- | --- |
-| a value that is not finite | hold |
+| a value that is not finite, commanded or measured | hold |
 | joint beyond its limit | clipped |
 | joint speed beyond its limit | clipped (arm and hand) |
 | joint acceleration, palm speed beyond their limit | hold |
@@ -36,7 +36,7 @@ import numpy as np
 
 from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.robots.cell import RobotCell, Workspace
-from fungrasp.robots.device import DeviceStatus, JointLimits, StopKind, TrackedPose
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, StopKind, TrackedPose
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.task import Action
@@ -115,6 +115,8 @@ def check_setpoint(
         ("arm", state.arm, c.arm_silence, dog.arm_silence),
         ("hand", state.hand, c.hand_silence, dog.hand_silence),
     ):
+        if not joint_state_finite(joint):
+            return Verdict(command, Reaction.HOLD, f"what the {name} says is not finite")
         if joint.status is not DeviceStatus.READY:
             said = f": {joint.message}" if joint.message else ""
             return Verdict(command, Reaction.HOLD, f"the {name} does not follow ({joint.status}{said})")
@@ -202,7 +204,7 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
     """
     if tracked is None:
         return "the tracker has not seen the object"
-    if not np.isfinite(tracked.pose_world_object).all():
+    if not np.isfinite([*tracked.pose_world_object, tracked.captured, tracked.score]).all():
         return "the tracked pose is not finite"
     age = time - tracked.captured
     if age > cell.watchdog.pose_stale:
@@ -231,6 +233,12 @@ def check_action(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
     return ""
+
+
+def joint_state_finite(state: JointState) -> bool:
+    """Whether all that a device measures is finite: comparisons with limits don't notice what is not."""
+    values = state.positions, state.velocities, state.device_time, state.torques
+    return all(np.isfinite(v).all() for v in values if v is not None)
 
 
 def torque_beyond(torques: np.ndarray | None, limit: float) -> bool:
