@@ -100,7 +100,7 @@ class ImageSource:
         if self.folder is not None:
             files = own_files(self.folder)
             if files is None:
-                return self._marked(read_folder(self.folder, self.image), hints)
+                return self._marked(read_folder(self.folder, self.image, self.depth_unit), hints)
         elif self.camera is not None or self.recording is not None:
             return self._of_camera(obj, hints, show)
         rgb, depth, intrinsics, mask = files or (self.rgb, self.depth, self.intrinsics, None)

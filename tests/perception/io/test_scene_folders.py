@@ -6,6 +6,7 @@ from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
 from PIL import Image
 
 from fungrasp.errors import FungraspError
+from fungrasp.perception.image_source import ImageSource
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.scene_folders import read_bop, read_dexycb, read_folder, write_folder
 
@@ -59,6 +60,18 @@ def test_a_bop_scene(tmp_path):
     assert read_folder(folder).mask is None
     with pytest.raises(FungraspError, match="has no image 8"):
         read_bop(folder, 8)
+
+
+def test_a_unit_that_is_given_counts_for_every_kind_of_folder(tmp_path):
+    write_folder(read_bop(a_bop_scene(tmp_path / "000002"), 7), tmp_path / "own")
+    for folder, unit in (
+        (tmp_path / "000002", 1e-4),
+        (tmp_path / "own", 1e-4),
+        (a_dexycb_camera(tmp_path / "dexycb"), 1e-3),
+    ):
+        as_it_says = ImageSource(folder=folder).read(None)
+        doubled = ImageSource(folder=folder, depth_unit=2 * unit).read(None)
+        np.testing.assert_allclose(doubled.depth, 2 * as_it_says.depth, rtol=1e-5)
 
 
 def a_dexycb_camera(root):

@@ -29,7 +29,7 @@ BUILTIN_CAPTURE = Path(__file__).parent / "builtin_capture"
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
 
-def read_folder(folder: str | Path, image: int | None = None) -> Capture:
+def read_folder(folder: str | Path, image: int | None = None, depth_unit: float | None = None) -> Capture:
     """Read a capture from a folder, whichever kind it is.
 
     - ours: ``rgb.png``, ``depth.png``, ``K.json`` and, if there is one, ``mask.png``;
@@ -40,6 +40,7 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
         folder: the folder; or "builtin", for the image that comes with the package.
         image: number of the image in a BOP scene or a DexYCB sequence; None takes the first, or the last, in
             which the object is held.
+        depth_unit: meters per unit of the depth image; None takes what the folder says.
 
     Raises:
         FungraspError: the folder is of no such kind, or a file in it is bad.
@@ -50,12 +51,12 @@ def read_folder(folder: str | Path, image: int | None = None) -> Capture:
     own = own_files(folder)
     if own is not None:
         color, depth, lens, mask = own
-        return read_capture(color, depth, lens, mask=mask)
+        return read_capture(color, depth, lens, depth_unit=depth_unit, mask=mask)
     if (folder / "scene_camera.json").is_file():
-        return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image)
+        return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image, depth_unit)
     frames = sorted(folder.glob("aligned_depth_to_color_*.png"))
     if frames:
-        return read_dexycb(folder, int(frames[-1].stem[-6:]) if image is None else image)
+        return read_dexycb(folder, int(frames[-1].stem[-6:]) if image is None else image, depth_unit)
     raise FungraspError(
         f"{folder} is no capture: it has neither {LENS_FILE} (ours), nor scene_camera.json (a BOP scene), "
         "nor aligned_depth_to_color_*.png (one camera of a DexYCB sequence)"
@@ -105,7 +106,7 @@ def write_folder(capture: Capture, folder: str | Path) -> None:
         temporary.write_text(json.dumps({**asdict(capture.intrinsics), "depth_unit": unit}, indent=1) + "\n")
 
 
-def read_bop(scene: str | Path, image: int) -> Capture:
+def read_bop(scene: str | Path, image: int, depth_unit: float | None = None) -> Capture:
     """Read an image of a BOP scene (github.com/thodan/bop_toolkit, ``docs/bop_datasets_format.md``).
 
     ::
@@ -117,16 +118,17 @@ def read_bop(scene: str | Path, image: int) -> Capture:
     Args:
         scene: the scene's folder.
         image: its number.
+        depth_unit: meters per unit of depth, in place of the scene's.
 
     Raises:
         FungraspError: a file is missing or bad.
     """
     scene = Path(scene)
     color, depth = _picture(scene / "rgb", image), _picture(scene / "depth", image)
-    return read_capture(color, depth, scene / "scene_camera.json", image=image)
+    return read_capture(color, depth, scene / "scene_camera.json", depth_unit=depth_unit, image=image)
 
 
-def read_dexycb(camera: str | Path, frame: int) -> Capture:
+def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None) -> Capture:
     """Read a frame of one camera of a DexYCB sequence (dex-ycb.github.io).
 
     ::
@@ -138,6 +140,7 @@ def read_dexycb(camera: str | Path, frame: int) -> Capture:
     Args:
         camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
         frame: its number.
+        depth_unit: meters per unit of depth, in place of a millimeter.
 
     Raises:
         FungraspError: a file is missing or bad, or PyYAML is not installed.
@@ -148,7 +151,8 @@ def read_dexycb(camera: str | Path, frame: int) -> Capture:
     calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
     lens = intrinsics_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
-    return read_capture(color, depth, lens.intrinsics, depth_unit=MILLIMETRE)
+    unit = MILLIMETRE if depth_unit is None else depth_unit
+    return read_capture(color, depth, lens.intrinsics, depth_unit=unit)
 
 
 def _found(folder: str | Path) -> Path:
