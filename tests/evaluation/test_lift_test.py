@@ -144,11 +144,10 @@ def test_an_interrupted_test_goes_on_where_it_was(recorded, good, things, allegr
     assert 0 <= seen[0] < 0.5 and not same(other, result), "what was kept is of other grasps"
 
 
-@pytest.mark.parametrize("damaged", ["x.partial", "x.partial/a.npz"])
-def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path, damaged):
+def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path):
     path = tmp_path / "x.partial"
-    (tmp_path / damaged).parent.mkdir(exist_ok=True)
-    (tmp_path / damaged).write_bytes(b"PK\x03\x04 cut short")
+    path.mkdir()
+    (path / "a.npz").write_bytes(b"PK\x03\x04 cut short")
     store = PartStore(path)
     assert store.load("a") is None
     store.save("a", {"x": np.arange(3), "reason": np.array(["", "lost"])})
