@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,31 +12,33 @@ from fungrasp.geometry.poses import invert, transform_points
 if TYPE_CHECKING:
     from fungrasp.robots.cell import RobotCell
 
-FARTHEST = {
-    "arm.pose_world_base": 5.0,
-    "tracker.pose_world_camera": 5.0,
-    "mount.pose_flange_hand": 0.5,
-    "mount.adapter_radius": 0.3,
-    "mount.adapter_length": 0.5,
-    "workspace.lower": 5.0,
-    "workspace.upper": 5.0,
-    "obstacles.center": 10.0,
-    "obstacles.size": 20.0,
-}
-"""Lengths beyond these [m] are millimeters or centimeters, by our judgment: a UR5 reaches 0.95 m."""
+METERS, SECONDS = ("meters", "m", "mm", 1e-3), ("seconds", "s", "ms", 1e-3)
+RADIANS, RADIANS_PER_SECOND = (
+    ("radians", "rad", "degrees", np.pi / 180),
+    ("rad/s", "rad/s", "degrees/s", np.pi / 180),
+)
 LARGEST = {
-    "watchdog.arm_silence": (5.0, "s", "ms", 1e-3),
-    "watchdog.hand_silence": (5.0, "s", "ms", 1e-3),
-    "watchdog.pose_stale": (5.0, "s", "ms", 1e-3),
-    "watchdog.overrun": (5.0, "s", "ms", 1e-3),
-    "watchdog.pose_jump": (0.5, "m", "mm", 1e-3),
-    "watchdog.pose_turn": (np.pi, "rad", "degrees", np.pi / 180),
-    "limits.goal_distance": (2.0, "m", "mm", 1e-3),
-    "limits.hand_speed": (20.0, "rad/s", "degrees/s", np.pi / 180),
-    "workspace.hand_depth": (0.1, "m", "mm", 1e-3),
+    "arm.pose_world_base": (5.0, METERS),
+    "tracker.pose_world_camera": (5.0, METERS),
+    "mount.pose_flange_hand": (0.5, METERS),
+    "mount.adapter_radius": (0.3, METERS),
+    "mount.adapter_length": (0.5, METERS),
+    "workspace.lower": (5.0, METERS),
+    "workspace.upper": (5.0, METERS),
+    "workspace.hand_depth": (0.1, METERS),
+    "obstacles.center": (10.0, METERS),
+    "obstacles.size": (20.0, METERS),
+    "limits.goal_distance": (2.0, METERS),
+    "limits.hand_speed": (20.0, RADIANS_PER_SECOND),
+    "watchdog.arm_silence": (5.0, SECONDS),
+    "watchdog.hand_silence": (5.0, SECONDS),
+    "watchdog.pose_stale": (5.0, SECONDS),
+    "watchdog.overrun": (5.0, SECONDS),
+    "watchdog.pose_jump": (0.5, METERS),
+    "watchdog.pose_turn": (np.pi, RADIANS),
 }
-"""Most that each can be, its unit, the one it must be in beyond that, and its size, by our judgment: a limit
-in another unit would be no limit."""
+"""Numbers beyond these are in another unit, by our judgment, as a UR5 reaches 0.95 m; and a limit in another
+unit would be none. With the unit's name, its sign, the other unit that is likely, and how large that is."""
 BASE_AXIS = np.array([[0.0, 0.0, z] for z in (0.02, 0.08, 0.14)])
 """Points within an arm's base and shoulder, on its first axis [m]; the pedestal below ends at zero."""
 
@@ -43,20 +46,13 @@ BASE_AXIS = np.array([[0.0, 0.0, z] for z in (0.02, 0.08, 0.14)])
 def unit_faults(cell: RobotCell) -> list[str]:
     """What must be a mistake of units or of frames in a cell, one phrase each."""
     faults = []
-    for name, values in _lengths(cell):
-        largest = max((abs(v) for v in values), default=0.0)
-        if largest > FARTHEST[name]:
+    for name, values in _numbers(cell):
+        largest = float(np.abs(values).max(initial=0.0))
+        most, (unit, sign, other, size) = LARGEST[name]
+        if largest > most:
             faults.append(
-                f"'{name}' is in meters, and {largest:g} m can't be: is it {largest:g} mm, "
-                f"{largest / 1e3:g} m?"
-            )
-    for name, (most, unit, other, size) in LARGEST.items():
-        section, _, key = name.partition(".")
-        value = getattr(getattr(cell, section), key)
-        if value > most:
-            faults.append(
-                f"'{name}' is in {unit}, and {value:g} {unit} can't be: is it {value:g} {other}, "
-                f"{value * size:.4g} {unit}?"
+                f"'{name}' is in {unit}, and {largest:g} {sign} can't be: is it {largest:g} {other}, "
+                f"{largest * size:.4g} {sign}?"
             )
     turned = max((abs(q) for q in cell.arm.home), default=0.0)
     if turned > 2 * np.pi:
@@ -87,15 +83,11 @@ def obstacle_faults(cell: RobotCell) -> list[str]:
     return faults
 
 
-def _lengths(cell: RobotCell) -> list[tuple[str, tuple[float, ...]]]:
-    return [
-        ("arm.pose_world_base", cell.arm.pose_world_base[:3]),
-        ("tracker.pose_world_camera", cell.tracker.pose_world_camera[:3]),
-        ("mount.pose_flange_hand", cell.mount.pose_flange_hand[:3]),
-        ("mount.adapter_radius", (cell.mount.adapter_radius,)),
-        ("mount.adapter_length", (cell.mount.adapter_length,)),
-        ("workspace.lower", cell.workspace.lower),
-        ("workspace.upper", cell.workspace.upper),
-        *(("obstacles.center", box.center) for box in cell.obstacles),
-        *(("obstacles.size", box.size) for box in cell.obstacles),
-    ]
+def _numbers(cell: RobotCell) -> Iterator[tuple[str, np.ndarray]]:
+    """What ``LARGEST`` is about, by name, each of shape [M]; of poses the position."""
+    for name in LARGEST:
+        section, _, key = name.partition(".")
+        part = getattr(cell, section)
+        for one in part if isinstance(part, tuple) else (part,):
+            values = np.atleast_1d(np.array(getattr(one, key), dtype=float))
+            yield name, values[:3] if key.startswith("pose_") else values
