@@ -15,8 +15,9 @@ from fungrasp.perception.object_pose.verdict_weights import Logistic
 
 OBJECT_SIGNS: Mapping[str, int] = {
     "agreement": 1,
-    "covered": 1,
-    "outside": -1,
+    "larger": -1,
+    "off": -1,
+    "left_over": -1,
     "told": 1,
     "other_size": -1,
     "other_side": -1,
@@ -29,9 +30,10 @@ HAND_SIGNS: Mapping[str, int] = {
     "joints": 1,
 }
 
-OBJECT_PRIOR: Mapping[str, float] = {"rival": -3.0}
-"""Weights that few trials are to change little: a different pose that fits as well makes either as likely,
-but hardly any of the trials has one."""
+OBJECT_PRIOR: Mapping[str, float] = {"agreement": 1.07, "rival": -3.0}
+"""Weights that few trials are to change little. A different pose that fits as well makes either as likely,
+but hardly any of the trials has one. In the trials the outline tells what agreement does; where it can't be
+seen, agreement must count as without it."""
 
 HAND_PRIOR: Mapping[str, float] = {"hand_score": 6.0}
 """Weights that few trials are to change little: of 85 rendered hands of earlier measurements those with a

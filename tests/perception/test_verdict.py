@@ -18,14 +18,15 @@ GOOD = PoseEvidence(
     hidden=0.2,
     pixels=2000.0,
     rival=0.0,
-    other_size=-0.35,
-    other_side=-0.06,
+    other_size=-0.28,
+    other_side=-0.03,
     longer=-0.3,
     colored=0.0,
     edge_width=2.0,
     foreign=0.0,
-    covered=1.0,
-    outside=0.0,
+    larger=-0.4,
+    off=1.2,
+    left_over=0.0,
 )
 
 
@@ -59,8 +60,10 @@ def test_good_evidence_is_sure_and_needs_no_help():
         ({"longer": -0.02}, "another view"),
         ({"explained": 0.3}, "the mesh of this very object"),
         ({"visible": 0.4}, "the mesh of this very object"),
-        ({"covered": 0.5}, "the mesh of this very object"),
-        ({"outside": 0.15}, "the mesh of this very object"),
+        ({"larger": 6.0}, "the mesh of this very object"),
+        ({"larger": -6.0}, "the mesh of this very object"),
+        ({"off": 9.0}, "the mesh of this very object"),
+        ({"left_over": 0.4}, "the mesh of this very object"),
         ({"told": 0.0, "explained": 0.6}, "a click at the object"),
         ({"explained": 0.3, "hidden": 0.8}, "another view"),
         ({"explained": 0.3, "edge_width": 9.0}, "filters turned off"),
@@ -80,8 +83,17 @@ def test_a_length_that_is_open_makes_the_object_unsure_whatever_else_is_seen():
     assert said.object == OPEN_LENGTH < ACCEPT and row.value == 100.0 and row.share < -1.0
     assert said.object == pytest.approx(1 / (1 + np.exp(-row.share) * (1 / verdict(GOOD).object - 1)))
     assert next(one for one in verdict(GOOD).evidence if one.name == "longer").share == 0.0
-    weak = dataclasses.replace(GOOD, explained=0.3, outside=0.15, other_side=0.1)
+    weak = dataclasses.replace(GOOD, explained=0.3, left_over=0.4, other_side=0.1)
     assert verdict(dataclasses.replace(weak, longer=0.0)).object == verdict(weak).object < OPEN_LENGTH
+
+
+def test_an_outline_that_is_not_seen_says_little_and_is_called_not_known():
+    said = verdict(dataclasses.replace(GOOD, larger=np.nan, off=np.nan))
+    rows = {one.name: one for one in said.evidence}
+    assert all(np.isnan(rows[name].value) and abs(rows[name].share) < 1.5 for name in ("larger", "off"))
+    assert [row[1] for row in said.rows() if "outline" in row[0]] == ["not known"] * 2
+    assert [entry["value"] for entry in said.as_json()["evidence"] if "outline" in entry["name"]] == []
+    assert said.as_json()["evidence"][1]["value"] is None
 
 
 def test_joints_that_are_not_sure_make_the_hand_unsure():
@@ -111,7 +123,7 @@ def test_shares_add_up_to_the_odds():
 
 
 def test_each_number_counts_one_way_only():
-    against = ("outside", "other_size", "other_side", "rival")
+    against = ("larger", "off", "left_over", "other_size", "other_side", "rival")
     assert all(weight <= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name in against)
     assert all(weight >= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name not in against)
 

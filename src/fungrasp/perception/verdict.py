@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from math import exp, isfinite, log
+from math import exp, isfinite, isnan, log, nan
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.perception.object_pose.confidence import ACCEPT, AS_WELL, confidence, features
@@ -47,8 +47,9 @@ AGAINST = -0.5
 
 ROWS: Mapping[str, tuple[str, float, str]] = {
     "agreement": ("pixels that mesh and image have in common; more where depth is smoothed", 100.0, "%"),
-    "covered": ("pixels of the object that the mesh covers, 98 or less", 100.0, "%"),
-    "outside": ("mean distance of the mask from the mesh, as a part of the mesh's size", 100.0, "%"),
+    "larger": ("outline in the image larger or smaller than the mesh's, by", 1.0, "pixels"),
+    "off": ("outline in the image beside the mesh's, in the worst eighth, by", 1.0, "pixels"),
+    "left_over": ("how far the object reaches beyond the mesh, as a part of its size", 100.0, "%"),
     "told": ("a mask was given: 1, none: 0", 1.0, ""),
     "other_size": ("fit of the mesh in another size", 100.0, "%"),
     "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
@@ -61,8 +62,7 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
 
 SHOWN: Mapping[str, Callable[[float], float]] = {
     "agreement": lambda value: 1.0 - exp(-value),
-    "covered": lambda value: 1.0 - exp(-value),
-    "outside": lambda value: round(max(exp(value) - 0.01, 0.0), 6),
+    "left_over": lambda value: round(max(exp(value) - 0.01, 0.0), 6),
     "rival": lambda value: 0.8 + 0.2 * value,
     "joints": lambda value: 1.0 / (1.0 + exp(-value)),
     **dict.fromkeys(("other_size", "other_side", "longer"), exp),
@@ -178,7 +178,9 @@ def perception_verdict(thing: ObjectEstimate, hand: HandEstimate, fitted: str = 
     if thing.evidence is not None:
         known = features(thing.evidence)
         shares = OBJECT_WEIGHTS.shares(known)
-        evidence += [_meter(name, known[name], OBJECT_WEIGHTS.usual[name], shares[name]) for name in shares]
+        # Where too little of the outline is seen the weights take a usual number, which is not shown.
+        shown = known | {name: nan for name in ("larger", "off") if isnan(getattr(thing.evidence, name))}
+        evidence += [_meter(name, shown[name], OBJECT_WEIGHTS.usual[name], shares[name]) for name in shares]
         limited = _odds(confidence(thing.evidence)) - _odds(OBJECT_WEIGHTS.probability(known))
         evidence.append(_meter("longer", thing.evidence.longer, USUAL_LONGER, limited))
     shares = HAND_WEIGHTS.shares(of_hand)
@@ -211,7 +213,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
     size, length_open = shares["other_size"] + shares["other_side"], e.longer > AS_WELL
-    covered = shares["agreement"] + shares["covered"] + shares["outside"]
+    covered = shares["agreement"] + shares["larger"] + shares["off"] + shares["left_over"]
     found = []
     if max(e.other_size, e.other_side) > BETTER and size < covered:
         found.append("a mesh of the right size: another one fits better; is its unit right?")

@@ -15,13 +15,17 @@ from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.scene.depth_edges import SHARP
 
-ACCEPT = 0.943
+ACCEPT = 0.94
 """Answers of a lower probability are not accepted: the least at which no more than 1 % of wrong
 meshes were, cross-validated over the captures of the fit."""
 
 SMOOTHED_AGREES = 0.25
 """Where depth is smoothed right answers agree less: power of the outlines' width by which agreement counts
 more. Of 0, 0.25, 0.5 and 1 the one with the least cross-validated loss."""
+
+UNSEEN_LARGER, UNSEEN_OFF = 0.8, 2.8
+"""What is taken where too little of the outline is seen [pixels]: twice the medians of right answers, so that
+it speaks little for or against."""
 
 AS_WELL = -0.03
 """Where a mesh a third longer fits as well as this one, logarithm of their qualities' ratio, an end of it is
@@ -55,8 +59,9 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
     allowed = float(np.clip(e.edge_width / SHARP, 1.0, 5.0)) ** SMOOTHED_AGREES
     return {
         "agreement": float(-np.log(np.clip(1.0 - agreement, 0.02, 1.0))) * allowed,
-        "covered": float(-np.log(np.clip(1.0 - e.covered, 0.02, 1.0))),
-        "outside": float(np.log(e.outside + 0.01)),
+        "larger": UNSEEN_LARGER if np.isnan(e.larger) else abs(e.larger),
+        "off": UNSEEN_OFF if np.isnan(e.off) else e.off,
+        "left_over": float(np.log(e.left_over + 0.01)),
         "told": float(e.told == 1.0),
         "other_size": float(np.clip(e.other_size, -0.6, 0.4)),
         "other_side": float(np.clip(e.other_side, -0.3, 0.3)),

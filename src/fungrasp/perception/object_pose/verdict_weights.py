@@ -30,23 +30,25 @@ class Logistic:
 
 
 OBJECT_WEIGHTS = Logistic(
-    4.77,
+    4.22,
     {
-        "agreement": 1.07,
-        "covered": 1.1,
-        "outside": -2.04,
-        "told": 1.37,
-        "other_size": -3.55,
-        "other_side": -12.7,
-        "rival": -3.31,
+        "agreement": 0.837,
+        "larger": -0.349,
+        "off": -0.287,
+        "left_over": -0.578,
+        "told": 0.685,
+        "other_size": -2.59,
+        "other_side": -14.1,
+        "rival": -2.23,
     },
     {
-        "agreement": 2.83,
-        "covered": 3.91,
-        "outside": -4.61,
+        "agreement": 2.81,
+        "larger": 0.388,
+        "off": 1.39,
+        "left_over": -4.61,
         "told": 1,
-        "other_size": -0.302,
-        "other_side": -0.037,
+        "other_size": -0.272,
+        "other_side": -0.0253,
         "rival": 0,
     },
 )

@@ -1,0 +1,170 @@
+"""The outline of a pose in the image: whether colors change where the mesh ends, and what it leaves over.
+
+Depth says little about the size of a thing whose outlines are smoothed or hidden; colors change at its
+outline all the same. As in region-based tracking, lines across the silhouette's rim are searched for that
+change (Tjaden et al., IJCV 2019; Stoiber et al., CVPR 2022).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+
+from fungrasp.geometry.poses import transform_points
+from fungrasp.perception.object_pose.object_view import ObjectView
+
+SILHOUETTE_RAYS = 40_000
+"""At most about so many rays draw the silhouette."""
+
+REACH = 14
+"""Lines across the rim end so far inside and outside [pixels]: the other side of a small thing is farther."""
+
+NEAR = 6.0
+"""Standard deviation of where the color is expected to change from the rim [pixels]: of two changes of one
+strength the nearer one counts."""
+
+APART = 2
+"""Colors are compared so far to both sides of a place [pixels]: outlines are a pixel or two wide."""
+
+LINES = 400
+"""At most about so many lines."""
+
+FEWEST = 15
+"""Fewer lines do not tell."""
+
+CLEAR = 8
+"""Lines on which this near the rim [pixels] something is in front of the object, or the image ends, in more
+than ``BLOCKED`` of it are not used."""
+
+BLOCKED = 0.15
+
+STILL = 5.0
+"""So many lines that say the outline does not move are added: few lines move it little."""
+
+EIGHTHS = 8
+"""Parts of the outline, by the direction from its middle: too short a mesh is wrong at one end only."""
+
+FEW = 6
+"""Fewer lines do not tell about such a part."""
+
+LEFT_OVER = 99.5
+"""Percentile of the distances of the object's pixels from the silhouette: single pixels are wrong."""
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What the outline of a pose says about it."""
+
+    larger: float
+    """By how much the outline in the image is larger than the silhouette, from the middle [pixels]; negative:
+    smaller. NaN where too little of it is seen."""
+    off: float
+    """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
+    [pixels]; NaN as above."""
+    left_over: float
+    """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
+
+
+def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
+    """Compare the silhouette of a pose with the image.
+
+    Args:
+        view: the image.
+        pose: object in the camera frame, shape [7].
+        owner: the mask that it was fitted to.
+    """
+    capture, lens = view.capture, view.capture.intrinsics
+    own, mask = view.masks[owner] & capture.measured, capture.mask
+    shows = own & (view.support > 0.5) if mask is None else mask
+    rows, columns = np.nonzero(own | shows)
+    drawn = lens.project(transform_points(pose, view.known.surface.samples))
+    low = np.floor(np.minimum(drawn.min(axis=0), [columns.min(), rows.min()])).astype(int) - REACH - 4
+    high = np.ceil(np.maximum(drawn.max(axis=0), [columns.max(), rows.max()])).astype(int) + REACH + 5
+    low, high = np.maximum(low, 0), np.minimum(high, [lens.width, lens.height])
+    step = max(1, int(np.sqrt(np.prod(high - low) / SILHOUETTE_RAYS)))
+    part = (slice(low[1], high[1], step), slice(low[0], high[0], step))
+    v, u = np.mgrid[part]
+    rays = lens.deproject(np.stack([u.ravel(), v.ravel()], axis=-1), np.ones(u.size))
+    seen = view.known.rays.cast(pose[None], rays)[0].reshape(u.shape)
+    inside = np.isfinite(seen)
+    if not inside.any():
+        return Outline(np.nan, np.nan, 1.0)
+    away: Any = step * ndimage.distance_transform_edt(~inside)
+    meters = float(np.median(capture.depth[own])) / lens.fx
+    beyond = np.maximum(away[shows[part]] - 1.0, 0.0)
+    far = float(np.percentile(beyond, LEFT_OVER)) if len(beyond) else 0.0
+    depth, spread = capture.depth[part], view.seen.spread[part]
+    in_front = (depth > 0) & inside & (depth < seen - 3 * spread - 0.004)
+    hidden = in_front | (view.seen.classes.skin[part] > 0.5)
+    larger, off = outline_offset(capture.color[part], inside, hidden)
+    return Outline(step * larger, step * off, meters * far / view.known.size)
+
+
+def outline_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tuple[float, float]:
+    """Where the outline in an image is, beside that of a silhouette.
+
+    Each line across the rim tells how far away the color changes most; a shift, a stretch and a dilation are
+    fitted to that, lines with a strong change counting more.
+
+    Args:
+        color: RGB, 0 to 255, shape [H, W, 3].
+        inside: the silhouette, shape [H, W] bool.
+        hidden: where something is in front of the object, shape [H, W] bool.
+
+    Returns:
+        ``larger`` and ``off`` of ``Outline`` [pixels].
+    """
+    depth_in: Any = ndimage.distance_transform_edt(inside)
+    depth_out: Any = ndimage.distance_transform_edt(~inside)
+    # From the rim between the pixels, positive inside.
+    field = np.where(inside, depth_in - 0.5, 0.5 - depth_out)
+    slope = np.stack(np.gradient(ndimage.gaussian_filter(field, 1.5)))
+    rim = inside & (field < 1.0)
+    rim[[0, 1, -2, -1]] = rim[:, [0, 1, -2, -1]] = False
+    at = np.stack(np.nonzero(rim))
+    at = at[:, :: max(1, round(at.shape[1] / LINES))]
+    inward = slope[:, *at] / (np.linalg.norm(slope[:, *at], axis=0) + 1e-6)
+    along = np.arange(-REACH, REACH + 1)
+    places = at[:, :, None] + inward[:, :, None] * (along - field[*at][:, None])
+    last = np.array(inside.shape)[:, None, None] - 1
+    blocked = ((places < 0) | (places > last)).any(axis=0)
+    blocked |= hidden[tuple(np.clip(np.rint(places).astype(int), 0, last))]
+    used = blocked[:, np.abs(along) <= CLEAR].mean(axis=1) < BLOCKED
+    if used.sum() < FEWEST:
+        return np.nan, np.nan
+    at, inward, places, blocked = at[:, used], inward[:, used], places[:, used], blocked[used]
+    red, green, blue = np.moveaxis(color.astype(np.float32), -1, 0)
+    # Brightness and opponent colors: shadows change the first alone.
+    channels = (red + green + blue) / 3.0, red - green, 0.5 * (red + green) - blue
+    lines = np.stack(
+        [
+            ndimage.map_coordinates(ndimage.gaussian_filter(one, 1.0), places, order=1, mode="nearest")
+            for one in channels
+        ]
+    )
+    change = np.linalg.norm(lines[..., 2 * APART :] - lines[..., : -2 * APART], axis=0)
+    change, offset = np.where(blocked[:, APART:-APART], 0.0, change), along[APART:-APART]
+    found = _peaks(change * np.exp(-0.5 * np.square(offset / NEAR)), offset)
+    weight = change.max(axis=1) + 1e-3
+    weight /= weight.mean()
+    middle, radius = np.stack(np.nonzero(inside)).mean(axis=1), np.sqrt(inside.sum() / np.pi)
+    (y, x), (out_y, out_x) = (at - middle[:, None]) / radius, -inward
+    moves = np.stack([out_y, out_x, out_y * y + out_x * x, out_y * y - out_x * x, out_y * x + out_x * y], 1)
+    weighted = moves * weight[:, None]
+    # Lines tell how far inward the change is.
+    larger = float(np.linalg.solve(weighted.T @ moves + STILL * np.eye(5), weighted.T @ -found)[2])
+    eighth = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * EIGHTHS).astype(int) % EIGHTHS
+    count = np.bincount(eighth, minlength=EIGHTHS)
+    means = np.bincount(eighth, np.abs(found), EIGHTHS)[count >= FEW] / count[count >= FEW]
+    return larger, float(means.max()) if len(means) else np.nan
+
+
+def _peaks(height: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Where each row of heights, shape [N, M], is highest, between the M offsets by a parabola, shape [N]."""
+    row, best = np.arange(len(height)), np.clip(height.argmax(axis=1), 1, len(offset) - 2)
+    before, top, after = (height[row, best + i] for i in (-1, 0, 1))
+    bend = np.maximum(2.0 * top - before - after, 1e-6)
+    return offset[best] + np.clip(0.5 * (after - before) / bend, -0.5, 0.5)
