@@ -67,3 +67,7 @@ def test_hardly_any_outline_tells_nothing():
 def test_a_silhouette_that_fills_the_image_tells_nothing():
     everything = ~NOTHING
     assert np.isnan(outline_offset(picture(everything), everything, NOTHING)).all()
+
+
+def test_an_image_of_one_color_tells_nothing():
+    assert np.isnan(outline_offset(np.full((120, 160, 3), 128, np.uint8), ellipse(30, 30), NOTHING)).all()

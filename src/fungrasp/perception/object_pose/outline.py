@@ -41,6 +41,9 @@ than ``BLOCKED`` of it are not used."""
 
 BLOCKED = 0.15
 
+FAINT = 3.0
+"""Lines on which colors change by less [of 255] do not tell: the noise of a camera is more."""
+
 STILL = 5.0
 """So many lines that say the outline does not move are added: few lines move it little."""
 
@@ -147,9 +150,13 @@ def outline_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) ->
     )
     change = np.linalg.norm(lines[..., 2 * APART :] - lines[..., : -2 * APART], axis=0)
     change, offset = np.where(blocked[:, APART:-APART], 0.0, change), along[APART:-APART]
+    strength = change.max(axis=1)
+    told = strength > FAINT
+    if told.sum() < FEWEST:
+        return np.nan, np.nan
+    at, inward, change, strength = at[:, told], inward[:, told], change[told], strength[told]
     found = _peaks(change * np.exp(-0.5 * np.square(offset / NEAR)), offset)
-    weight = change.max(axis=1) + 1e-3
-    weight /= weight.mean()
+    weight = strength / strength.mean()
     middle, radius = np.stack(np.nonzero(inside)).mean(axis=1), np.sqrt(inside.sum() / np.pi)
     (y, x), (out_y, out_x) = (at - middle[:, None]) / radius, -inward
     moves = np.stack([out_y, out_x, out_y * y + out_x * x, out_y * y - out_x * x, out_y * x + out_x * y], 1)
