@@ -47,7 +47,7 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
-from fungrasp.perception.plausibility import check_held, check_size, scale_or_side_doubt, size_warning
+from fungrasp.perception.plausibility import check_held, check_holdable, scale_or_side_doubt, size_warning
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -123,7 +123,7 @@ def perceive(
     hand = hand(capture) if callable(hand) else hand
     if callable(object_estimate):
         object_estimate = object_estimate(capture, mesh)
-    check_size(model)
+    check_holdable(model)
     given, watch = object_estimate, Stopwatch()
     if given is None or not given.judged:
         with watch.stage("mesh"):

@@ -70,7 +70,7 @@ def scale_or_side_doubt(
     return ""
 
 
-def check_size(model: ObjectModel) -> None:
+def check_holdable(model: ObjectModel) -> None:
     """Complain about a mesh that no hand holds, or that is far from its origin.
 
     Raises:
