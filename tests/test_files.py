@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, cache_folder, cache_path, remove_leftovers
+from fungrasp.files import atomic_path, cache_folder, cache_path, check_writable, remove_leftovers
 
 
 def contents(folder: Path) -> list[str]:
@@ -168,3 +169,20 @@ def test_what_killed_processes_left_is_removed_when_the_file_is_written_again(tm
         remove_leftovers(target)
         assert mine.exists(), "of a process that lives"
     assert contents(tmp_path) == ["grasps.npz"]
+
+
+def test_paths_that_cannot_be_written_are_told_before(tmp_path: Path, monkeypatch):
+    (tmp_path / "file").write_text("old")
+    check_writable({"--out": tmp_path / "new" / "deep" / "a.npz", "--json": tmp_path / "file"})
+    assert contents(tmp_path) == ["file"]
+    for bad, words in (
+        ({"--out": tmp_path}, "(--out): it is a folder"),
+        ({"--out": tmp_path / "file" / "a.npz"}, "file is a file"),
+        ({"--out": tmp_path / "a", "--report": tmp_path / "a"}, "--out and --report are the same file"),
+    ):
+        with pytest.raises(FungraspError, match=re.escape(words)):
+            check_writable(bad)
+    # Whoever runs this may write everywhere.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(FungraspError, match="can't be written to"):
+        check_writable({"--out": tmp_path / "a.npz"})

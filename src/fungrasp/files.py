@@ -53,6 +53,30 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def check_writable(paths: Mapping[str, str | Path]) -> None:
+    """Complain before the work is done about files that can't be written after it. Nothing is made.
+
+    Args:
+        paths: what is to be written, by the name of its option.
+
+    Raises:
+        FungraspError: a path is a folder, lies below a file or in a folder that can't be written to, or two
+            are the same.
+    """
+    names: dict[Path, str] = {}
+    for name, path in paths.items():
+        whole = Path(path).absolute()
+        if whole in names:
+            raise FungraspError(f"{names[whole]} and {name} are the same file, {path}")
+        names[whole] = name
+        if whole.is_dir():
+            raise FungraspError(f"cannot write {path} ({name}): it is a folder")
+        above = next(folder for folder in whole.parents if folder.exists())
+        if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+            problem = "can't be written to" if above.is_dir() else "is a file"
+            raise FungraspError(f"cannot write {path} ({name}): {above} {problem}")
+
+
 def remove_leftovers(path: str | Path) -> None:
     """Delete what processes of this machine that were killed left while they wrote ``path``."""
     path = Path(path)

@@ -444,3 +444,31 @@ def test_a_plane_is_four_numbers():
     assert plane is not None
     np.testing.assert_allclose(plane, [0, -1, 0, 0.4])
     assert parse_plane(None) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--report", "g.npz"), "--out and --report are the same file"),
+        (("--json", "there"), "there (--json): it is a folder"),
+        (("--camera", "there"), "give either --folder, or --camera"),
+        (("--frames", "0"), "--frames must be 1 or more, not 0"),
+        (("--frames", "3"), "--frames needs --camera, --recording, or a scene and its first --image"),
+        (("--seed", "-1"), "the seed must be 0 or more"),
+    ],
+)
+def test_options_that_cannot_work_are_refused_before_any_work(
+    options, words, folder, found, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(room, "find_hands", lambda *_: pytest.fail("nothing should be looked for"))
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(tmp_path)
+    given = ("--folder", folder, "--mesh", NAME, "--out", "g.npz", *options)
+    status, out, err = run(capsys, "perceive", *given)
+    assert status == 2 and words in err and err.count("\n") == 1 and not out
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_a_mass_in_grams_is_refused(folder):
+    with pytest.raises(FungraspError, match=r"300 kg in its size is .* denser than anything .*in grams\?"):
+        held_object(folder / "thing.obj", 300.0)

@@ -16,6 +16,7 @@ from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import HeldObject, ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import pipeline as room
+from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
 from fungrasp.perception.hand.joint_confidence import joint_confidences, joint_features
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
@@ -511,3 +512,86 @@ def test_an_image_may_be_where_it_is(tmp_path):
         perceive(files[:2], scene.model, **options)
     with pytest.raises(FungraspError, match="has its mass"):
         perceive(scene.capture, scene.model, mass=0.3, **options)
+
+
+def scaled(capture: Capture, factor: float) -> Capture:
+    """By another unit of depth."""
+    return dataclasses.replace(capture, depth=(capture.depth * factor).astype(np.float32))
+
+
+def test_a_hand_of_another_size_tells_of_a_wrong_scale():
+    scene, detected = mug()
+    large = dataclasses.replace(detected, shape_camera=1.5 * detected.shape_camera)
+    capture = scaled(scene.capture, 1.5)
+    found = perceive(capture, scene.model, detector=StandIn(large))
+    (warning,) = (one for one in found.warnings if one.code == "hand_size")
+    assert 1.25 < warning.values["size"] < 1.6 and not found.confident
+    assert not any(one.code == "hand_size" for one in seen().warnings)
+    # A shape that is fitted takes any size: the hand's is all that is known of the scale.
+    shape = perceive(capture, "unknown", detector=StandIn(large))
+    (warning,) = (one for one in shape.warnings if one.code == "hand_size")
+    assert not shape.confident and shape.verdict.doubt == str(warning)
+
+
+@pytest.mark.parametrize("factor", [4.0, 0.25])
+def test_a_hand_that_is_too_small_or_large_for_its_depth_is_told_as_such(factor):
+    scene, detected = mug()
+    with pytest.raises(FungraspError, match=r"what looks like one at pixel .* times as long as a hand is at"):
+        perceive(scaled(scene.capture, factor), scene.model, detector=StandIn(detected))
+
+
+def test_a_side_that_the_image_denies_is_not_sure():
+    scene, detected = mug()
+    said = perceive(scene.capture, scene.model, detector=StandIn(detected), side="left")
+    assert (
+        not said.confident
+        and said.verdict.doubt == "the hand looks like a right one, not a left one as was said"
+    )
+    doubtful = dataclasses.replace(detected, side_score=0.6)
+    said = perceive(scene.capture, scene.model, detector=StandIn(doubtful), side="left")
+    assert not said.verdict.doubt and said.warnings[0].code == "side_not_as_given"
+
+
+def test_an_object_far_from_the_hand_or_its_origin_ends_with_a_word():
+    scene, detected = mug()
+    away = scene.pose_camera_object.copy()
+    away[:3] += [0.2, 0.0, 3.0]
+    with pytest.raises(
+        FungraspError, match=r"is in no hand: what was said to show it is \d\.\d+ m from the hand"
+    ):
+        perceive(
+            scene.capture,
+            scene.model,
+            detector=StandIn(detected),
+            object_estimate=ObjectEstimate(away, 0.9, True),
+        )
+    offset = ObjectModel("mug", 0.3, scene.model.vertices + np.array([5.0, 0.0, 0.0]), scene.model.faces)
+    with pytest.raises(FungraspError, match=r"the origin of 'mug' is 4\.9\d m from its surface"):
+        perceive(scene.capture, offset, detector=Forbidden())
+
+
+def test_a_hand_without_depth_does_not_keep_another_from_being_found():
+    scene, detected = mug()
+    depth = scene.capture.depth.copy()
+    corner = dataclasses.replace(detected, pixels=detected.pixels - detected.pixels.min(axis=0) + 1.0)
+    u, v = np.ceil(corner.pixels.max(axis=0)).astype(int)
+    depth[: v + 20, : u + 20] = 0.0
+    capture = dataclasses.replace(scene.capture, depth=depth)
+    found = perceive(capture, scene.model, detector=StandIn(corner, detected))
+    assert np.linalg.norm(found.hand.joints_camera - scene.joints, axis=1).mean() < 0.02
+    with pytest.raises(FungraspError, match="no depth where the hand is"):
+        perceive(capture, scene.model, detector=StandIn(corner))
+
+
+def test_what_looks_wrong_with_the_files_is_in_the_answer():
+    scene, detected = mug()
+    shifted = PerceptionWarning.of("depth_shifted", across=16, down=0)
+    capture = dataclasses.replace(scene.capture, warnings=(shifted,))
+    said = perceive(capture, scene.model, detector=StandIn(detected)).as_json()
+    assert said["doubts"][0] == str(shifted) and said["warnings"][0]["values"] == {"across": 16, "down": 0}
+
+
+def test_a_seed_is_not_negative():
+    scene, _ = mug()
+    with pytest.raises(FungraspError, match="seed must be 0 or more, not -1"):
+        perceive(scene.capture, scene.model, detector=Forbidden(), seed=-1)

@@ -133,3 +133,15 @@ def test_a_fitted_shape_is_said_to_be_one():
     said = perception_verdict(thing, hand(), "box:60x28x30")
     assert said.sure and said.words.startswith("unknown object: a box of 60 x 28 x 30 mm explains 70 %")
     assert said.as_json()["fitted"] == "box:60x28x30"
+
+
+def test_a_doubt_is_more_than_any_probability():
+    thing = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.99, True)
+    said = perception_verdict(thing, hand(), doubt="it looks like the other hand")
+    assert not said.sure and said.object == 0.99 and said.hand >= ACCEPTED_HAND
+    assert said.words.startswith("not sure: it looks like the other hand (object 99 %")
+    assert (
+        said.as_json()["doubt"] == said.doubt and perception_verdict(thing, hand()).as_json()["doubt"] is None
+    )
+    shape = perception_verdict(thing, hand(), "box:60x28x30", "another size")
+    assert not shape.sure and shape.words.endswith("; not sure: another size")

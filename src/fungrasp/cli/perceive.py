@@ -111,7 +111,8 @@ class Perceive:
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         name = perceived.object_model.name
-        for warning in perceived.warnings:
+        # Those of the files were logged when they were read.
+        for warning in perceived.warnings[len(perceived.capture.warnings) :]:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
         lines = [
             table(perceived.verdict.rows()),
@@ -130,12 +131,16 @@ class Perceive:
     def _check(self) -> None:
         """Complain about options that do not go together, and about hand models that are missing."""
         from fungrasp.errors import FungraspError
+        from fungrasp.files import check_writable
         from fungrasp.perception.hand.mediapipe_models import load_weights
 
         if None not in (self.hand_file, self.hand_from):
             raise FungraspError("give --hand-file or --hand-from, not both")
         if None not in (self.object_pose_file, self.object_pose_from):
             raise FungraspError("give --object-pose-file or --object-pose-from, not both")
+        self.source.check()
+        written = {"--out": self.out, "--report": self.report, "--json": json_path(self.json)}
+        check_writable({name: path for name, path in written.items() if path is not None})
         if self.improve_pose and self.object_pose_file is None and self.object_pose_from is None:
             raise FungraspError("--improve-pose needs --object-pose-file or --object-pose-from")
         if self.hand_file is None and self.hand_from is None:

@@ -34,6 +34,9 @@ BONE_VARIATION = 0.3
 """Fraction by which a bone may be shorter or longer than the means: three standard deviations of the
 radiographs."""
 
+HAND_SIZE_SPREAD = 0.11
+"""Standard deviation of the logarithm of adults' hand sizes, errors of an estimated shape included."""
+
 FLEXION_RANGE = np.radians([[(-45, 90), (0, 100), (0, 80)]] * 4 + [[(-180, 180), (-10, 55), (-15, 80)]])
 """Normal range of active motion [rad], shape [5, 3, 2] (Electronic Textbook of Hand Surgery, eatonhand.com):
 MCP, PIP, DIP; the thumb's CMC (no limit), MCP, IP."""
@@ -44,6 +47,16 @@ DEVIATION_LIMIT = np.radians([20.0, 0.0, 0.0])
 JOINT_RANGE_SLACK = np.radians(25.0)
 """Allowed beyond the ranges [rad]: joint centers lie off the bones' lines, and objects bend fingers further
 than the hand alone does."""
+
+
+def bone_ratios(hand_joints: np.ndarray) -> np.ndarray:
+    """Length of each of ``BONES`` over an adult's, shape [..., 20]. hand_joints: [m], shape [..., 21, 3]."""
+    return bone_lengths(hand_joints) / (ADULT_BONES.mean(axis=-1).ravel() * 1e-3)
+
+
+def hand_size(joints: np.ndarray) -> float:
+    """Size as a part of an adult's hand: median over the bones. joints: [m], shape [21, 3]."""
+    return float(np.median(bone_ratios(joints)))
 
 
 def joint_bends(hand_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

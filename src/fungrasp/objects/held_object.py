@@ -26,6 +26,9 @@ DENSITIES = (190.0, 940.0)
 """Between these lie eight of ten [kg/m^3]."""
 
 
+DENSEST = 22_600.0
+"""Density of osmium, the densest there is [kg/m^3]."""
+
 EIGHT_OF_TEN = 1.28
 """Of normal numbers eight of ten are within so many standard deviations."""
 
@@ -61,8 +64,8 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
         mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
 
     Raises:
-        FungraspError: there is no such file or object, the mesh is bad, or the mass; or an object that has
-            its mass is given another.
+        FungraspError: there is no such file or object, the mesh is bad, or the mass, or nothing is so dense;
+            or an object that has its mass is given another.
     """
     if isinstance(obj, ObjectModel):
         if mass is not None:
@@ -84,6 +87,12 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
             "--mass if you know it",
         )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
+    density = mass / float(model.mesh.convex_hull.volume)
+    if density > DENSEST:
+        raise FungraspError(
+            f"'{model.name}': {mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
+            f"({DENSEST:,.0f}): is the mass in grams?"
+        )
     return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
 
 

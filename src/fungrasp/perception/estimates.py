@@ -20,6 +20,16 @@ if TYPE_CHECKING:
     from fungrasp.perception.object_pose.evidence import PoseEvidence
 
 MESSAGES: Mapping[str, str] = {
+    # The files.
+    "depth_shifted": (
+        "the depth looks shifted by {across}, {down} pixels against the color: is it aligned to it?"
+    ),
+    "colors_swapped": "the color image shows skin only with red and blue swapped: was it written as BGR?",
+    "lens_distorted": "the lens's distortion is not taken into account; undistort the images",
+    "axis_swapped": (
+        "cx = {cx:g} and cy = {cy:g} look swapped, or are those of the image before it was turned: each is "
+        "nearer to the middle of the other side"
+    ),
     # The hand.
     "several_hands": "{count} hands are in the image; the {choice} was taken, at pixel {u:.0f}, {v:.0f}",
     "several_candidates": (
@@ -32,6 +42,10 @@ MESSAGES: Mapping[str, str] = {
         "{taken} one; --hand says which it is"
     ),
     "side_from_depth": "which hand it is: a {side} one fits the depth better; --hand says which it is",
+    "hand_size": (
+        "by the depth there, the hand is {size:.2f} times as large as an adult's (95 % of adults: {low:.2f} "
+        "to {high:.2f}): are the depth's unit and the focal length right?"
+    ),
     "fingers_bent_backwards": ("the fingers seem to be bent backwards: their landmarks are probably wrong"),
     # The object.
     "object_elsewhere": ("where the object is: {how}, {distance_mm:.0f} mm away, it fits almost as well"),

@@ -91,7 +91,7 @@ class ImageSource:
         from fungrasp.perception.io.image_files import parse_box, parse_point, read_capture
         from fungrasp.perception.io.scene_folders import own_files, read_folder
 
-        self._check()
+        self.check()
         hints = (
             None if self.box is None else parse_box(self.box),
             None if self.point is None else parse_point(self.point),
@@ -129,24 +129,28 @@ class ImageSource:
             show: see ``read``.
 
         Raises:
-            FungraspError: see ``read``; or there is no other image to look at.
+            FungraspError: see ``read``; or ``most`` is below 1, or there can be no other image to look at.
         """
+        from fungrasp.perception.io.scene_folders import own_files, read_folder
+
+        if most < 1:
+            raise FungraspError(f"--frames must be 1 or more, not {most}")
+        live = self.camera is not None or self.recording is not None
+        scene = self.folder is not None and self.image is not None and own_files(self.folder) is None
+        if most > 1 and not live and not scene:
+            raise FungraspError("--frames needs --camera, --recording, or a scene and its first --image")
         yield self.read(obj, show)
         if most == 1:
             return
         # Where the object was in the first image need not be where it is in another.
         plain = replace(self, mask=None, box=None, point=None, keep=None)
         if self.camera is not None and Path(self.camera).is_dir():
-            from fungrasp.perception.io.scene_folders import own_files, read_folder
-
             inside = (path for path in Path(self.camera).iterdir() if path.is_dir())
             folders = sorted(path for path in inside if own_files(path) is not None)
             count = min(most - 1, len(folders))
             yield from (read_folder(folders[-1 - i * len(folders) // count]) for i in range(count))
         elif self.camera is not None:
             yield from (plain.read(obj) for _ in range(most - 1))
-        elif self.recording is None and self.image is None:
-            raise FungraspError("--frames needs --camera, --recording, or a scene and its first --image")
         else:
             first = RECORDED if self.image is None else self.image
             # It may end before.
@@ -154,7 +158,13 @@ class ImageSource:
                 for number in range(1, most):
                     yield replace(plain, image=first + number * APART).read(obj)
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Complain about options that don't go together.
+
+        Raises:
+            FungraspError: it is not said, or said twice, where the image comes from; or an option is for
+                another source.
+        """
         files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
         missing = [name for name, path in files.items() if path is None]
         others = {"--folder": self.folder, "--camera": self.camera, "--recording": self.recording}

@@ -34,8 +34,9 @@ from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.image_source import ImageSource, as_capture
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.capture_checks import check_hints
 from fungrasp.perception.object_pose.confidence import ambiguity
-from fungrasp.perception.object_pose.estimate import SIZES, best_estimate, search_object_pose
+from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
 from fungrasp.perception.object_pose.external_pose import score_given_pose
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.shape_fit import FittedShape, fit_shape
@@ -46,6 +47,7 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
+from fungrasp.perception.plausibility import check_held, check_holdable, scale_or_side_doubt, size_warning
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -101,11 +103,14 @@ def perceive(
         FungraspError: the image or the object can't be read, there is no hand in the image, no depth at it,
             the mesh is not of a size that a hand holds, or the hand models are not set up.
     """
+    if seed < 0:
+        raise FungraspError(f"the seed must be 0 or more, not {seed}")
     fitted = None
     if isinstance(obj, str) and obj == UNKNOWN:
         if object_estimate is not None:
             raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
         capture = capture if isinstance(capture, Capture) else as_capture(capture, None)
+        check_hints(capture)
         fitted = _fitted_shape(capture, hand, side, table, detector, seed)
         obj = fitted.name
         object_estimate = ObjectEstimate(fitted.pose, fitted.quality, fitted.fits)
@@ -114,10 +119,11 @@ def perceive(
     mesh = model if held.colored is None else held.colored
     if not isinstance(capture, Capture):
         capture = as_capture(capture, model)
+    check_hints(capture)
     hand = hand(capture) if callable(hand) else hand
     if callable(object_estimate):
         object_estimate = object_estimate(capture, mesh)
-    _check_size(model)
+    check_holdable(model)
     given, watch = object_estimate, Stopwatch()
     if given is None or not given.judged:
         with watch.stage("mesh"):
@@ -126,10 +132,10 @@ def perceive(
     def scene_of(one: HandEstimate, meant: MeantHand | None = None) -> HandCandidate:
         return _scene(capture, mesh, one, meant, table, given, seed, improve_pose, watch)
 
-    def scenes_of(found: Sequence[MeantHand]) -> list[HandCandidate]:
+    def scenes_of(found: Sequence[MeantHand], needed: bool = True) -> list[HandCandidate]:
         with watch.stage("hand"):
-            fitted = [fit_hand(meant.detected, capture) for meant in found]
-        return [scene_of(one, meant) for one, meant in zip(fitted, found, strict=True)]
+            measured = _fitted_hands(found, capture, needed)
+        return [scene_of(one, meant) for meant, one in measured]
 
     # 1, 2: the hand in the image and in meters. Where it is open which of two hands is meant, both go on.
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.
@@ -141,15 +147,16 @@ def perceive(
         with watch.stage("detection"):
             near = object_box(capture, model, given)
             detected = find_hands(detector, capture, near)
-        scenes = scenes_of(meant_hands(capture, detected, near, side))
+        scenes = scenes_of(meant_hands(capture, detected, near, side, detector))
         if not any(scene.holds for scene in scenes):
             # The one that holds it may be harder to see than somebody else's.
             known = [scene.detected for scene in scenes if scene.detected is not None]
             with watch.stage("detection"):
                 others = hands_elsewhere(capture, known, side, detector)
-            scenes += scenes_of(others)
+            scenes += scenes_of(others, needed=False)
     chosen = max(range(len(scenes)), key=lambda i: (scenes[i].holds, scenes[i].worth))
     scene = scenes[chosen]
+    check_held(scene, model, told=object_box(capture, model, given) is not None)
     # 5: the hand again, touching the object.
     with watch.stage("refinement"):
         refined = _refined_hand(scene, capture, model, side, seed)
@@ -165,7 +172,7 @@ def perceive(
         pose_world_camera = world_from_table(plane, center)
         grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
         quality = measure_quality(capture, refined, scene.object, model.signed_distance)
-        warnings = (*scene.warnings, *_warnings(scene, refined, model))
+        warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model))
     return Perceived(
         capture=capture,
         object_model=model,
@@ -177,7 +184,12 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        verdict=perception_verdict(scene.object, refined, "" if fitted is None else fitted.name),
+        verdict=perception_verdict(
+            scene.object,
+            refined,
+            "" if fitted is None else fitted.name,
+            scale_or_side_doubt(scene, warnings, fitted),
+        ),
         notes=held.notes,
         mass_range=held.mass_range,
         fitted=fitted,
@@ -197,9 +209,9 @@ def _fitted_shape(
     if hand is not None:
         held_by = [hand(capture) if callable(hand) else hand]
     else:
-        detected = find_hands(detector or MediaPipeHandDetector(), capture, object_box(capture, None, None))
-        meant = meant_hands(capture, detected, object_box(capture, None, None), side)
-        held_by = [fit_hand(one.detected, capture) for one in meant]
+        detector, near = detector or MediaPipeHandDetector(), object_box(capture, None, None)
+        meant = meant_hands(capture, find_hands(detector, capture, near), near, side, detector)
+        held_by = [one for _, one in _fitted_hands(meant, capture)]
     shapes, problem = [], None
     for one in held_by:
         under = (
@@ -217,11 +229,23 @@ def _fitted_shape(
     return max(shapes, key=lambda shape: shape.quality)
 
 
-def _check_size(model: ObjectModel) -> None:
-    size = float(np.linalg.norm(model.size))
-    if not SIZES[0] < size < SIZES[1]:
-        unit = "; is the mesh in millimeters?" if size >= SIZES[1] else ""
-        raise FungraspError(f"'{model.name}' is {size:.4g} m large, which no hand holds{unit}")
+def _fitted_hands(
+    found: Sequence[MeantHand], capture: Capture, needed: bool = True
+) -> list[tuple[MeantHand, HandEstimate]]:
+    """Each hand in meters, without those that have no depth, as of somebody far away.
+
+    Raises:
+        FungraspError: none has, and one is needed.
+    """
+    measured, problem = [], None
+    for meant in found:
+        try:
+            measured.append((meant, fit_hand(meant.detected, capture)))
+        except FungraspError as error:
+            problem = error
+    if needed and problem is not None and not measured:
+        raise problem
+    return measured
 
 
 def _scene(
@@ -278,6 +302,8 @@ def _warnings(scene: HandCandidate, refined: HandEstimate, model: ObjectModel) -
         found += scene.object.warnings
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
+    if (size := size_warning(refined)) is not None:
+        found.append(size)
     if refined.side != scene.hand.side:
         found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
     if scene.table is None:

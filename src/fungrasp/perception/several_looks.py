@@ -79,7 +79,7 @@ def together(looks: Sequence[Perceived]) -> Perceived:
         said += odds if agrees else -max(odds, 0.0)
     said = PRIOR + said / (1.0 + (len(looks) - 1) * RELATED)
     thing = 1.0 / (1.0 + exp(-said))
-    sure = thing >= ACCEPT and best.verdict.hand >= ACCEPTED_HAND
+    sure = thing >= ACCEPT and best.verdict.hand >= ACCEPTED_HAND and not best.verdict.doubt
     verdict = replace(best.verdict, object=thing, sure=sure, looks=len(looks))
     return replace(best, verdict=verdict)
 

@@ -108,6 +108,8 @@ class PerceptionVerdict:
     fitted: str = ""
     """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what
     is seen that it explains, no probability."""
+    doubt: str = ""
+    """What keeps it from being sure whatever the probabilities are; empty where nothing does."""
     looks: int = 1
     """Images that the probability of the object rests on; the evidence is of the surest."""
 
@@ -124,13 +126,15 @@ class PerceptionVerdict:
             return (
                 f"unknown object: a {kind} of {sizes.replace('x', ' x ')} mm explains "
                 f"{100 * self.object:.0f} % of what is seen; the rest is a guess "
-                f"(hand {100 * self.hand:.0f} %)"
+                f"(hand {100 * self.hand:.0f} %)" + (f"; not sure: {self.doubt}" if self.doubt else "")
             )
         parts = f"object {100 * self.object:.0f} %, hand {100 * self.hand:.0f} %"
         if self.looks > 1:
             parts += f"; {self.looks} looks"
         if self.sure:
             return f"sure: {100 * self.probability:.0f} % that all is right ({parts})"
+        if self.doubt:
+            return f"not sure: {self.doubt} ({parts})"
         needed = f"it takes {100 * ACCEPT:.0f} and {100 * ACCEPTED_HAND:.0f} %"
         return f"not sure: {100 * self.probability:.0f} % that all is right ({parts}; {needed})"
 
@@ -154,6 +158,7 @@ class PerceptionVerdict:
             "evidence": rows,
             "help": list(self.help),
             "fitted": self.fitted or None,
+            "doubt": self.doubt or None,
             "looks": self.looks,
         }
 
@@ -164,13 +169,16 @@ def hand_features(hand: HandEstimate) -> dict[str, float]:
     return {"hand_score": hand.score, "joints": log(part / (1.0 - part))}
 
 
-def perception_verdict(thing: ObjectEstimate, hand: HandEstimate, fitted: str = "") -> PerceptionVerdict:
+def perception_verdict(
+    thing: ObjectEstimate, hand: HandEstimate, fitted: str = "", doubt: str = ""
+) -> PerceptionVerdict:
     """The verdict.
 
     Args:
         thing: the object's pose.
         hand: as it was refined.
         fitted: shape that stands for an object without a mesh.
+        doubt: what speaks against it whatever the probabilities are.
     """
     of_hand = hand_features(hand)
     probability = HAND_WEIGHTS.probability(of_hand)
@@ -185,13 +193,13 @@ def perception_verdict(thing: ObjectEstimate, hand: HandEstimate, fitted: str = 
         evidence.append(_meter("longer", thing.evidence.longer, USUAL_LONGER, limited))
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
-    sure = thing.accepted and probability >= ACCEPTED_HAND
+    sure = thing.accepted and probability >= ACCEPTED_HAND and not doubt
     advice = object_help(thing)
     if fitted and not thing.accepted:
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object (fungrasp scan)")
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
-    return PerceptionVerdict(sure, thing.score, probability, tuple(evidence), advice, fitted)
+    return PerceptionVerdict(sure, thing.score, probability, tuple(evidence), advice, fitted, doubt)
 
 
 def _odds(probability: float) -> float:

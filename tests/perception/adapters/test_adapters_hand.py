@@ -192,3 +192,23 @@ def test_files_that_are_none(tmp_path, capture):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FungraspError, match=words):
             read_hand_estimate(tmp_path / name, capture)
+
+
+def test_joints_in_another_order_than_was_said_are_told_by_their_bones(tmp_path, capture):
+    fields = {"source": "joints", "joints": JOINTS, "side": "right"}
+    with pytest.raises(FungraspError, match="in the order 'fungrasp', not 'openpose'"):
+        read_hand_estimate(write_npz(tmp_path / "h.npz", fields), capture)
+    path = write_npz(tmp_path / "h.npz", {**fields, "order": "fungrasp"})
+    assert worst(read_hand_estimate(path, capture)) < 0.008
+    with pytest.raises(FungraspError, match="has no left hand, only right ones"):
+        read_hand_estimate(path, capture, side="left")
+
+
+def test_of_two_hands_in_a_file_a_click_tells_which(tmp_path, capture):
+    both = np.stack([JOINTS, true_hand(0.7, "right", -0.1)])
+    fields = {"source": "joints", "joints": both, "side": ["right", "right"], "order": "fungrasp"}
+    path = write_npz(tmp_path / "h.npz", {**fields, "score": [0.8, 0.9]})
+    for hand in both:
+        u, v = CAMERA.project(hand).mean(axis=0)
+        read = read_hand_estimate(path, capture.with_object(point=(float(u), float(v))))
+        np.testing.assert_allclose(read.pixels.mean(axis=0), [u, v], atol=2)

@@ -1,6 +1,7 @@
 import json
 import logging
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.io.capture import check_alignment, looks_bgr
+from fungrasp.perception.io.capture_checks import check_alignment, check_hints, looks_bgr
 from fungrasp.perception.io.image_files import parse_box, read_capture, read_mask
 
 
@@ -209,3 +210,42 @@ def test_an_opaque_pixel_of_a_mask_is_not_marked_for_that(tmp_path, mode):
     marked[2:5, 3:9] = True
     Image.fromarray(np.where(marked, 255, 0).astype(np.uint8)).convert(mode).save(tmp_path / "mask.png")
     assert np.array_equal(read_mask(tmp_path / "mask.png", marked.shape), marked)
+
+
+def test_what_looks_wrong_with_the_files_goes_with_the_capture(tmp_path, caplog):
+    paths = write_scene(tmp_path, {**OURS, "cx": 118.0, "cy": 161.0, "D": [0.1, 0, 0, 0, 0]})
+    color, depth = scene()
+    Image.fromarray(np.ascontiguousarray(color[..., ::-1])).save(paths[0])
+    Image.fromarray(np.round(1000 * np.roll(depth, 16, axis=1)).astype(np.uint16)).save(paths[1])
+    with caplog.at_level(logging.WARNING):
+        capture = read_capture(*paths)
+    codes = [warning.code for warning in capture.warnings]
+    assert codes == ["lens_distorted", "axis_swapped", "depth_shifted", "colors_swapped"]
+    assert all(str(warning) in caplog.text for warning in capture.warnings)
+    assert capture.with_object(point=(5, 5)).warnings == capture.warnings
+
+
+@pytest.mark.parametrize(
+    ("hints", "words"),
+    [
+        (
+            {"box": (100, 80, 200, 180), "point": (220, 100)},
+            "outside its box, which reaches from 100, 80",
+        ),
+        ({"mask": True, "point": (5, 5)}, "lies outside its mask"),
+        ({"mask": True, "box": (0, 0, 40, 40)}, "mask has no pixel in the object's box"),
+        ({"mask": True, "box": (0, 0, 120, 100), "point": (110, 90)}, ""),
+    ],
+)
+def test_hints_that_contradict_each_other_are_refused(hints, words):
+    color, depth = scene()
+    if "mask" in hints:
+        hints = hints | {"mask": depth == np.float32(0.6)}
+    capture = Capture(color, depth, Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119), **hints)
+    with pytest.raises(FungraspError, match=words) if words else nullcontext():
+        check_hints(capture)
+
+
+def test_a_box_in_parts_of_the_image_is_refused(tmp_path):
+    with pytest.raises(FungraspError, match="smaller than a pixel: it must be in pixels"):
+        read_capture(*write_scene(tmp_path), box=(0.3, 0.2, 0.7, 0.6))

@@ -97,3 +97,13 @@ def test_a_matrix_with_an_image_size_is_held_to_it_and_its_distortion_named(tmp_
     assert "distortion" in caplog.text
     with pytest.raises(FungraspError, match="multiply fx"):
         read_intrinsics(path, (SIZE[0] + 40, SIZE[1] + 30))
+
+
+@pytest.mark.parametrize(
+    ("cx", "cy", "told"), [(238.0, 322.0, True), (322.0, 238.0, False), (250.0, 250.0, False)]
+)
+def test_a_swapped_optical_axis_is_told(tmp_path, cx, cy, told):
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps({"fx": 600.0, "fy": 600.0, "cx": cx, "cy": cy}))
+    warnings = read_intrinsics(path, (640, 480)).warnings
+    assert [warning.code for warning in warnings] == ["axis_swapped"] * told

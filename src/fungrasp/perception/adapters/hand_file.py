@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
-from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
-from fungrasp.grasps.human_hand import bone_lengths
-from fungrasp.grasps.joint_orders import joint_order
+from fungrasp.grasps.anatomy import bone_ratios, hand_size, joint_bends
+from fungrasp.grasps.joint_orders import ORDERS, joint_order
 from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
@@ -74,7 +73,28 @@ def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
 
 def _joints(fields: HandFields) -> np.ndarray:
     """Joints of each hand [m], axes of the camera, the file's translation not added, shape [hands, 21, 3]."""
-    return fields.numbers("joints", (21, 3))[:, joint_order(fields.text("order", "openpose"))]
+    order = fields.text("order", "openpose")
+    given = fields.numbers("joints", (21, 3))
+    joints = given[:, joint_order(order)]
+    # The fingers' bones differ in length: in another order they have those of other fingers.
+    unlike = {name: _unlike_adults(given[:, places]) for name, places in ORDERS.items()}
+    best = min(unlike, key=lambda name: unlike[name])
+    if unlike[best] < unlike[order]:
+        raise FungraspError(
+            f"{fields.where}: the bones between the joints have the lengths of a hand in the order '{best}', "
+            f"not '{order}': say 'order': '{best}'"
+        )
+    return joints
+
+
+def _unlike_adults(joints: np.ndarray) -> float:
+    """How much the proportions of hands differ from adults': sum of squares of the logarithm of the
+    bones' lengths over adults', the hand's size taken out. joints: [m], shape [hands, 21, 3]."""
+    ratios = bone_ratios(joints)
+    if not (ratios > 0).all():
+        return float("inf")
+    away = np.log(ratios)
+    return float(np.square(away - np.median(away, axis=-1, keepdims=True)).sum())
 
 
 def _sides(fields: HandFields, count: int) -> np.ndarray:
@@ -160,11 +180,6 @@ def turn_to(direction: np.ndarray) -> Rotation:
     if length < 1e-12:
         return Rotation.identity()
     return Rotation.from_rotvec(axis / length * np.arctan2(length, direction[2]))
-
-
-def hand_size(joints: np.ndarray) -> float:
-    """Size as a part of an adult's hand: median over the bones. joints: [m], shape [21, 3]."""
-    return float(np.median(bone_lengths(joints) / (ADULT_BONES.mean(axis=-1).ravel() * 1e-3)))
 
 
 def _check_shape(joints: np.ndarray, side: str, where: str) -> None:

@@ -15,20 +15,19 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
+from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
 from fungrasp.perception.adapters.hand_fields import read_fields
-from fungrasp.perception.adapters.hand_file import hand_size, hands_of, turn_to
+from fungrasp.perception.adapters.hand_file import hands_of, turn_to
 from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand
 from fungrasp.perception.hand.fit_problem import joint_confidence
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
 from fungrasp.perception.hand.hand_measurements import HandMeasurements
+from fungrasp.perception.hand.meant_hands import object_box
 from fungrasp.perception.io.capture import Capture
 
 AGREEMENT = 0.012
 """Depths so near to each other [m] agree: thickness of the hand, errors of shape and camera."""
-
-SIZE_SPREAD = 0.11
-"""Standard deviation of the logarithm of adults' hand sizes, errors of the shape included."""
 
 SEEN_THROUGH = 0.03
 """What is measured so far behind the skin [m] shows that no hand is there."""
@@ -71,14 +70,15 @@ def read_hand_estimate(
         path: the file.
         capture: the image that the program saw, with its depth.
         side: which hand is meant, if the file has several.
-        hand: which one, counted from 0; by default the one nearest to the capture's box, or the largest.
+        hand: which one, counted from 0; by default the one nearest to the capture's mask, box or
+            point, or the largest.
 
     Returns:
         Joints in the camera frame, with covariances; a left hand is not mirrored.
 
     Raises:
-        FungraspError: the file can't be read, lacks something, or is not of this image; there is no depth at
-            the hand.
+        FungraspError: the file can't be read, lacks something, is not of this image or has no hand of that
+            side; there is no depth at the hand.
     """
     fields = read_fields(path)
     hands = hands_of(fields, capture.intrinsics)
@@ -88,7 +88,9 @@ def read_hand_estimate(
         hands = [hands[hand]]
     if not hands:
         raise FungraspError(f"{path} has no hand")
-    chosen, warnings = choose_hand(hands, capture.box, side)
+    if side is not None and all(one.side != side for one in hands):
+        raise FungraspError(f"{path} has no {side} hand, only {hands[0].side} ones")
+    chosen, warnings = choose_hand(hands, object_box(capture, None, None), side)
     for one in warnings:
         _log.warning("%s: %s", path, one)
     return place_hand(chosen, capture, keep_size=fields.flag("metric", False))
@@ -178,7 +180,7 @@ def _common_factor(factors: np.ndarray, distance: float, size: float) -> tuple[f
     near = np.abs(beyond) < AGREEMENT / unit
     through = beyond > SEEN_THROUGH / unit
     evidence = SAMPLE_WEIGHT * near.sum(axis=1) - THROUGH_WEIGHT * through.sum(axis=1)
-    evidence -= 0.5 * ((logs + np.log(size)) / SIZE_SPREAD) ** 2
+    evidence -= 0.5 * ((logs + np.log(size)) / HAND_SIZE_SPREAD) ** 2
     best = int(np.argmax(evidence))
     others = np.abs(beyond[best]) > SEEN_THROUGH / unit
     lead = evidence[best] - evidence[others].max(initial=-np.inf)
@@ -213,5 +215,5 @@ def _trust(off: np.ndarray, agreeing: float, size: float) -> float:
         size: of the hand, as a part of an adult's.
     """
     through = float(np.mean(off > SEEN_THROUGH))
-    unusual = max(abs(np.log(size)) - 2 * SIZE_SPREAD, 0.0) / SIZE_SPREAD
+    unusual = max(abs(np.log(size)) - 2 * HAND_SIZE_SPREAD, 0.0) / HAND_SIZE_SPREAD
     return (1 - through) * min(1.0, agreeing / LEAST_AGREEING) * float(np.exp(-0.5 * unusual**2))

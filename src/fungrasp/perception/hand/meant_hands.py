@@ -14,11 +14,16 @@ from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.camera.readiness import why_no_hand
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 from fungrasp.perception.hand.detected_hand import (
+    EXTENTS,
+    HAND_LENGTH,
     DetectedHand,
     HandDetector,
     choose_hand,
     find_hands,
+    hand_lengths,
     largest_first,
+    length_at,
+    possible,
     settle_side,
 )
 from fungrasp.perception.io.capture import Box, Capture
@@ -46,7 +51,11 @@ class MeantHand:
 
 
 def meant_hands(
-    capture: Capture, hands: Sequence[DetectedHand], near: Box | None, side: Side | None
+    capture: Capture,
+    hands: Sequence[DetectedHand],
+    near: Box | None,
+    side: Side | None,
+    detector: HandDetector,
 ) -> list[MeantHand]:
     """The hands that may be meant: one, where the object's place says which or only one is there; else the
     two largest of the side.
@@ -56,10 +65,13 @@ def meant_hands(
         hands: those found in it.
         near: box around the object [pixels], if its place is known.
         side: which hand it is, if that is known.
+        detector: found them; where there are none, it is asked for one of another size.
 
     Raises:
-        FungraspError: there is no hand.
+        FungraspError: there is no hand; the message says what may be the reason.
     """
+    if not hands and (reason := _of_another_size(capture, near, detector)):
+        raise FungraspError(f"no hand was found in the image; {reason}")
     if not hands and (reason := why_no_hand(capture)):
         raise FungraspError(f"no hand was found in the image; it is {reason}")
     chosen, warnings = choose_hand(hands, near, side)
@@ -68,6 +80,22 @@ def meant_hands(
     if near is None and len(fitting) > 1:
         meant = [(hand, [_several(hand, len(hands))]) for hand in largest_first(fitting)[:MOST]]
     return [_settled(hand, warnings, side) for hand, warnings in meant]
+
+
+def _of_another_size(capture: Capture, near: Box | None, detector: HandDetector) -> str:
+    """What looks like a hand, but is not as large as one by the depth measured there; empty if nothing is."""
+    lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
+    for hand in detector.detect(capture.color, near):
+        length = length_at(hand.pixels, lengths, otherwise=hand.extent)
+        if not possible(hand, length):
+            u, v = hand.pixels.mean(axis=0)
+            depth = HAND_LENGTH * capture.intrinsics.fx / length
+            return (
+                f"what looks like one at pixel {u:.0f}, {v:.0f} is {hand.extent / length:.2g} times as long "
+                f"as a hand is at {depth:.2g} m, the depth measured there ({EXTENTS[0]:g} to {EXTENTS[1]:g} "
+                "are possible): are the depth's unit and the focal length right?"
+            )
+    return ""
 
 
 def hands_elsewhere(

@@ -1,4 +1,4 @@
-"""What a depth camera saw: one color image, the depth aligned to it, and the lens; usual mistakes are found.
+"""What a depth camera saw: one color image, the depth aligned to it, and the lens.
 
 Camera frame: OpenCV (x right, y down, z forward) [m]. Pixels are ``[u v]``: column and row, and whole numbers
 are pixel centers, so that the top left pixel is ``[0 0]`` and covers -0.5 to 0.5.
@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from fungrasp.errors import FungraspError
+from fungrasp.perception.estimates import PerceptionWarning
 
 DEPTH_LIMIT = 20.0
 """Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far."""
@@ -112,6 +112,8 @@ class Capture:
     """Box around the object in the image [pixels]; None if not given."""
     point: Pixel | None = None
     """A pixel that shows the object; None if not given."""
+    warnings: tuple[PerceptionWarning, ...] = ()
+    """What looks wrong with the files that it was read from."""
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width
@@ -160,6 +162,8 @@ def _check_box(box: Box, width: int, height: int) -> None:
         raise FungraspError(f"the object's box must be x0,y0,x1,y1 with x0 < x1 and y0 < y1, not {box}")
     if x1 <= 0 or y1 <= 0 or x0 >= width or y0 >= height:
         raise FungraspError(f"the object's box {box} lies outside the image of {width} x {height} pixels")
+    if x1 - x0 < 1 or y1 - y0 < 1:
+        raise FungraspError(f"the object's box {box} is smaller than a pixel: it must be in pixels")
 
 
 def _check_point(point: Pixel, width: int, height: int) -> None:
@@ -181,133 +185,3 @@ def _check_range(depth: np.ndarray) -> None:
         raise FungraspError(
             f"the depth is {middle:.4g} m in the middle of its range: were millimetres taken for metres?"
         )
-
-
-DEPTH_RANGE = (0.1, 8.0)
-"""Where the middle of a capture's depth must lie [m]."""
-
-USUAL_DEPTH = (0.25, 3.0)
-"""Where it mostly lies [m]."""
-
-UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)
-"""Units of depth that cameras and data sets use [m]."""
-
-SHIFTS = np.arange(-28, 29, 4)
-"""Shifts between color and depth that are tried [pixels at 640 x 480]."""
-
-SHIFT_GAIN = 1.4
-"""How much better than where it is the depth must fit elsewhere to be called shifted."""
-
-STEP = 0.05
-"""Neighboring pixels whose depth differs by this [m] are the edge of a thing."""
-
-EDGES_WITHIN = 1.5
-"""Only things nearer than this [m] count: farther away, noise makes steps where nothing ends."""
-
-LEAST_EDGE = 100
-"""Least number of pixels of edges [at 640 x 480] for the alignment to be checked."""
-
-TILES, LEAST_TILE = 8, 20
-"""Columns and rows of parts of the image that are asked one by one, and pixels of edges that each must have
-[at 640 x 480]: depth that is shifted is so everywhere, while stripes beside the edge of one thing, such as
-the next finger, are in one place only."""
-
-TELLING = 0.2
-"""Parts in which the edges are stronger or weaker by less than this part are not asked."""
-
-AGREEING = 0.75
-"""Part of them in which the depth must fit better where it is said to belong."""
-
-SKIN_PART = (0.003, 0.02)
-"""Parts of the image: less skin than the first, and more than the second once red and blue are swapped, look
-like BGR."""
-
-
-def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
-    """Complain about depth that no camera could have measured in front of a hand.
-
-    Args:
-        depth: [m], shape [H, W].
-        unit: metres per unit that was used.
-        where: name of the file, for messages.
-
-    Raises:
-        FungraspError: no measurement, or not plausible in metres; the message names the unit that would be.
-    """
-    measured = depth[depth > 0]
-    if not measured.size:
-        raise FungraspError(f"{where}: the depth image is empty: no pixel has a measurement")
-    middle = float(np.median(measured))
-    if DEPTH_RANGE[0] <= middle <= DEPTH_RANGE[1]:
-        return
-    fitting = [u for u in UNITS if USUAL_DEPTH[0] <= middle / unit * u <= USUAL_DEPTH[1]]
-    hint = (
-        f"; with units of {fitting[0]:g} m it would be {middle / unit * fitting[0]:.2g} m: --depth-unit "
-        f"{fitting[0]:g}"
-        if fitting
-        else ""
-    )
-    raise FungraspError(
-        f"{where}: the depth is {middle:.3g} m in the middle of its range, with units of {unit:g} m; that "
-        f"can't be right{hint}"
-    )
-
-
-def check_alignment(capture: Capture) -> tuple[int, int] | None:
-    """Is the depth shifted against the color?
-
-    Where a thing ends in depth, it mostly ends in the color image, too. The strength of color edges at the
-    steps in depth is compared with that at the same steps shifted. Only a peak among the shifts counts: where
-    the strongest is at the end of the range, a busy background draws it there.
-
-    Returns:
-        Columns and rows by which the depth lies away from where it belongs [pixels], or None if all looks
-        well or there are too few edges.
-    """
-    depth = np.where(capture.measured, capture.depth, np.nan)
-    scale = max(1.0, capture.intrinsics.width / 640)
-    nearest, farthest = ndimage.minimum_filter(depth, 3), ndimage.maximum_filter(depth, 3)
-    with np.errstate(invalid="ignore"):
-        steps = (farthest - nearest > STEP) & (nearest < EDGES_WITHIN)
-    shifts = np.round(SHIFTS * scale).astype(int)
-    reach = int(shifts[-1])
-    steps[:reach], steps[-reach:], steps[:, :reach], steps[:, -reach:] = False, False, False, False
-    rows, columns = np.nonzero(steps)
-    if len(rows) < LEAST_EDGE * scale:
-        return None
-    gray = ndimage.gaussian_filter(capture.color.mean(axis=-1), 1.5 * scale)
-    edges = np.hypot(ndimage.sobel(gray, 0), ndimage.sobel(gray, 1))
-    strength = np.array([[edges[rows + dy, columns + dx] for dx in shifts] for dy in shifts])
-    fit = strength.mean(axis=-1)
-    here = np.argmin(np.abs(shifts))
-    near = fit[here - 1 : here + 2, here - 1 : here + 2].max()
-    down, across = np.unravel_index(np.argmax(fit), fit.shape)
-    last = len(shifts) - 1
-    if fit[down, across] < SHIFT_GAIN * near or down in (0, last) or across in (0, last):
-        return None
-    height, width = depth.shape
-    tile = (rows * TILES // height) * TILES + columns * TILES // width
-    counts = np.bincount(tile, minlength=TILES**2)
-    gain = np.bincount(tile, strength[down, across] - strength[here, here], TILES**2)
-    # Edges along the shift are as strong elsewhere: they say nothing.
-    telling = (counts >= LEAST_TILE * scale) & (np.abs(gain) > TELLING * near * counts)
-    if (gain[telling] > 0).sum() < AGREEING * max(int(telling.sum()), 1):
-        return None
-    return -int(shifts[across]), -int(shifts[down])
-
-
-def looks_bgr(color: np.ndarray) -> bool:
-    """Whether the image shows skin only once red and blue are swapped. A guess.
-
-    Args:
-        color: RGB, shape [H, W, 3] uint8.
-    """
-    return bool(_skin(color) < SKIN_PART[0] and _skin(color[..., ::-1]) > SKIN_PART[1])
-
-
-def _skin(color: np.ndarray) -> float:
-    """Part of the pixels that have the color of skin, light or dark."""
-    red, green, blue = np.moveaxis(color[::2, ::2].astype(np.float32), -1, 0)
-    total = red + green + blue + 1e-6
-    r, g = red / total, green / total
-    return float(np.mean((r > 0.37) & (r < 0.55) & (g > 0.26) & (g < 0.345) & (red > 50) & (red > green)))

@@ -13,15 +13,9 @@ from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.image_file import read_image
 from fungrasp.formats.numpy_files import read_npy
-from fungrasp.perception.io.capture import (
-    Box,
-    Capture,
-    Intrinsics,
-    Pixel,
-    check_alignment,
-    check_depth_range,
-    looks_bgr,
-)
+from fungrasp.perception.estimates import PerceptionWarning
+from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
+from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range, looks_bgr
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
 LONGEST_SIDE = 1920
@@ -64,7 +58,7 @@ def read_capture(
     picture = read_color(color)
     size = (picture.shape[1], picture.shape[0])
     if isinstance(intrinsics, Intrinsics):
-        lens, unit = intrinsics, depth_unit
+        lens, unit, remarks = intrinsics, depth_unit, ()
         if (lens.width, lens.height) != size:
             raise FungraspError(
                 f"the intrinsics are for an image of {lens.width} x {lens.height} pixels, but {color} has "
@@ -73,6 +67,7 @@ def read_capture(
     else:
         read = read_intrinsics(intrinsics, size, image=image)
         lens, unit = read.intrinsics, depth_unit if depth_unit is not None else read.depth_unit
+        remarks = read.warnings
     distance = read_depth(depth, unit, float_unit=1.0 if depth_unit is None else depth_unit)
     if distance.shape != picture.shape[:2]:
         raise FungraspError(
@@ -80,18 +75,17 @@ def read_capture(
             f"image {size[0]} x {size[1]}: align the depth to the color first"
         )
     marked = None if mask is None else read_mask(mask, picture.shape[:2])
-    capture = _not_too_large(Capture(picture, distance, lens, marked, box, point))
+    capture = _not_too_large(Capture(picture, distance, lens, marked, box, point, remarks))
+    found: list[tuple[str | Path, PerceptionWarning]] = []
     shift = check_alignment(capture)
     if shift is not None:
-        _log.warning(
-            "%s looks shifted by %d, %d pixels against %s: is the depth aligned to the color?",
-            depth,
-            *shift,
-            color,
-        )
+        found.append((depth, PerceptionWarning.of("depth_shifted", across=shift[0], down=shift[1])))
     if looks_bgr(capture.color):
-        _log.warning("%s shows skin only with red and blue swapped: was it written as BGR?", color)
-    return capture
+        found.append((color, PerceptionWarning.of("colors_swapped")))
+    for path, warning in found:
+        _log.warning("%s: %s", path, warning)
+    remarks += tuple(warning for _, warning in found)
+    return dataclasses.replace(capture, warnings=remarks) if found else capture
 
 
 @guarded("color image")
@@ -228,6 +222,7 @@ def _not_too_large(capture: Capture) -> Capture:
         None if capture.mask is None else capture.mask[middle],
         None if box is None else tuple(edge / stride for edge in box),
         None if capture.point is None else _within(capture.point, stride, size),
+        capture.warnings,
     )
 
 

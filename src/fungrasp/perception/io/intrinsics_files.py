@@ -13,6 +13,7 @@ import numpy as np
 from fungrasp.errors import FungraspError
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.json_file import read_json
+from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.capture import Intrinsics
 
 OFF_CENTRE = 0.3
@@ -37,6 +38,8 @@ class FileIntrinsics:
     """Image size, focal lengths and optical axis [pixels]."""
     depth_unit: float | None = None
     """Metres per unit of the depth image, if the file says."""
+    warnings: tuple[PerceptionWarning, ...] = ()
+    """What looks wrong in it; logged, too."""
 
 
 @guarded("file of intrinsics")
@@ -69,7 +72,7 @@ def intrinsics_from(
 ) -> FileIntrinsics:
     """``read_intrinsics`` from the contents of the file. where: name of the file, for messages."""
     if isinstance(content, list):
-        return FileIntrinsics(_from_matrix(content, size, where))
+        return _told(_from_matrix(content, size, where), None, False, where)
     if not isinstance(content, Mapping):
         raise FungraspError(f"{where}: intrinsics are fields or a 3 x 3 matrix, not {content!r:.40}")
     for name in ("color", "colour", "intrinsics"):
@@ -91,16 +94,34 @@ def intrinsics_from(
         distorted = np.abs(np.asarray(coefficients, dtype=float)).max() > _DISTORTION
     except (TypeError, ValueError) as error:
         raise FungraspError(f"{where}: the lens's distortion must be numbers") from error
-    if distorted:
-        _log.warning("%s: the lens's distortion is not taken into account; undistort the images", where)
     for name in _MATRIX_NAMES:
         if name in content:
-            return FileIntrinsics(_from_matrix(content[name], size, where), _unit(content, MILLIMETRE, where))
+            lens = _from_matrix(content[name], size, where)
+            return _told(lens, _unit(content, MILLIMETRE, where), bool(distorted), where)
     real_sense = "ppx" in content
     names = ("fx", "fy", "ppx", "ppy") if real_sense else ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = (_number(content, name, where) for name in names)
     lens = _checked(width, height, fx, fy, cx, cy, where)
-    return FileIntrinsics(lens, _unit(content, 1.0 if real_sense else MILLIMETRE, where))
+    unit = _unit(content, 1.0 if real_sense else MILLIMETRE, where)
+    return _told(lens, unit, bool(distorted), where)
+
+
+def _told(lens: Intrinsics, unit: float | None, distorted: bool, where: str) -> FileIntrinsics:
+    """The intrinsics with what looks wrong in them."""
+    warnings = []
+    if distorted:
+        warnings.append(PerceptionWarning.of("lens_distorted"))
+    if _turned(lens.width, lens.height, lens.cx, lens.cy):
+        warnings.append(PerceptionWarning.of("axis_swapped", cx=lens.cx, cy=lens.cy))
+    for warning in warnings:
+        _log.warning("%s: %s", where, warning)
+    return FileIntrinsics(lens, unit, tuple(warnings))
+
+
+def _turned(width: int, height: int, cx: float, cy: float) -> bool:
+    """Whether each coordinate of the optical axis is nearer to the middle of the other side."""
+    across, down = width / 2, height / 2
+    return abs(cx - down) < abs(cx - across) and abs(cy - across) < abs(cy - down)
 
 
 def _of_image(content: Mapping[str, Any], image: int | None, where: str) -> Mapping[str, Any]:
@@ -134,9 +155,11 @@ def _checked(width: int, height: int, fx: float, fy: float, cx: float, cy: float
     centered = max(abs(cx / width - 0.5), abs(cy / height - 0.5)) <= OFF_CENTRE
     low, high = (part * max(width, height) for part in FOCAL_RANGE)
     if not (centered and low <= min(fx, fy) and max(fx, fy) <= high and 0.5 < fx / fy < 2):
+        swapped = _turned(width, height, cx, cy)
+        why = "are cx and cy swapped" if swapped else "intrinsics of another resolution"
         raise FungraspError(
             f"{where}: fx = {fx:g}, fy = {fy:g}, cx = {cx:g}, cy = {cy:g} [pixels] don't fit an image of "
-            f"{width} x {height} pixels: intrinsics of another resolution, or not in pixels?"
+            f"{width} x {height} pixels: {why}, or not in pixels?"
         )
     return lens
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception.camera.frames import CameraFrame
-from fungrasp.perception.io.capture import Capture, Intrinsics, check_depth_range
+from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.capture_checks import check_depth_range
 
 RECORDINGS = (".bag", ".db3")
 """Kinds of files in which a camera's images are recorded."""

@@ -1,0 +1,93 @@
+"""What can't be, or hardly is: an object that no hand holds, or nowhere near the hand; a hand of another size
+than people's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fungrasp.errors import FungraspError
+from fungrasp.geometry.poses import transform_points
+from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
+from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
+from fungrasp.objects import ObjectModel
+from fungrasp.perception.estimates import HandEstimate, PerceptionWarning
+from fungrasp.perception.hand.fit import OTHER_SIDE
+from fungrasp.perception.object_pose.estimate import SIZES
+from fungrasp.perception.object_pose.shape_fit import FittedShape
+from fungrasp.perception.perceived import HandCandidate
+
+
+def check_held(scene: HandCandidate, model: ObjectModel, told: bool) -> None:
+    """Complain about an object that the hand can't be holding, as a ``HumanGrasp`` does.
+
+    Args:
+        scene: hand and object.
+        model: the object.
+        told: whether it was said where the object is.
+
+    Raises:
+        FungraspError: the object is too far from the hand, or its mesh from its origin.
+    """
+    pose, joints = scene.object.pose_camera_object, scene.hand.joints_camera
+    if np.linalg.norm(joints - pose[:3], axis=1).max() <= MAX_HAND_DISTANCE:
+        return
+    surface = transform_points(pose, model.vertices)
+    apart = float(np.linalg.norm(surface - joints.mean(axis=0), axis=1).min())
+    if apart < MAX_HAND_DISTANCE / 2:
+        _check_origin(model, 0.0)
+    what, then = "what fits it best", "a mask, a box or a click would say where it is"
+    if told:
+        what, then = "what was said to show it", "do mask, box, click or pose show the object in this hand?"
+    raise FungraspError(
+        f"'{model.name}' is in no hand: {what} is {apart:.2f} m from the hand that was found; {then}"
+    )
+
+
+def _check_origin(model: ObjectModel, allowed: float) -> None:
+    """Complain about a mesh of which all is farther from its origin than is allowed [m]."""
+    away = float(np.linalg.norm(model.vertices, axis=1).min())
+    if away > allowed:
+        raise FungraspError(
+            f"the origin of '{model.name}' is {away:.2f} m from its surface: move the mesh to its origin, as "
+            "poses and grasps are about it"
+        )
+
+
+def scale_or_side_doubt(
+    scene: HandCandidate, warnings: Sequence[PerceptionWarning], fitted: FittedShape | None
+) -> str:
+    """What speaks against the answer, whatever its probabilities are: they are those of images of the right
+    scale, and of the side that the hand has."""
+    for one in warnings:
+        # A mesh that fits has the size of what is seen; a shape that was fitted takes any.
+        unscaled = one.code == "hand_size" and fitted is not None
+        seen = scene.detected
+        other_side = one.code == "side_not_as_given" and seen is not None and seen.side_score >= OTHER_SIDE
+        if unscaled or other_side:
+            return str(one)
+    return ""
+
+
+def check_holdable(model: ObjectModel) -> None:
+    """Complain about a mesh that no hand holds, or that is far from its origin.
+
+    Raises:
+        FungraspError: see there.
+    """
+    size = float(np.linalg.norm(model.size))
+    if not SIZES[0] < size < SIZES[1]:
+        unit = "; is the mesh in millimeters?" if size >= SIZES[1] else ""
+        raise FungraspError(f"'{model.name}' is {size:.4g} m large, which no hand holds{unit}")
+    _check_origin(model, MAX_HAND_DISTANCE)
+
+
+def size_warning(hand: HandEstimate) -> PerceptionWarning | None:
+    """A warning if the hand is smaller or larger than those of 95 % of adults. Of the scale of depth and
+    intrinsics, nothing else in an image tells as much."""
+    size, spread = hand_size(hand.joints_camera), 2 * HAND_SIZE_SPREAD
+    if abs(np.log(size)) < spread:
+        return None
+    low, high = np.exp([-spread, spread]).tolist()
+    return PerceptionWarning.of("hand_size", size=size, low=low, high=high)
