@@ -158,14 +158,24 @@ def test_the_check_finds_what_is_not_free(tmp_path: Path) -> None:
         ("fungrasp", ("numpy", "mujoco", "scipy", "trimesh", "tyro", "PIL", "av", "rich")),
         ("fungrasp.cli.main", ("numpy", "mujoco", "scipy", "trimesh", "PIL", "av", "rich")),
         # Numba imports PyYAML where it is installed.
+        ("fungrasp.cli.perceive", ("numpy", "scipy", "trimesh", "PIL")),
         ("fungrasp.evaluation", ("torch", "smplx", "av")),
         ("fungrasp.grasps.importers.dexycb", ("torch", "smplx", "yaml")),
+        # Each costs `fungrasp perceive` a sixth of a second or more, and is used later, or not at all.
+        ("fungrasp.perception.pipeline", ("trimesh", "networkx", "numba", "mujoco", "torch", "av")),
     ],
 )
 def test_importing_pulls_in_nothing_heavy(module: str, light_without: tuple[str, ...]) -> None:
     code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & set(light_without)
+
+
+def test_the_page_about_an_image_needs_nothing_that_simulates() -> None:
+    code = "import sys, fungrasp.report.perception_page; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    rooms = {"evaluation", "planning", "policies", "retargeting", "simulation", "task"}
+    assert not set(done.stdout.split()) & {f"fungrasp.{room}" for room in rooms}
 
 
 def test_versions_agree() -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -437,6 +439,19 @@ def test_models_that_are_not_set_up_are_named(folder, tmp_path, capsys, monkeypa
     monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "cache"))
     status, _, err = run(capsys, "perceive", *files(folder), "--mesh", NAME, "--out", tmp_path / "g.npz")
     assert status == 2 and "fungrasp setup perception" in err
+
+
+def test_matrices_are_multiplied_in_one_thread_unless_told_otherwise(tmp_path):
+    program = (
+        "import os, sys; from fungrasp.cli.main import main\n"
+        "main(['perceive', '--mesh', 'mug', '--out', 'g.npz']); print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    kept = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    for given, expected in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, env=kept | given, cwd=tmp_path
+        )
+        assert done.stdout.split() == [expected.encode()], done.stderr
 
 
 def test_a_plane_is_four_numbers():

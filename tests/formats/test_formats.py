@@ -24,7 +24,7 @@ from fungrasp.formats.file_bytes import read_bytes
 from fungrasp.formats.guarded import guarded
 from fungrasp.formats.image_file import read_image
 from fungrasp.formats.json_file import parse_json, read_json
-from fungrasp.formats.mesh_file import read_colored_mesh, read_mesh
+from fungrasp.formats.mesh_file import is_colorless, read_colored_mesh, read_mesh
 from fungrasp.formats.mujoco_model import check_model_numbers, parse_model, read_model
 from fungrasp.formats.numpy_files import read_npy, read_npz
 from fungrasp.formats.onnx_file import check_harmless, metadata, try_network
@@ -295,6 +295,23 @@ def test_colors_of_meshes(tmp_path):
     found = read_colored_mesh(tmp_path / "box.glb")
     assert found.visual.kind == "texture" and len(found.vertices) == len(found.visual.uv)
     refused(read_colored_mesh, tmp_path / "x.glb", (tmp_path / "box.glb").read_bytes()[:-200])
+
+
+def test_files_that_say_at_once_that_they_have_no_colors(tmp_path):
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    for suffix, plain in ((".ply", True), (".obj", True), (".stl", True), (".glb", False)):
+        box.export(tmp_path / f"plain{suffix}")
+        assert is_colorless(tmp_path / f"plain{suffix}") == plain, suffix
+        assert read_colored_mesh(tmp_path / f"plain{suffix}") is None or not plain
+    box.visual.vertex_colors = np.random.default_rng(0).integers(0, 255, (8, 4), dtype=np.uint8)
+    for suffix in (".ply", ".obj"):
+        box.export(tmp_path / f"painted{suffix}")
+        assert not is_colorless(tmp_path / f"painted{suffix}")
+    image = Image.fromarray(np.arange(48, dtype=np.uint8).reshape(4, 4, 3))
+    box.visual = trimesh.visual.TextureVisuals(uv=np.random.default_rng(0).random((8, 2)), image=image)
+    for suffix in (".ply", ".obj"):
+        box.export(tmp_path / f"textured{suffix}")
+        assert not is_colorless(tmp_path / f"textured{suffix}")
 
 
 def test_files_that_are_none(tmp_path):

@@ -48,6 +48,25 @@ def test_a_good_mesh_needs_no_repair(tmp_path, suffix):
     assert mesh.volume == pytest.approx(ball().volume, rel=1e-4)
 
 
+def test_a_file_is_read_once_until_it_changes(tmp_path, monkeypatch, caplog):
+    """To read one takes another process and trimesh: what was made of it is kept."""
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "cache"))
+    inside_out = ball()
+    inside_out.invert()
+    path = saved(inside_out, tmp_path / "ball.ply")
+    first = load_mesh(path)
+    reader = mesh_file.read_mesh
+    monkeypatch.setattr(mesh_file, "read_mesh", None)
+    caplog.clear()
+    for before, again in zip(first[:2], load_mesh(path)[:2], strict=True):
+        assert before.dtype == again.dtype
+        np.testing.assert_array_equal(before, again)
+    assert first[2] == load_mesh(path)[2] == ("turned the faces outwards",)
+    assert "turned the faces outwards" in caplog.text
+    monkeypatch.setattr(mesh_file, "read_mesh", reader)
+    assert len(load_mesh(saved(ball(2), path))[1]) < len(first[1])
+
+
 def test_a_scene_keeps_its_transforms_and_overlapping_bodies_become_one(tmp_path):
     scene = trimesh.Scene()
     scene.add_geometry(trimesh.creation.box((0.04, 0.04, 0.04)))

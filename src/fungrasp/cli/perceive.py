@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -83,6 +84,9 @@ class Perceive:
         from time import perf_counter
 
         start = perf_counter()
+        # Matrices are small here: threads that wait for each other would take more time than the products.
+        # Read when NumPy is imported, which follows.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         self._check()
         from fungrasp.objects import held_object
         from fungrasp.perception.pipeline import UNKNOWN, perceive

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from PIL import Image
-from trimesh.visual import TextureVisuals
 
 from fungrasp.errors import FungraspError
 from fungrasp.formats.file_bytes import check_file, one_line
 from fungrasp.formats.sandbox import run_limited
+
+if TYPE_CHECKING:
+    import trimesh
 
 LARGEST = 400_000_000
 """Bytes of the largest file that is read."""
@@ -53,6 +55,9 @@ def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh |
     Raises:
         FungraspError: see ``read_mesh``; or the colors or the texture can't be read.
     """
+    import trimesh
+    from trimesh.visual import TextureVisuals
+
     arrays = _arrays(path, what, "colored triangles")
     vertices, faces = arrays["vertices"], arrays["faces"]
     if "vertex_colors" in arrays:
@@ -64,6 +69,28 @@ def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh |
         visual = TextureVisuals(uv=arrays["uv"], image=image)
         return trimesh.Trimesh(vertices, faces, visual=visual, process=False)
     return None
+
+
+def is_colorless(path: str | Path) -> bool:
+    """Whether a mesh file says at first glance that it has no colors; False where that takes reading it.
+
+    Raises:
+        FungraspError: the file can't be read.
+    """
+    path = check_file(path, "mesh file", LARGEST)
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        text = b"\n" + path.read_bytes()
+        vertex = text[text.find(b"\nv ") :].lstrip().split(b"\n", 1)[0]
+        # Colors follow the three coordinates; others are in files of materials, or in textures.
+        return b"mtl" not in text and b"\nvt " not in text and len(vertex.split()) <= 4
+    if suffix == ".ply":
+        with path.open("rb") as stream:
+            head, ended, _ = stream.read(10_000).partition(b"end_header")
+        # Names of colors, textures and places in them.
+        said = set(head.lower().split()) & {b"red", b"texturefile", b"texture_u", b"u", b"s"}
+        return bool(ended) and not said
+    return suffix == ".stl"
 
 
 def _arrays(path: str | Path, what: str, job: str) -> dict[str, np.ndarray]:

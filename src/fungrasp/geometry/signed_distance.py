@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import trimesh
 from scipy import ndimage
 from scipy.spatial import KDTree
 
@@ -17,6 +16,10 @@ from fungrasp.files import atomic_path
 from fungrasp.formats.numpy_files import read_npz
 from fungrasp.geometry.arrays import is_numpy, rows_like
 from fungrasp.geometry.poses import Array
+from fungrasp.geometry.triangle_mesh import triangle_mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 MOST_SAMPLES = 2_000_000
 """Most surface samples of a mesh, and most pairs of a point and a triangle that are worked on together."""
@@ -56,7 +59,7 @@ class SignedDistanceGrid:
             spacing: edge of a cell [m]; widened where the object would need more than ``max_cells``.
             margin: empty border around the mesh [m].
         """
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh = triangle_mesh(vertices, faces)
         low, high = mesh.bounds
         low, high = low - margin, high + margin
         spacing = max(spacing, float(np.cbrt(np.prod(high - low) / max_cells)))
@@ -337,6 +340,8 @@ class _SurfaceSamples:
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
     def _nearest(self, points: np.ndarray, candidates: int = 6) -> tuple[np.ndarray, np.ndarray]:
+        import trimesh
+
         found = self._tree.query(points, k=candidates, workers=-1)[1]
         faces = self._owners[found]
         flat = trimesh.triangles.closest_point(

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import trimesh
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
@@ -174,6 +173,8 @@ def tip_gaps(
     objects: Mapping[str, ObjectModel],
 ) -> np.ndarray:
     """Mean distance of thumb, index and middle finger's tips from the object's surface [m], shape [N]."""
+    import trimesh
+
     gaps = np.zeros(len(object_name))
     for name in np.unique(object_name):
         rows = np.flatnonzero(object_name == name)

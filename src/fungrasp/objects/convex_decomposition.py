@@ -12,11 +12,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from fungrasp.files import atomic_path
 from fungrasp.formats.numpy_files import read_npz
+from fungrasp.geometry.triangle_mesh import triangle_mesh
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import hull_solid, solid
 
@@ -173,7 +173,7 @@ def _coacd(
 
 
 def _simplified(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    given = trimesh.Trimesh(vertices, faces, process=False)
+    given = triangle_mesh(vertices, faces)
     simple = solid(given).simplify(tolerance).to_mesh64()
     if len(simple.tri_verts) == 0:
         return vertices, faces

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.formats.mesh_file import read_colored_mesh
+from fungrasp.formats.mesh_file import is_colorless, read_colored_mesh
+from fungrasp.geometry.triangle_mesh import triangle_mesh, volume_and_center
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
 from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
+
+if TYPE_CHECKING:
+    import trimesh
 
 DENSITY = 500.0
 """Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
@@ -80,7 +83,7 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
     between = None
     if mass is None:
         unit = plain_shape(mesh, 1.0) if shape else object_from_file(mesh, 1.0)
-        volume = float(unit.mesh.convex_hull.volume)
+        volume = volume_and_center(unit.hull)[0]
         mass, between = DENSITY * volume, (DENSITIES[0] * volume, DENSITIES[1] * volume)
         notes = (
             f"the mass was guessed, {mass:.2g} kg, and may be {between[0]:.2g} to {between[1]:.2g}: give "
@@ -112,9 +115,11 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     Raises:
         FungraspError: the file can't be read.
     """
-    mesh = read_colored_mesh(path)
+    mesh = None if is_colorless(path) else read_colored_mesh(path)
     if mesh is None or not model.repairs:
         return mesh
+    import trimesh
+
     visual: Any = mesh.visual
     colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
     nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
@@ -130,4 +135,4 @@ def write_mesh(path: Path, model: ObjectModel) -> None:
         FungraspError: it can't be written.
     """
     with atomic_path(path) as temporary:
-        trimesh.Trimesh(model.vertices, model.faces, process=False).export(temporary)
+        triangle_mesh(model.vertices, model.faces).export(temporary)

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
+from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
 from fungrasp.formats.mesh_file import read_mesh
+from fungrasp.formats.numpy_files import read_npz
+from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, parted, rebuild, simplify, unite
+
+if TYPE_CHECKING:
+    import trimesh
+
+MESH_FORMAT = 1
+"""Goes up when the same file should give another surface."""
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 """File types looked up by an object's name, in this order."""
@@ -52,6 +63,35 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         FungraspError: the file is missing, unreadable, empty, not finite, not in metres, or can't be mended.
     """
     path = Path(path)
+    if path.suffix.lower() in MESH_SUFFIXES and path.is_file():
+        # Nothing but this file says what the surface is. To read it takes another process, and trimesh.
+        with path.open("rb") as stream:
+            content = hashlib.file_digest(stream, "sha256").hexdigest()
+        vertices, faces, repairs = cached_on_disk(
+            "meshes",
+            f"{MESH_FORMAT} {version('trimesh')} {path.suffix.lower()} {repair} {content}",
+            _kept,
+            lambda kept: _keep(kept, *_surface(path, repair)),
+        )
+    else:
+        vertices, faces, repairs = _surface(path, repair)
+    for phrase in repairs:
+        _log.warning("%s: %s", path, phrase)
+    return vertices, faces, repairs
+
+
+def _keep(path: Path, vertices: np.ndarray, faces: np.ndarray, repairs: tuple[str, ...]) -> None:
+    with atomic_path(path) as temporary:
+        np.savez(temporary, vertices=vertices, faces=faces, repairs=np.array(repairs, dtype=str))
+
+
+def _kept(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    data = read_npz(path, "mesh")
+    return data["vertices"], data["faces"], tuple(data["repairs"].tolist())
+
+
+def _surface(path: Path, repair: bool) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """What ``load_mesh`` returns, of a file that was not read before."""
     mesh = _read(path)
     _check_size(path, float(np.max(mesh.extents)))
     repairs: list[str] = []
@@ -71,12 +111,12 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
     if united is not None:
         mesh = united
         repairs.append("united bodies that overlap")
-    for phrase in repairs:
-        _log.warning("%s: %s", path, phrase)
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int32), tuple(repairs)
 
 
 def _read(path: Path) -> trimesh.Trimesh:
+    import trimesh
+
     vertices, faces = read_mesh(path)
     merged = trimesh.Trimesh(vertices, faces, process=True)
     if not _closed(merged):

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import manifold3d
 import numpy as np
-import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from fungrasp.geometry.shell_from_triangles import shell_from_triangles
+from fungrasp.geometry.triangle_mesh import triangle_mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 SHELL_THICKNESS = 0.002
 """Thickness of the shell that a surface beyond repair becomes [m]; more for large ones."""
@@ -66,7 +71,7 @@ def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     chosen = np.isin(label[0], label[0][leader])
     faces = mesh.faces.copy()
     faces[~chosen] = faces[~chosen, ::-1]
-    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+    return triangle_mesh(mesh.vertices, faces)
 
 
 def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, int]:
@@ -89,7 +94,7 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
         vertices.append(corners.mean(axis=0, keepdims=True))
         faces.append(np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), middle)]))
         closed += 1
-    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False), closed
+    return triangle_mesh(np.concatenate(vertices), np.concatenate(faces)), closed
 
 
 def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
@@ -129,7 +134,7 @@ def rebuild(
         the mesh and the shell's thickness [m], or None if there is nothing to build from.
     """
     vertices, faces, thickness = shell_from_triangles(np.asarray(mesh.triangles), thickness)
-    shell = solid(trimesh.Trimesh(vertices, faces, process=False)).simplify(thickness / 20)
+    shell = solid(triangle_mesh(vertices, faces)).simplify(thickness / 20)
     return None if shell.is_empty() else (_mesh(shell), thickness)
 
 
@@ -194,7 +199,7 @@ def _runs_along(triangles: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 def _submesh(mesh: trimesh.Trimesh, rows: np.ndarray) -> trimesh.Trimesh:
     used, renumbered = np.unique(mesh.faces[rows], return_inverse=True)
-    return trimesh.Trimesh(mesh.vertices[used], renumbered.reshape(-1, 3), process=False)
+    return triangle_mesh(mesh.vertices[used], renumbered.reshape(-1, 3))
 
 
 def hull_solid(points: np.ndarray) -> manifold3d.Manifold:
@@ -211,6 +216,4 @@ def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
 
 def _mesh(solid: manifold3d.Manifold) -> trimesh.Trimesh:
     mesh = solid.to_mesh64()
-    return trimesh.Trimesh(
-        mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64), process=False
-    )
+    return triangle_mesh(mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64))

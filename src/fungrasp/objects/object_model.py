@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import digest
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
+from fungrasp.geometry.triangle_mesh import hull_triangles, triangle_mesh, volume_and_center
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces, mesh_digest
 from fungrasp.objects.disk_cache import cached_on_disk
+
+if TYPE_CHECKING:
+    import trimesh
 
 GRID_SPACING = 0.0025
 """Edge of a cell of the signed-distance grid [m]."""
@@ -59,7 +63,7 @@ class ObjectModel:
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
         """The surface, with density so that it has the object's mass; do not change it."""
-        mesh = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        mesh = triangle_mesh(self.vertices, self.faces)
         mesh.density = self.mass / mesh.volume
         return mesh
 
@@ -93,7 +97,12 @@ class ObjectModel:
     @cached_property
     def center_of_mass(self) -> np.ndarray:
         """Center of mass [m], shape [3], object frame, at uniform density."""
-        return np.array(self.mesh.center_mass)
+        return volume_and_center(self.vertices[self.faces])[1]
+
+    @cached_property
+    def hull(self) -> np.ndarray:
+        """Outward triangles of the convex hull [m], shape [F, 3, 3], object frame."""
+        return hull_triangles(self.vertices)
 
     @cached_property
     def inertia(self) -> np.ndarray:

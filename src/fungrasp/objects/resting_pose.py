@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fungrasp.geometry.triangle_mesh import normals_and_areas
 from fungrasp.objects.object_model import ObjectModel
 
 ALIKE = np.deg2rad(8.0)
@@ -20,9 +21,8 @@ def resting_directions(model: ObjectModel) -> np.ndarray:
     Returns:
         object frame, shape [R, 3].
     """
-    hull = model.mesh.convex_hull
-    center = model.center_of_mass
-    triangles, normals = hull.triangles, hull.face_normals
+    triangles, center = model.hull, model.center_of_mass
+    normals = normals_and_areas(triangles)[0]
     foot = center - normals * np.sum((center - triangles[:, 0]) * normals, axis=1, keepdims=True)
     inside = np.ones(len(triangles), dtype=bool)
     for corner in range(3):
@@ -52,8 +52,9 @@ def broad_settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
     Args:
         up: unit vector, object frame, shape [3].
     """
-    hull, downs = model.mesh.convex_hull, resting_directions(model)
-    alike = downs @ hull.face_normals.T > np.cos(ALIKE)
-    broad = alike @ hull.area_faces >= BROAD * hull.area
+    normals, areas = normals_and_areas(model.hull)
+    downs = resting_directions(model)
+    alike = downs @ normals.T > np.cos(ALIKE)
+    broad = alike @ areas >= BROAD * areas.sum()
     candidates = downs[broad] if broad.any() else downs
     return -candidates[np.argmin(candidates @ up)]

@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
@@ -58,11 +58,14 @@ from fungrasp.perception.scene.table import (
 )
 from fungrasp.perception.verdict import perception_verdict
 
+if TYPE_CHECKING:
+    import trimesh
+
+    Mesh = ObjectModel | trimesh.Trimesh
+    """An object's surface, with colors if they are known."""
+
 UNKNOWN = "unknown"
 """Stands for an object without a mesh."""
-
-Mesh = ObjectModel | trimesh.Trimesh
-"""An object's surface, with colors if they are known."""
 
 
 def perceive(

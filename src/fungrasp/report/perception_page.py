@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -20,7 +21,6 @@ from fungrasp.perception.hand.joint_confidence import SURE, WITHIN
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.verdict import PerceptionVerdict
-from fungrasp.report.demonstration import Opening
 from fungrasp.report.page import Page, write_page
 from fungrasp.report.page_parts import Quantity, figure, quality_card
 from fungrasp.report.perception_alternatives import alternatives
@@ -32,6 +32,9 @@ from fungrasp.report.perception_pictures import (
     grasp_from_four_sides,
     whole_image,
 )
+
+if TYPE_CHECKING:
+    from fungrasp.report.demonstration import Opening
 
 INTRODUCTION = (
     "One color image with depth, and a mesh of the object, become a human grasp; the robot hand takes it "
@@ -76,6 +79,9 @@ def perceived_opening(
         source: where it came from.
         truth: errors, where the truth is known, as in a rendered image.
     """
+    # A page about an image alone needs nothing of what simulates and evaluates: its import takes a second.
+    from fungrasp.report.demonstration import Opening
+
     return Opening(
         f"{perception_title(perceived)}, taken over by a robot hand",
         INTRODUCTION + (RENDERED if truth else ""),

@@ -16,7 +16,7 @@ from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
 from fungrasp.perception.hand.fit import fit_held_hand as fit_held
 from fungrasp.perception.hand.fit import skeleton_through
-from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances, explained_part
+from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, explained_part, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import hand_view
 from fungrasp.perception.hand.image_evidence import point_evidence
 from fungrasp.perception.hand.skeleton import SIZE
@@ -42,11 +42,24 @@ def error(joints, truth):
 def test_distance_of_a_point_from_a_capsule():
     first, last = np.array([[0.0, 0, 1]]), np.array([[0.1, 0, 1]])
     points = np.array([[0.05, 0, 0.95], [-0.03, 0, 0.96], [0.05, 0, 1.05]])
-    distance, along, normal = capsule_distances(points, first, last, np.array([[0.01, 0.02]]))
+    which, distance, along, normal = nearest_capsules(points, first, last, np.array([[0.01, 0.02]]))
     # Half-way the capsule is 15 mm thick; the third point is on the side that the camera can't see.
-    np.testing.assert_allclose(distance[:, 0], [0.035, 0.04, 0.055], atol=1e-9)
-    np.testing.assert_allclose(along[:, 0], [0.5, 0.0, 0.5])
-    np.testing.assert_allclose(normal[0, 0], [0, 0, -1])
+    np.testing.assert_allclose(distance, [0.035, 0.04, 0.055], atol=1e-9)
+    np.testing.assert_allclose(along, [0.5, 0.0, 0.5])
+    np.testing.assert_allclose(normal[0], [0, 0, -1])
+    assert not which.any()
+
+
+def test_the_nearest_of_several_capsules_of_several_hands():
+    first = np.array([[[0.0, 0, 1], [0.0, 0.1, 1]], [[0.0, 0.1, 1], [0.0, 0, 1]]])
+    last = first + np.array([0.1, 0, 0])
+    points, nowhere = np.array([[0.05, 0, 0.95], [0.05, 0.1, 0.96]]), np.full((1, 3), np.nan)
+    radius = np.full((2, 2), 0.01)
+    which, distance, _, normal = nearest_capsules(points, first, last, radius)
+    np.testing.assert_array_equal(which, [[0, 1], [1, 0]])
+    np.testing.assert_allclose(distance, [[0.04, 0.03], [0.04, 0.03]])
+    assert normal.shape == (2, 2, 3)
+    assert np.isnan(nearest_capsules(nowhere, first, last, radius)[1]).all()
 
 
 def test_derivatives_of_points_on_the_skin(held):
@@ -83,10 +96,10 @@ def test_points_of_the_hand_are_neither_object_nor_table(held):
 def test_skin_color_leaves_other_things_out(held):
     scene, surroundings = held
     color = np.full_like(scene.capture.color, (200, 150, 120))
-    distance = capsule_distances(
+    distance = nearest_capsules(
         scene.capture.points().reshape(-1, 3), *HAND_CAPSULES.ends(scene.joints), HAND_CAPSULES.radius
-    )[0]
-    far = np.abs(distance).min(axis=1).reshape(color.shape[:2]) > 0.012
+    )[1]
+    far = np.abs(distance).reshape(color.shape[:2]) > 0.012
     color[far | ~scene.capture.measured] = (40, 90, 200)
     whole = hand_view(scene.capture, surroundings, [scene.joints])
     skin = hand_view(Capture(color, scene.capture.depth, CAMERA), surroundings, [scene.joints])

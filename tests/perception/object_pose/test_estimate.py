@@ -11,6 +11,7 @@ from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, tr
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.objects.object_variants import scaled_object
 from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.object_pose import known_object as known_object_module
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.known_object import known_object
@@ -172,6 +173,23 @@ def test_a_loose_mask_and_smoothed_depth_are_measured() -> None:
     evidence, words = found(tight)
     assert evidence.foreign < 0.25 and evidence.edge_width < 6
     assert "tighter" not in words and "filters" not in words
+
+
+def test_what_is_found_out_about_a_mesh_is_kept(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path))
+    known_object_module._known.cache_clear()
+    first = known_object(MUG)
+    known_object_module._known.cache_clear()
+    monkeypatch.setattr(known_object_module, "_even_samples", None)
+    again = known_object(MUG)
+    assert again is not first
+    for before, now in (
+        (first.surface.samples, again.surface.samples),
+        (first.normals, again.normals),
+        (first.symmetries, again.symmetries),
+    ):
+        np.testing.assert_array_equal(before, now)
+    known_object_module._known.cache_clear()
 
 
 def test_a_mug_comes_to_itself_about_the_axis_of_its_body() -> None:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import manifold3d
 import numpy as np
-import trimesh
 
+from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.builtin.resting_rotation import resting_rotation
 from fungrasp.objects.builtin.shapes import Solid
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_hull
@@ -45,7 +45,7 @@ def assemble(
         mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)
     )
     part_of_face = part_of_face[kept_faces]
-    turn = resting_rotation(vertices, trimesh.Trimesh(vertices, faces, process=False).center_mass)
+    turn = resting_rotation(vertices, volume_and_center(vertices[faces])[1])
     vertices = vertices @ turn.T
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     masks = {name: part_of_face == name for name in parts}

@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.hand.anatomy_evidence import finger_overlap
-from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, capsule_distances
+from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import HandView
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
@@ -208,8 +208,8 @@ def _points_cost(
     others = HAND_CAPSULES.finger != finger
     first, last = HAND_CAPSULES.ends(whole)
     rest = np.abs(
-        capsule_distances(view.points, first[others], last[others], scale * HAND_CAPSULES.radius[others])[0]
-    ).min(axis=1)
+        nearest_capsules(view.points, first[others], last[others], scale * HAND_CAPSULES.radius[others])[1]
+    )
     # Only points that this finger may explain, and no other part of the hand does.
     length = scale * LENGTHS[finger].sum() + 0.02
     free = (rest > 0.002) & (np.linalg.norm(view.points - joints[0, 0], axis=1) < length)
@@ -223,8 +223,8 @@ def _points_cost(
     every[:, 1 + 4 * finger : 5 + 4 * finger] = joints
     first, last = HAND_CAPSULES.ends(every)
     distance = np.abs(
-        capsule_distances(points, first[:, own], last[:, own], scale * HAND_CAPSULES.radius[own])[0]
-    ).min(axis=-1)
+        nearest_capsules(points, first[:, own], last[:, own], scale * HAND_CAPSULES.radius[own])[1]
+    )
     distance = np.minimum(distance, rest[free])
     weight = settings.points_weight * apart / max(len(view.points), 1)
     return weight * _limited(distance / settings.point, settings.point_worst / settings.point).sum(axis=1)

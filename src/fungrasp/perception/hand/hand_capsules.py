@@ -86,10 +86,11 @@ def offsets_from_lines(
     return along, offset - along[..., None] * line[..., None, :, :]
 
 
-def capsule_distances(
+def nearest_capsules(
     points: np.ndarray, first: np.ndarray, last: np.ndarray, radius: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Signed distance of points of the skin from capsules' surfaces, as a camera at the origin sees them.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The capsule whose surface is nearest to each of some points of the skin, as a camera at the origin sees
+    them.
 
     Args:
         points: [m], shape [P, 3], camera frame.
@@ -97,16 +98,24 @@ def capsule_distances(
         radius: at both ends [m], shape [C, 2].
 
     Returns:
-        Distance [m], shape [..., P, C], raised by ``FAR_SIDE_PENALTY`` where the skin there faces away from
-        the camera; where on the line the nearest point is, 0 to 1, same shape; the outward normal, shape
-        [..., P, C, 3].
+        Its index, shape [..., P]; signed distance from its surface [m], same shape, raised by
+        ``FAR_SIDE_PENALTY`` where the skin there faces away from the camera; where on its line the nearest
+        point is, 0 to 1, same shape; the outward normal, shape [..., P, 3].
     """
-    along, offset = offsets_from_lines(points, first, last)
-    length = np.sqrt(np.einsum("...i,...i->...", offset, offset))
-    normal = offset / np.maximum(length, 1e-9)[..., None]
-    away = np.einsum("...pci,pi->...pc", normal, points / np.linalg.norm(points, axis=1)[:, None])
-    distance = length - (radius[:, 0] + along * (radius[:, 1] - radius[:, 0]))
-    return distance + FAR_SIDE_PENALTY * (away > FAR_SIDE), along, normal
+    # Importing Numba takes half a second: not before it is needed.
+    from fungrasp.geometry.compiling import plain
+    from fungrasp.perception import capsule_loops
+
+    hands = first.shape[:-2]
+    shape = (int(np.prod(hands)), len(points))
+    which = np.empty(shape, np.int64)
+    distance, along, normal = np.empty(shape), np.empty(shape), np.empty((*shape, 3))
+    ends = (plain(end.reshape(-1, *end.shape[-2:])) for end in (first, last))
+    capsule_loops.nearest_capsules(
+        plain(points), *ends, plain(radius), FAR_SIDE, FAR_SIDE_PENALTY, which, distance, along, normal
+    )
+    whole = (*hands, len(points))
+    return which.reshape(whole), distance.reshape(whole), along.reshape(whole), normal.reshape(*whole, 3)
 
 
 def explained_part(hand: Skeleton, points: np.ndarray) -> float:
@@ -115,10 +124,10 @@ def explained_part(hand: Skeleton, points: np.ndarray) -> float:
     points: [m], shape [P, 3].
     """
     joints = hand.joints()
-    distance, _, _ = capsule_distances(
+    _, distance, _, _ = nearest_capsules(
         points, *HAND_CAPSULES.ends(joints), HAND_CAPSULES.radius * np.exp(hand.size)
     )
-    distance = np.abs(distance).min(axis=1)
+    distance = np.abs(distance)
     back = joints[0] - joints[9]
     arm = (distance > EXPLAINED) & ((points - joints[0]) @ (back / np.linalg.norm(back)) > -0.01)
     return float((distance[~arm] < EXPLAINED).mean()) if not arm.all() else 0.0

@@ -16,8 +16,8 @@ from fungrasp.perception.hand.hand_capsules import (
     ARM_LENGTH,
     HAND_CAPSULES,
     arm_direction,
-    capsule_distances,
     in_front,
+    nearest_capsules,
 )
 from fungrasp.perception.hand.skeleton import HandEvidence, Skeleton
 from fungrasp.perception.io.capture import Intrinsics
@@ -184,10 +184,7 @@ def point_evidence(
     elbow = joints[0] + ARM_LENGTH * arm_direction(points, joints)
     first, last = np.vstack([first, joints[0]]), np.vstack([last, elbow])
     radius = np.vstack([HAND_CAPSULES.radius, FOREARM_RADII]) * np.exp(hand.size)
-    distance, along, normal = capsule_distances(points, first, last, radius)
-    nearest = np.abs(distance).argmin(axis=1)
-    row = np.arange(len(points))
-    distance, along, normal = distance[row, nearest], along[row, nearest], normal[row, nearest]
+    nearest, distance, along, normal = nearest_capsules(points, first, last, radius)
     kind = _KIND[nearest]
     part = np.where(kind == 2, 0.0, along * _END[nearest])[:, None]
     # The nearest point of the bone is a mixture of its joints; the residual falls as it moves outward.

@@ -152,18 +152,19 @@ class Skeleton:
         fingers = joints[1:].reshape(5, 4, 3)
         of_fingers = jacobian[1:].reshape(5, 4, 3, SIZE)
         lengths = scale * LENGTHS * np.exp(self.bones)
+        stretch = lengths[..., None] * directions
+        for joint in range(JOINTS_OF_FINGER):
+            reach = fingers[:, joint + 1 :] - fingers[:, joint, None]
+            # a x r for each axis a (columns) and each reach r.
+            turned = -_cross_matrices(reach) @ axes[:, joint, None]
+            for finger in range(FINGERS):
+                bone = PARAMETERS["bones"].start + 3 * finger + joint
+                of_fingers[finger, joint + 1 :, :, bone] = stretch[finger, joint]
+                angle = PARAMETERS["angles"].start + 9 * finger + 3 * joint
+                of_fingers[finger, joint + 1 :, :, angle : angle + 3] = turned[finger]
         for finger in range(FINGERS):
             base = PARAMETERS["bases"].start + 3 * finger
             of_fingers[finger, :, :, base : base + 3] = scale * self.turn
-            for joint in range(JOINTS_OF_FINGER):
-                bone = PARAMETERS["bones"].start + 3 * finger + joint
-                stretch = lengths[finger, joint] * directions[finger, joint]
-                of_fingers[finger, joint + 1 :, :, bone] = stretch
-                angle = PARAMETERS["angles"].start + 9 * finger + 3 * joint
-                reach = fingers[finger, joint + 1 :] - fingers[finger, joint]
-                # a x r for each axis a (columns) and each reach r.
-                turned = -_cross_matrices(reach) @ axes[finger, joint]
-                of_fingers[finger, joint + 1 :, :, angle : angle + 3] = turned
         return joints, jacobian
 
     def _forward(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -180,35 +181,32 @@ class Skeleton:
         for joint in range(JOINTS_OF_FINGER):
             c, s = cosine[:, joint], sine[:, joint]
             axes[:, joint, :, 0] = frames[:, :, 2]
-            frames = frames @ _turn_z(c[:, 0], s[:, 0])
+            frames = frames @ _turns(2, c[:, 0], s[:, 0])
             axes[:, joint, :, 1] = frames[:, :, 1]
-            frames = frames @ _turn_y(c[:, 1], s[:, 1])
+            frames = frames @ _turns(1, c[:, 1], s[:, 1])
             axes[:, joint, :, 2] = directions[:, joint] = frames[:, :, 0]
-            frames = frames @ _turn_x(c[:, 2], s[:, 2])
+            frames = frames @ _turns(0, c[:, 2], s[:, 2])
             fingers[:, joint + 1] = fingers[:, joint] + lengths[:, joint, None] * directions[:, joint]
         return joints, axes, directions
 
 
-def _turn_x(c: np.ndarray, s: np.ndarray) -> np.ndarray:
-    return _stack(np.ones_like(c), np.zeros_like(c), np.zeros_like(c), 0 * c, c, -s, 0 * c, s, c)
-
-
-def _turn_y(c: np.ndarray, s: np.ndarray) -> np.ndarray:
-    return _stack(c, 0 * c, s, 0 * c, np.ones_like(c), 0 * c, -s, 0 * c, c)
-
-
-def _turn_z(c: np.ndarray, s: np.ndarray) -> np.ndarray:
-    return _stack(c, -s, 0 * c, s, c, 0 * c, 0 * c, 0 * c, np.ones_like(c))
-
-
-def _stack(*entries: np.ndarray) -> np.ndarray:
-    return np.stack(entries, axis=-1).reshape(*entries[0].shape, 3, 3)
+def _turns(axis: int, c: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Rotations about one of the axes x, y, z by angles of cosine c and sine s, shape [F]; [F, 3, 3]."""
+    turns = np.zeros((len(c), 3, 3))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turns[:, axis, axis] = 1.0
+    turns[:, i, i] = turns[:, j, j] = c
+    turns[:, i, j], turns[:, j, i] = -s, s
+    return turns
 
 
 def _cross_matrices(v: np.ndarray) -> np.ndarray:
     """``M`` with ``M w = v x w``. v: shape [..., 3]; returns [..., 3, 3]."""
-    zero = np.zeros_like(v[..., 0])
-    return _stack(zero, -v[..., 2], v[..., 1], v[..., 2], zero, -v[..., 0], -v[..., 1], v[..., 0], zero)
+    matrices = np.zeros((*v.shape, 3))
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        matrices[..., j, i], matrices[..., i, j] = v[..., axis], -v[..., axis]
+    return matrices
 
 
 LONGEST_STEP = {"position": 0.05, "turn": 0.5, "angles": 0.5}

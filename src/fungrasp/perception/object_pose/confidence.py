@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
 from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.object_pose.evidence import PoseEvidence
-from fungrasp.perception.object_pose.known_object import KnownObject
+from fungrasp.perception.object_pose.known_object import KnownObject, known_object
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.scene.depth_edges import SHARP
@@ -96,7 +95,7 @@ def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | 
     near = [pose for pose, score in thing.alternatives if score > thing.score - CLOSE]
     if not near:
         return None
-    points = np.asarray(trimesh.sample.sample_surface(model.mesh, COMPARED_POINTS, seed=0)[0])
+    points = known_object(model).surface.samples[:COMPARED_POINTS]
     answer = HandSurroundings(model.signed_distance, thing.pose_camera_object)
     apart = np.array(
         [np.abs(answer.object_distance(transform_points(pose, points))[0]).mean() for pose in near]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
@@ -38,6 +38,9 @@ from fungrasp.perception.object_pose.search import (
 from fungrasp.perception.scene.depth_edges import SHARP
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
+
+if TYPE_CHECKING:
+    import trimesh
 
 SIZES = (0.01, 1.5)
 """Shortest and longest diagonal of an object that a hand holds [m]."""

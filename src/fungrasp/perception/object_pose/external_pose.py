@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
@@ -25,6 +25,9 @@ from fungrasp.perception.object_pose.object_view import (
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.scoring import PoseScorer
 from fungrasp.perception.object_pose.search import PoseHypotheses, PoseSearchSettings, refine_poses
+
+if TYPE_CHECKING:
+    import trimesh
 
 ALLOWED = 0.25
 """A pixel whose confidence to show a thing is below this is not the object's."""

@@ -20,14 +20,15 @@ def intrusion(x, y, z, depth, refuge, lens, table):
     distance, gx, gy, gz = 0.0, 0.0, 0.0, -1.0
     if 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0]:
         short = depth[row, column] - near
-        away_v, away_u = row - refuge[0, row, column], column - refuge[1, row, column]
-        pixels = np.sqrt(float(away_u * away_u + away_v * away_v))
-        sideways = pixels * near / lens[0]
-        if pixels > 0 and sideways < short:
-            du, dv = away_u / pixels, away_v / pixels
-            distance, gx, gy, gz = sideways, du, dv, -(du * ux + dv * uy)
-        elif short > 0:
+        # Most points are allowed: the way out, far away in memory, is then not looked at.
+        if short > 0:
             distance = short
+            away_v, away_u = row - refuge[0, row, column], column - refuge[1, row, column]
+            pixels = np.sqrt(float(away_u * away_u + away_v * away_v))
+            sideways = pixels * near / lens[0]
+            if pixels > 0 and sideways < short:
+                du, dv = away_u / pixels, away_v / pixels
+                distance, gx, gy, gz = sideways, du, dv, -(du * ux + dv * uy)
     below = -(x * table[0] + y * table[1] + z * table[2] + table[3])
     if below > distance:
         return below, -table[0], -table[1], -table[2]

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
+from fungrasp.files import atomic_path
+from fungrasp.formats.numpy_files import read_npz
 from fungrasp.geometry.poses import (
     quaternion_from_rotation_vector,
     quaternion_multiply,
@@ -24,7 +26,11 @@ from fungrasp.geometry.poses import (
 from fungrasp.geometry.ray_casting import RayCaster
 from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mesh, points_on_triangles
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.perception.object_pose.icp import KnownSurface
+
+if TYPE_CHECKING:
+    import trimesh
 
 NOWHERE, BEYOND = 1e6, 1e3
 """Rays that meet nothing end so far away [m]; what is farther than the second was not met."""
@@ -92,6 +98,9 @@ class MeshRays:
 SAMPLES = 1000
 """Surface samples of a known object."""
 
+KNOWN_FORMAT = 1
+"""Goes up when the same mesh should give other samples or symmetries."""
+
 GRAY = 0.03
 """Channels that differ by less (0 to 1) are gray. A mesh of one gray is likelier without color, as programs
 write it, than a gray thing."""
@@ -132,7 +141,7 @@ def known_object(mesh: ObjectModel | trimesh.Trimesh | KnownObject) -> KnownObje
     """
     if isinstance(mesh, KnownObject):
         return mesh
-    if isinstance(mesh, trimesh.Trimesh):
+    if not isinstance(mesh, ObjectModel):
         if len(mesh.faces) == 0:
             raise FungraspError("the object's mesh has no faces")
         model = _model(np.array(mesh.vertices, float).tobytes(), np.array(mesh.faces, np.int32).tobytes())
@@ -152,16 +161,32 @@ def _model(vertices: bytes, faces: bytes) -> ObjectModel:
 
 @lru_cache(maxsize=16)
 def _known(model: ObjectModel) -> KnownObject:
-    points, normals = _even_samples(model.mesh, SAMPLES)
+    points, normals, symmetries = cached_on_disk(
+        "known_object",
+        f"{KNOWN_FORMAT} {SAMPLES} {model.mesh_digest}",
+        _read_surface,
+        lambda path: _write_surface(path, model.mesh),
+    )
     return KnownObject(
         KnownSurface(SignedDistanceBank([model.signed_distance]), points),
         normals,
         MeshRays(model.vertices, model.faces),
         float(np.linalg.norm(model.size)),
         0.5 * (model.vertices.min(axis=0) + model.vertices.max(axis=0)),
-        _near_symmetries(points),
+        symmetries,
         None,
     )
+
+
+def _write_surface(path: Path, mesh: trimesh.Trimesh) -> None:
+    points, normals = _even_samples(mesh, SAMPLES)
+    with atomic_path(path) as temporary:
+        np.savez(temporary, points=points, normals=normals, symmetries=_near_symmetries(points))
+
+
+def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    data = read_npz(path, "surface samples")
+    return data["points"], data["normals"], data["symmetries"]
 
 
 def _near_symmetries(points: np.ndarray) -> np.ndarray:
@@ -187,6 +212,8 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
 
 def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
     """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colors, or one gray."""
+    import trimesh
+
     visual: Any = mesh.visual
     if visual is None:
         return None

@@ -107,13 +107,13 @@ def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
 def _distance_from_capsules(
     points: np.ndarray, near: np.ndarray, far: np.ndarray, radii: np.ndarray
 ) -> np.ndarray:
-    best = np.full(len(points), np.inf)
-    for start, end, radius in zip(near, far, radii, strict=True):
-        line = end - start
-        along = np.clip((points - start) @ line / max(float(line @ line), 1e-12), 0.0, 1.0)
-        offset = points - start - along[:, None] * line
-        best = np.minimum(best, np.sqrt(np.einsum("pi,pi->p", offset, offset)) - radius)
-    return best
+    # Importing Numba takes half a second: not before it is needed.
+    from fungrasp.geometry.compiling import plain
+    from fungrasp.perception.capsule_loops import line_distances
+
+    distance = np.empty(len(points))
+    line_distances(plain(points), plain(near), plain(far), plain(radii), distance)
+    return distance
 
 
 def segment(
@@ -143,9 +143,9 @@ def segment(
     if table is not None:
         height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
     if joints is not None and not told:
-        away = (points - tip for tip in joints[list(TIPS)])
-        reach = np.min([np.einsum("hwi,hwi->hw", one, one) for one in away], axis=0)
-        prior = np.where(measured & (reach < (size + 0.03) ** 2), prior, NEVER)
+        tips = joints[list(TIPS)]
+        reach = _distance_from_capsules(points.reshape(-1, 3), tips, tips, np.zeros(len(tips)))
+        prior = np.where(measured & (reach.reshape(prior.shape) < size + 0.03), prior, NEVER)
     near = measured & (prior > NEVER)
     candidate = near.copy() if table is None else near & ~(height <= plane_tolerance(capture.depth))
     rows, columns = np.nonzero(candidate)
