@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception.object_pose.confidence import ACCEPT, OPEN_LENGTH, confidence
+from fungrasp.perception.object_pose.confidence import ACCEPT, confidence
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.verdict import ACCEPTED_HAND, PerceptionVerdict, perception_verdict
@@ -20,7 +20,6 @@ GOOD = PoseEvidence(
     rival=0.0,
     other_size=-0.28,
     other_side=-0.03,
-    longer=-0.3,
     colored=0.0,
     edge_width=2.0,
     foreign=0.0,
@@ -57,7 +56,6 @@ def test_good_evidence_is_sure_and_needs_no_help():
     [
         ({"other_size": 0.3, "other_side": 0.1}, "a mesh of the right size"),
         ({"other_size": 0.05, "other_side": 0.08}, "another view"),
-        ({"longer": -0.02}, "another view"),
         ({"explained": 0.3}, "the mesh of this very object"),
         ({"visible": 0.4}, "the mesh of this very object"),
         ({"larger": 6.0}, "the mesh of this very object"),
@@ -75,16 +73,6 @@ def test_evidence_against_says_what_would_help(changes, help):
     said = verdict(dataclasses.replace(GOOD, **changes))
     assert not said.sure and said.object < verdict(GOOD).object
     assert help in "; ".join(said.help)
-
-
-def test_a_length_that_is_open_makes_the_object_unsure_whatever_else_is_seen():
-    said = verdict(dataclasses.replace(GOOD, longer=0.0))
-    row = next(one for one in said.evidence if one.name == "longer")
-    assert said.object == OPEN_LENGTH < ACCEPT and row.value == 100.0 and row.share < -1.0
-    assert said.object == pytest.approx(1 / (1 + np.exp(-row.share) * (1 / verdict(GOOD).object - 1)))
-    assert next(one for one in verdict(GOOD).evidence if one.name == "longer").share == 0.0
-    weak = dataclasses.replace(GOOD, explained=0.3, left_over=0.4, other_side=0.1)
-    assert verdict(dataclasses.replace(weak, longer=0.0)).object == verdict(weak).object < OPEN_LENGTH
 
 
 def test_an_outline_that_is_not_seen_says_little_and_is_called_not_known():

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from math import exp, isfinite, isnan, log, nan
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.perception.object_pose.confidence import ACCEPT, AS_WELL, confidence, features
+from fungrasp.perception.object_pose.confidence import ACCEPT, features
 from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS
 from fungrasp.perception.scene.depth_edges import SMOOTHED
 
@@ -39,9 +39,6 @@ ALIKE = 0.9
 BETTER = 0.05
 """Logarithm of the quality of another size, over the mesh's own, from which on the mesh's is likely wrong."""
 
-USUAL_LONGER = -0.21
-"""The median of right answers: logarithm of the quality of the mesh a third longer, over the mesh's own."""
-
 AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
@@ -53,7 +50,6 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
     "told": ("a mask was given: 1, none: 0", 1.0, ""),
     "other_size": ("fit of the mesh in another size", 100.0, "%"),
     "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
-    "longer": ("fit of it a third longer, its length is open from 97 on", 100.0, "%"),
     "rival": ("fit of the best other pose, 80 or less", 100.0, "%"),
     "hand_score": ("hand: detector's score and agreement", 1.0, ""),
     "joints": ("hand: joints within 20 mm of where they are, expected, 88 or less", 100.0, "%"),
@@ -65,7 +61,7 @@ SHOWN: Mapping[str, Callable[[float], float]] = {
     "left_over": lambda value: round(max(exp(value) - 0.01, 0.0), 6),
     "rival": lambda value: 0.8 + 0.2 * value,
     "joints": lambda value: 1.0 / (1.0 + exp(-value)),
-    **dict.fromkeys(("other_size", "other_side", "longer"), exp),
+    **dict.fromkeys(("other_size", "other_side"), exp),
 }
 """From what the odds are made of to what people read."""
 
@@ -189,8 +185,6 @@ def perception_verdict(
         # Where too little of the outline is seen the weights take a usual number, which is not shown.
         shown = known | {name: nan for name in ("larger", "off") if isnan(getattr(thing.evidence, name))}
         evidence += [_meter(name, shown[name], OBJECT_WEIGHTS.usual[name], shares[name]) for name in shares]
-        limited = _odds(confidence(thing.evidence)) - _odds(OBJECT_WEIGHTS.probability(known))
-        evidence.append(_meter("longer", thing.evidence.longer, USUAL_LONGER, limited))
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
     sure = thing.accepted and probability >= ACCEPTED_HAND and not doubt
@@ -200,11 +194,6 @@ def perception_verdict(
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
     return PerceptionVerdict(sure, thing.score, probability, tuple(evidence), advice, fitted, doubt)
-
-
-def _odds(probability: float) -> float:
-    """Logarithm of the odds."""
-    return log(max(probability, 1e-9)) - log(max(1.0 - probability, 1e-9))
 
 
 def _meter(name: str, value: float, usual: float, share: float) -> Meter:
@@ -220,7 +209,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
     if e is None or thing.accepted:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
-    size, length_open = shares["other_size"] + shares["other_side"], e.longer > AS_WELL
+    size = shares["other_size"] + shares["other_side"]
     covered = shares["agreement"] + shares["larger"] + shares["off"] + shares["left_over"]
     found = []
     if max(e.other_size, e.other_side) > BETTER and size < covered:
@@ -229,7 +218,7 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         found.append(f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background")
     if e.told == 0.0:
         found.append("a click at the object (--point u,v), or a mask")
-    if length_open or e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
+    if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
         found.append("another view, in which more of the object is seen")
     if e.edge_width > SMOOTHED:
         found.append("the camera's spatial and hole-filling filters turned off")

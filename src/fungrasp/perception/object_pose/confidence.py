@@ -14,7 +14,7 @@ from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.scene.depth_edges import SHARP
 
-ACCEPT = 0.94
+ACCEPT = 0.95
 """Answers of a lower probability are not accepted: the least at which no more than 1 % of wrong
 meshes were, cross-validated over the captures of the fit."""
 
@@ -25,13 +25,6 @@ more. Of 0, 0.25, 0.5 and 1 the one with the least cross-validated loss."""
 UNSEEN_LARGER, UNSEEN_OFF = 0.8, 2.8
 """What is taken where too little of the outline is seen [pixels]: twice the medians of right answers, so that
 it speaks little for or against."""
-
-AS_WELL = -0.03
-"""Where a mesh a third longer fits as well as this one, logarithm of their qualities' ratio, an end of it is
-behind the hand, and the image does not say how long the thing is."""
-
-OPEN_LENGTH = 0.5
-"""Such an answer is not called more probable: the weights do not know how seldom it is right."""
 
 RIVAL_DISTANCE = 0.01
 """A pose so far from another (ADD-S [m]) is a different answer."""
@@ -70,8 +63,7 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
 
 def confidence(evidence: PoseEvidence, weights: Logistic = OBJECT_WEIGHTS) -> float:
     """Probability that ADD-S is below 10 mm and the mesh is the right one."""
-    probability = weights.probability(features(evidence))
-    return min(probability, OPEN_LENGTH) if evidence.longer > AS_WELL else probability
+    return weights.probability(features(evidence))
 
 
 def best_rival(known: KnownObject, poses: np.ndarray, quality: np.ndarray) -> float:

@@ -35,8 +35,6 @@ class PoseEvidence:
     """How well another size of the mesh explains the image, see ``OtherSizes.whole``."""
     other_side: float
     """The same of another length of any side."""
-    longer: float
-    """The same of the longest side longer about either end."""
     colored: float
     """1 where the mesh has colors, else 0."""
     edge_width: float
@@ -83,7 +81,6 @@ def pose_evidence(
         rival=rival / max(float(scores.quality[0]), 1e-6),
         other_size=sizes.whole,
         other_side=sizes.side,
-        longer=sizes.longer,
         colored=float(view.known.colors is not None),
         edge_width=view.seen.edge_width,
         foreign=view.foreign,

@@ -32,9 +32,6 @@ class OtherSizes:
     """Of the best other size of all of it."""
     side: float
     """Of the best other length of any side."""
-    longer: float
-    """Of the longest side longer about either end: near 0 where an end is not seen, such as behind the hand,
-    and the image does not say how long the thing is."""
 
 
 def other_sizes(
@@ -55,14 +52,10 @@ def other_sizes(
     low, high = samples.min(axis=0), samples.max(axis=0)
     seen = np.clip(inverse_transform_points(pose, anchor[None])[0], low, high)
     sizes = [(np.ones(3), seen), *((np.full(3, size), seen) for size in WHOLE)]
-    longest = int((high - low).argmax())
-    about_ends = []
     for axis in range(3):
         mine = np.arange(3) == axis
         for still in (low, seen, high):
             for size in SIDES:
-                if axis == longest and size > 1.0 and still is not seen:
-                    about_ends.append(len(sizes))
                 sizes.append((np.where(mine, size, 1.0), np.where(mine, still, seen)))
     stretch, still = (np.array(part) for part in zip(*sizes, strict=True))
     places, turns = transform_points(pose, still), np.repeat(pose[None, 3:], len(stretch), axis=0)
@@ -82,4 +75,4 @@ def other_sizes(
         places, turns, quality = near[rows, best], turned[rows, best], tried[rows, best]
     worth = np.log(np.maximum(quality, 1e-4) / max(quality[0], 1e-4))
     first = 1 + len(WHOLE)
-    return OtherSizes(float(worth[1:first].max()), float(worth[first:].max()), float(worth[about_ends].max()))
+    return OtherSizes(float(worth[1:first].max()), float(worth[first:].max()))
