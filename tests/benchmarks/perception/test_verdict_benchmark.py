@@ -32,7 +32,7 @@ def test_columns_of_the_evidence_do_not_replace_those_of_the_trial(tmp_path):
 def test_trials_without_a_number_that_is_needed_now_are_refused(tmp_path):
     trials = tmp_path / "trials.jsonl"
     old = _trial("right", 2.0)
-    del old.evidence["longer"]
+    del old.evidence["left_over"]
     append_trials(trials, [old], None)
-    with pytest.raises(FungraspError, match="a-capture lack longer"):
+    with pytest.raises(FungraspError, match="a-capture lack left_over"):
         Verdict(trials).run()
