@@ -24,6 +24,13 @@ PLAN = "plan"
 KINDS = ("teacher", "student", "predictor")
 """Short for the policies ``<hand>-<kind>-free`` that come with the package."""
 
+MADE_BY = {
+    "teacher": "train one (fungrasp train)",
+    "student": "train a teacher, distill it (fungrasp train, fungrasp distill)",
+    "predictor": "train one (fungrasp predictor)",
+}
+"""What makes each kind."""
+
 
 @dataclass(frozen=True, eq=False)
 class PolicyFiles:
@@ -78,8 +85,7 @@ def _find(name: str, hand: str) -> Path:
         return known[full]
     if name in KINDS:
         raise FungraspError(
-            f"no {name} for the hand '{hand}' comes with fungrasp: train one (fungrasp train), "
-            "and give its file"
+            f"no {name} for the hand '{hand}' comes with fungrasp: {MADE_BY[name]}, and give its file"
         )
     raise UnknownNameError("policy", name, [REFERENCE, PLAN, *KINDS, *known])
 
