@@ -95,7 +95,8 @@ def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
     inside = np.isfinite(seen)
     if not inside.any():
         return Outline(np.nan, np.nan, 1.0)
-    away: Any = step * ndimage.distance_transform_edt(~inside)
+    from_rim: Any = ndimage.distance_transform_edt(~inside)
+    away = step * from_rim
     meters = float(np.median(capture.depth[own])) / lens.fx
     beyond = np.maximum(away[shows[part]] - 1.0, 0.0)
     far = float(np.percentile(beyond, LEFT_OVER)) if len(beyond) else 0.0
@@ -124,7 +125,7 @@ def outline_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) ->
     depth_out: Any = ndimage.distance_transform_edt(~inside)
     # From the rim between the pixels, positive inside.
     field = np.where(inside, depth_in - 0.5, 0.5 - depth_out)
-    slope = np.stack(np.gradient(ndimage.gaussian_filter(field, 1.5)))
+    slope = np.array(np.gradient(ndimage.gaussian_filter(field, 1.5)))
     rim = inside & (field < 1.0)
     rim[[0, 1, -2, -1]] = rim[:, [0, 1, -2, -1]] = False
     at = np.stack(np.nonzero(rim))
