@@ -157,8 +157,8 @@ def test_the_check_finds_what_is_not_free(tmp_path: Path) -> None:
     [
         ("fungrasp", ("numpy", "mujoco", "scipy", "trimesh", "tyro", "PIL", "av", "rich")),
         ("fungrasp.cli.main", ("numpy", "mujoco", "scipy", "trimesh", "PIL", "av", "rich")),
-        # Numba imports PyYAML where it is installed.
         ("fungrasp.cli.perceive", ("numpy", "scipy", "trimesh", "PIL")),
+        # Numba imports PyYAML where it is installed.
         ("fungrasp.evaluation", ("torch", "smplx", "av")),
         ("fungrasp.grasps.importers.dexycb", ("torch", "smplx", "yaml")),
         # Each costs `fungrasp perceive` a sixth of a second or more, and is used later, or not at all.
@@ -169,6 +169,18 @@ def test_importing_pulls_in_nothing_heavy(module: str, light_without: tuple[str,
     code = f"import sys, {module}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & set(light_without)
+
+
+def test_a_mesh_file_that_was_read_before_needs_no_trimesh(tmp_path: Path) -> None:
+    path = tmp_path / "wedge.obj"
+    corners = "v 0 0 0\nv 0.05 0 0\nv 0 0.06 0\nv 0 0 0.07\n"
+    path.write_text(corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    code = f"import sys; from fungrasp.objects import held_object; held_object({str(path)!r}, 0.1); "
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", code + "print(*sys.modules)"], capture_output=True, text=True, check=True
+        )
+    assert "trimesh" not in done.stdout.split()
 
 
 def test_the_page_about_an_image_needs_nothing_that_simulates() -> None:

@@ -24,10 +24,8 @@ DENSITY = 500.0
 """Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
 built-in ones is 540; eight of ten lie between 190 and 940."""
 
-
 DENSITIES = (190.0, 940.0)
 """Between these lie eight of ten [kg/m^3]."""
-
 
 DENSEST = 22_600.0
 """Density of osmium, the densest there is [kg/m^3]."""
@@ -90,7 +88,7 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
             "--mass if you know it",
         )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
-    density = mass / float(model.mesh.convex_hull.volume)
+    density = mass / volume_and_center(model.hull)[0]
     if density > DENSEST:
         raise FungraspError(
             f"'{model.name}': {mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
