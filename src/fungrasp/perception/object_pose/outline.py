@@ -35,11 +35,13 @@ LINES = 400
 FEWEST = 15
 """Fewer lines do not tell."""
 
-CLEAR = 8
-"""Lines on which this near the rim [pixels] something is in front of the object, or the image ends, in more
-than ``BLOCKED`` of it are not used."""
+CLEAR, BLOCKED = 8, 0.15
+"""Lines are not used where, so near the rim [pixels], something is in front of the object or the image ends
+on more than this part of them."""
 
-BLOCKED = 0.15
+IN_FRONT = 0.004
+"""What is measured nearer than the mesh by more than this [m] and three standard deviations is in
+front of it."""
 
 FAINT = 3.0
 """Lines on which colors change by less [of 255] do not tell: the noise of a camera is more."""
@@ -101,7 +103,7 @@ def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
     beyond = np.maximum(away[shows[part]] - 1.0, 0.0)
     far = float(np.percentile(beyond, LEFT_OVER)) if len(beyond) else 0.0
     depth, spread = capture.depth[part], view.seen.spread[part]
-    in_front = (depth > 0) & inside & (depth < seen - 3 * spread - 0.004)
+    in_front = (depth > 0) & inside & (depth < seen - 3 * spread - IN_FRONT)
     hidden = in_front | (view.seen.classes.skin[part] > 0.5)
     larger, off = outline_offset(capture.color[part], inside, hidden)
     return Outline(step * larger, step * off, meters * far / view.known.size)
