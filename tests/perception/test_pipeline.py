@@ -27,6 +27,7 @@ from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
+from fungrasp.perception.plausibility import image_warnings
 from fungrasp.perception.scene.table import table_under
 
 MUG_ROW, BOWL_ROW = 0, 36
@@ -329,6 +330,37 @@ def test_no_hand_or_one_in_a_glove():
         perceive(dark, scene.model, detector=StandIn())
 
 
+def test_swapped_colors_show_by_the_hand():
+    scene, detected = mug()
+    skin = np.full_like(scene.capture.color, (70, 55, 40))
+    swapped = dataclasses.replace(scene.capture, color=np.ascontiguousarray(skin[..., ::-1]))
+    pose = seen().object.pose_camera_object
+    for capture, codes in ((dataclasses.replace(swapped, color=skin), []), (swapped, ["colors_swapped"])):
+        warnings = image_warnings(capture, seen().hand, pose, scene.model)
+        assert [one.code for one in warnings] == codes
+
+    class OfRedHands:
+        def detect(self, color, near=None):
+            return [detected] if color[0, 0, 0] > color[0, 0, 2] else []
+
+    with pytest.raises(FungraspError, match="is with red and blue swapped"):
+        perceive(swapped, scene.model, detector=OfRedHands())
+
+
+def test_what_is_cut_off_at_the_edge_is_not_sure():
+    scene, detected = mug()
+    model, pose = scene.model, scene.pose_camera_object
+    columns = CAMERA.project(transform_points(pose, model.vertices))[:, 0], detected.pixels[:, 0]
+    first = int(min(column.min() for column in columns)) + 20
+    lens = dataclasses.replace(CAMERA, width=CAMERA.width - first, cx=CAMERA.cx - first)
+    cut = Capture(scene.capture.color[:, first:].copy(), scene.capture.depth[:, first:].copy(), lens)
+    found = perceive(
+        cut, model, detector=StandIn(dataclasses.replace(detected, pixels=detected.pixels - [first, 0]))
+    )
+    assert found.object.accepted and not found.confident
+    assert found.verdict.doubt.endswith("is cut off at the left edge of the image")
+
+
 def test_a_hand_without_depth():
     scene, detected = mug()
     depth = scene.capture.depth.copy()
@@ -383,9 +415,10 @@ def test_joints_that_nothing_speaks_for_are_not_sure():
 
 def test_a_mesh_in_millimetres_is_refused():
     scene, _ = mug()
-    model = ObjectModel("mug", 0.3, scene.model.vertices * 1000, scene.model.faces)
-    with pytest.raises(FungraspError, match="is the mesh in millimeters"):
-        perceive(scene.capture, model, detector=Forbidden())
+    for factor, sides in ((1000, "x 95,000 mm"), (4, "x 380 mm")):
+        model = ObjectModel("mug", 0.3, scene.model.vertices * factor, scene.model.faces)
+        with pytest.raises(FungraspError, match=f"{sides}, which no hand holds: is its unit right"):
+            perceive(scene.capture, model, detector=Forbidden())
 
 
 def test_an_object_out_of_view_is_not_believed():

@@ -24,7 +24,6 @@ MESSAGES: Mapping[str, str] = {
     "depth_shifted": (
         "the depth looks shifted by {across}, {down} pixels against the color: is it aligned to it?"
     ),
-    "colors_swapped": "the color image shows skin only with red and blue swapped: was it written as BGR?",
     "lens_distorted": "the lens's distortion is not taken into account; undistort the images",
     "axis_swapped": (
         "cx = {cx:g} and cy = {cy:g} look swapped, or are those of the image before it was turned: each is "
@@ -46,6 +45,8 @@ MESSAGES: Mapping[str, str] = {
         "by the depth there, the hand is {size:.2f} times as large as an adult's (95 % of adults: {low:.2f} "
         "to {high:.2f}): are the depth's unit and the focal length right?"
     ),
+    "colors_swapped": "the hand is blue rather than red: was the color image written as BGR?",
+    "cut_off": "the {what} is cut off at the {edge} edge of the image",
     "fingers_bent_backwards": ("the fingers seem to be bent backwards: their landmarks are probably wrong"),
     # The object.
     "object_elsewhere": ("where the object is: {how}, {distance_mm:.0f} mm away, it fits almost as well"),

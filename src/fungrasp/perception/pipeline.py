@@ -47,7 +47,13 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
-from fungrasp.perception.plausibility import check_held, check_holdable, scale_or_side_doubt, size_warning
+from fungrasp.perception.plausibility import (
+    check_held,
+    check_holdable,
+    image_warnings,
+    other_doubt,
+    size_warning,
+)
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -175,7 +181,7 @@ def perceive(
         pose_world_camera = world_from_table(plane, center)
         grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
         quality = measure_quality(capture, refined, scene.object, model.signed_distance)
-        warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model))
+        warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model, capture))
     return Perceived(
         capture=capture,
         object_model=model,
@@ -191,7 +197,7 @@ def perceive(
             scene.object,
             refined,
             "" if fitted is None else fitted.name,
-            scale_or_side_doubt(scene, warnings, fitted),
+            other_doubt(scene, warnings, fitted),
         ),
         notes=held.notes,
         mass_range=held.mass_range,
@@ -298,13 +304,16 @@ def _refined_hand(
     return fit_held_hand(scene.detected, capture, surroundings, hand.joints_camera, side=side, seed=seed)
 
 
-def _warnings(scene: HandCandidate, refined: HandEstimate, model: ObjectModel) -> list[PerceptionWarning]:
-    """What is uncertain about object, refined hand and table."""
+def _warnings(
+    scene: HandCandidate, refined: HandEstimate, model: ObjectModel, capture: Capture
+) -> list[PerceptionWarning]:
+    """What is uncertain about object, refined hand, image and table."""
     found = []
     if not scene.object.accepted:
         found += scene.object.warnings
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
+    found += image_warnings(capture, refined, scene.object.pose_camera_object, model)
     if (size := size_warning(refined)) is not None:
         found.append(size)
     if refined.side != scene.hand.side:

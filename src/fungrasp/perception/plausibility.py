@@ -1,5 +1,5 @@
 """What can't be, or hardly is: an object that no hand holds, or nowhere near the hand; a hand of another size
-than people's."""
+or color than people's; a hand or an object that is not whole in the image."""
 
 from __future__ import annotations
 
@@ -12,11 +12,23 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 from fungrasp.objects import ObjectModel
+from fungrasp.perception.camera.readiness import along_bones, cut_edge
 from fungrasp.perception.estimates import HandEstimate, PerceptionWarning
 from fungrasp.perception.hand.fit import OTHER_SIDE
+from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import SIZES
 from fungrasp.perception.object_pose.shape_fit import FittedShape
 from fungrasp.perception.perceived import HandCandidate
+
+THICKEST = 0.25
+"""A hand holds no object whose shortest side is longer [m]: it spans some 0.2."""
+
+TINGE = 10
+"""Skin of all people is redder than it is blue; by this it shows, of 255."""
+
+BLUE = 0.05
+"""Part of the hand's pixels that are blue from which on the colors are swapped: of an overexposed hand 8 %
+tell, in images as they should be none."""
 
 
 def check_held(scene: HandCandidate, model: ObjectModel, told: bool) -> None:
@@ -55,17 +67,19 @@ def _check_origin(model: ObjectModel, allowed: float) -> None:
         )
 
 
-def scale_or_side_doubt(
+def other_doubt(
     scene: HandCandidate, warnings: Sequence[PerceptionWarning], fitted: FittedShape | None
 ) -> str:
     """What speaks against the answer, whatever its probabilities are: they are those of images of the right
-    scale, and of the side that the hand has."""
+    scale and of the side that the hand has, in which hand and object are whole."""
     for one in warnings:
         # A mesh that fits has the size of what is seen; a shape that was fitted takes any.
         unscaled = one.code == "hand_size" and fitted is not None
+        # Nor of what is cut off: it may slide along the edge, and fingers beyond it are found inside.
+        cut = one.code == "cut_off"
         seen = scene.detected
         other_side = one.code == "side_not_as_given" and seen is not None and seen.side_score >= OTHER_SIDE
-        if unscaled or other_side:
+        if unscaled or cut or other_side:
             return str(one)
     return ""
 
@@ -77,10 +91,32 @@ def check_holdable(model: ObjectModel) -> None:
         FungraspError: see there.
     """
     size = float(np.linalg.norm(model.size))
-    if not SIZES[0] < size < SIZES[1]:
-        unit = "; is the mesh in millimeters?" if size >= SIZES[1] else ""
-        raise FungraspError(f"'{model.name}' is {size:.4g} m large, which no hand holds{unit}")
+    if not SIZES[0] < size < SIZES[1] or min(model.size) > THICKEST:
+        sides = " x ".join(f"{1000 * side:,.0f}" for side in model.size)
+        raise FungraspError(f"'{model.name}' is {sides} mm, which no hand holds: is its unit right?")
     _check_origin(model, MAX_HAND_DISTANCE)
+
+
+def image_warnings(
+    capture: Capture, hand: HandEstimate, pose: np.ndarray, model: ObjectModel
+) -> list[PerceptionWarning]:
+    """What the image lacks: warnings of a hand or an object, in its pose, that is cut off at an edge, and of
+    red and blue that are swapped."""
+    lens, found = capture.intrinsics, []
+    project = lens.project
+    seen = {
+        "hand": np.concatenate([hand.pixels, project(hand.joints_camera)]),
+        "object": project(transform_points(pose, model.vertices)),
+    }
+    for what, pixels in seen.items():
+        if (edge := cut_edge(lens, pixels)) is not None:
+            found.append(PerceptionWarning.of("cut_off", what=what, edge=edge))
+    u, v = along_bones(lens, hand.pixels)
+    redder = capture.color[v, u, 0].astype(int) - capture.color[v, u, 2]
+    blue, red = (redder < -TINGE).sum(), (redder > TINGE).sum()
+    if blue > max(BLUE * len(redder), red):
+        found.append(PerceptionWarning.of("colors_swapped"))
+    return found
 
 
 def size_warning(hand: HandEstimate) -> PerceptionWarning | None:

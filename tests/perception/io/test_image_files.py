@@ -10,7 +10,7 @@ from PIL import Image
 
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.io.capture_checks import check_alignment, check_hints, looks_bgr
+from fungrasp.perception.io.capture_checks import check_alignment, check_hints
 from fungrasp.perception.io.image_files import parse_box, read_capture, read_mask
 
 
@@ -187,17 +187,6 @@ def test_stripes_beside_one_thing_are_not_taken_for_a_shift():
     assert check_alignment(Capture(color, depth, lens)) is None
 
 
-def test_swapped_colors_are_guessed_from_skin(tmp_path, caplog):
-    color, _ = scene()
-    assert not looks_bgr(color)
-    assert looks_bgr(np.ascontiguousarray(color[..., ::-1]))
-    paths = write_scene(tmp_path)
-    Image.fromarray(np.ascontiguousarray(color[..., ::-1])).save(paths[0])
-    with caplog.at_level(logging.WARNING):
-        read_capture(*paths)
-    assert "BGR" in caplog.text
-
-
 def test_a_box_is_four_numbers():
     assert parse_box("1,2.5, 30,40") == (1, 2.5, 30, 40)
     with pytest.raises(FungraspError, match=re.escape("x0,y0,x1,y1 in pixels, not '1,2,3'")):
@@ -214,13 +203,12 @@ def test_an_opaque_pixel_of_a_mask_is_not_marked_for_that(tmp_path, mode):
 
 def test_what_looks_wrong_with_the_files_goes_with_the_capture(tmp_path, caplog):
     paths = write_scene(tmp_path, {**OURS, "cx": 118.0, "cy": 161.0, "D": [0.1, 0, 0, 0, 0]})
-    color, depth = scene()
-    Image.fromarray(np.ascontiguousarray(color[..., ::-1])).save(paths[0])
+    _, depth = scene()
     Image.fromarray(np.round(1000 * np.roll(depth, 16, axis=1)).astype(np.uint16)).save(paths[1])
     with caplog.at_level(logging.WARNING):
         capture = read_capture(*paths)
     codes = [warning.code for warning in capture.warnings]
-    assert codes == ["lens_distorted", "axis_swapped", "depth_shifted", "colors_swapped"]
+    assert codes == ["lens_distorted", "axis_swapped", "depth_shifted"]
     assert all(str(warning) in caplog.text for warning in capture.warnings)
     assert capture.with_object(point=(5, 5)).warnings == capture.warnings
 

@@ -12,7 +12,7 @@ from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.estimates import ObjectEstimate
 from fungrasp.perception.hand.detected_hand import HAND_LENGTH, DetectedHand, largest_first
-from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.scene.table import table_under
 
 NEAREST = 0.3
@@ -117,7 +117,7 @@ def judge_frame(
             distance = float(np.median(near))
             problems.append(FrameProblem.of("too_near", distance=distance, nearest=nearest))
         return FrameReadiness((*problems, FrameProblem.of("no_hand")), None)
-    edge = _edge(frame, hand)
+    edge = cut_edge(frame.intrinsics, hand.pixels)
     if edge is not None:
         problems.append(FrameProblem.of("cut_off", edge=edge))
     depth = _depth_along_bones(frame, hand)
@@ -160,37 +160,37 @@ def _exposure(frame: CameraFrame, hand: DetectedHand | None) -> FrameProblem | N
     if hand is None:
         burnt, limit = (color.min(axis=-1) >= SATURATED).mean(), OVEREXPOSED_IMAGE
     else:
-        u, v = _along_bones(frame, hand)
+        u, v = along_bones(frame.intrinsics, hand.pixels)
         if not len(u):
             return None
         burnt, limit = (frame.color[v, u].min(axis=-1) >= SATURATED).mean(), OVEREXPOSED_HAND
     return FrameProblem.of("overexposed") if burnt > limit else None
 
 
-def _edge(frame: CameraFrame, hand: DetectedHand) -> str | None:
-    """The edge of the image beyond which most of the hand's landmarks are; None if none is."""
-    u, v = hand.pixels.T
-    width, height = frame.intrinsics.width, frame.intrinsics.height
+def cut_edge(lens: Intrinsics, pixels: np.ndarray) -> str | None:
+    """The edge of the image beyond which most of a thing's pixels are, shape [N, 2]; None if none is."""
+    u, v = pixels.T
     beyond = {
         "left": BORDER - u,
-        "right": u - (width - 1 - BORDER),
+        "right": u - (lens.width - 1 - BORDER),
         "top": BORDER - v,
-        "bottom": v - (height - 1 - BORDER),
+        "bottom": v - (lens.height - 1 - BORDER),
     }
     count = {edge: int((over > 0).sum()) for edge, over in beyond.items()}
     most = max(count, key=lambda edge: count[edge])
     return most if count[most] else None
 
 
-def _along_bones(frame: CameraFrame, hand: DetectedHand) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of pixels along the hand's bones, as far as they are in the image."""
-    near, far = hand.pixels[np.transpose(BONES)]
+def along_bones(lens: Intrinsics, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows of pixels along a hand's bones, as far as they are in the image. pixels: of its
+    joints, shape [21, 2]."""
+    near, far = pixels[np.transpose(BONES)]
     part = np.linspace(0, 1, 8)[:, None, None]
     u, v = np.rint(near + part * (far - near)).astype(int).reshape(-1, 2).T
-    inside = (u >= 0) & (u < frame.intrinsics.width) & (v >= 0) & (v < frame.intrinsics.height)
+    inside = (u >= 0) & (u < lens.width) & (v >= 0) & (v < lens.height)
     return u[inside], v[inside]
 
 
 def _depth_along_bones(frame: CameraFrame, hand: DetectedHand) -> np.ndarray:
-    u, v = _along_bones(frame, hand)
+    u, v = along_bones(frame.intrinsics, hand.pixels)
     return frame.depth[v, u]

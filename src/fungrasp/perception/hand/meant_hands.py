@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,11 @@ def meant_hands(
     """
     if not hands and (reason := _of_another_size(capture, near, detector)):
         raise FungraspError(f"no hand was found in the image; {reason}")
+    swapped = np.ascontiguousarray(capture.color[..., ::-1])
+    if not hands and find_hands(detector, replace(capture, color=swapped), near):
+        raise FungraspError(
+            "no hand was found in the image, but is with red and blue swapped: was it written as BGR?"
+        )
     if not hands and (reason := why_no_hand(capture)):
         raise FungraspError(f"no hand was found in the image; it is {reason}")
     chosen, warnings = choose_hand(hands, near, side)

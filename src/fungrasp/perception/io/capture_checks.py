@@ -1,5 +1,5 @@
-"""Mistakes that images show themselves: a wrong unit of depth, depth that is not aligned, swapped colors, and
-hints about the object that contradict each other."""
+"""Mistakes that images show themselves: a wrong unit of depth, depth that is not aligned, and hints about the
+object that contradict each other."""
 
 from __future__ import annotations
 
@@ -43,10 +43,6 @@ TELLING = 0.2
 
 AGREEING = 0.75
 """Part of them in which the depth must fit better where it is said to belong."""
-
-SKIN_PART = (0.003, 0.02)
-"""Parts of the image: less skin than the first, and more than the second once red and blue are swapped, look
-like BGR."""
 
 
 def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
@@ -120,23 +116,6 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     if (gain[telling] > 0).sum() < AGREEING * max(int(telling.sum()), 1):
         return None
     return -int(shifts[across]), -int(shifts[down])
-
-
-def looks_bgr(color: np.ndarray) -> bool:
-    """Whether the image shows skin only once red and blue are swapped. A guess.
-
-    Args:
-        color: RGB, shape [H, W, 3] uint8.
-    """
-    return bool(_skin(color) < SKIN_PART[0] and _skin(color[..., ::-1]) > SKIN_PART[1])
-
-
-def _skin(color: np.ndarray) -> float:
-    """Part of the pixels that have the color of skin, light or dark."""
-    red, green, blue = np.moveaxis(color[::2, ::2].astype(np.float32), -1, 0)
-    total = red + green + blue + 1e-6
-    r, g = red / total, green / total
-    return float(np.mean((r > 0.37) & (r < 0.55) & (g > 0.26) & (g < 0.345) & (red > 50) & (red > green)))
 
 
 def check_hints(capture: Capture) -> None:

@@ -15,7 +15,7 @@ from fungrasp.formats.image_file import read_image
 from fungrasp.formats.numpy_files import read_npy
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
-from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range, looks_bgr
+from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
 LONGEST_SIDE = 1920
@@ -76,16 +76,12 @@ def read_capture(
         )
     marked = None if mask is None else read_mask(mask, picture.shape[:2])
     capture = _not_too_large(Capture(picture, distance, lens, marked, box, point, remarks))
-    found: list[tuple[str | Path, PerceptionWarning]] = []
     shift = check_alignment(capture)
-    if shift is not None:
-        found.append((depth, PerceptionWarning.of("depth_shifted", across=shift[0], down=shift[1])))
-    if looks_bgr(capture.color):
-        found.append((color, PerceptionWarning.of("colors_swapped")))
-    for path, warning in found:
-        _log.warning("%s: %s", path, warning)
-    remarks += tuple(warning for _, warning in found)
-    return dataclasses.replace(capture, warnings=remarks) if found else capture
+    if shift is None:
+        return capture
+    warning = PerceptionWarning.of("depth_shifted", across=shift[0], down=shift[1])
+    _log.warning("%s: %s", depth, warning)
+    return dataclasses.replace(capture, warnings=(*remarks, warning))
 
 
 @guarded("color image")
