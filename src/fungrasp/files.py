@@ -70,7 +70,7 @@ def check_writable(paths: Mapping[str, str | Path]) -> None:
             raise FungraspError(f"{names[whole]} and {name} are the same file, {path}")
         names[whole] = name
         if whole.is_dir():
-            raise FungraspError(f"cannot write {path} ({name}): it is a folder")
+            raise FungraspError(f"cannot write {path} ({name}): it is a folder: add a file's name")
         above = next(folder for folder in whole.parents if folder.exists())
         if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
             problem = "can't be written to" if above.is_dir() else "is a file"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from fungrasp.cli.console import Answer, suggestion, table, write_json
+from fungrasp.cli.console import Answer, option, suggestion, table, write_json
 from fungrasp.cli.options import JsonOut, json_path, optional_value
 from fungrasp.perception.image_source import REALSENSE, ImageSource
 
@@ -125,7 +125,9 @@ class Perceive:
             perceived.verdict.words,
         ]
         if perceived.confident:
-            lines.append(suggestion("retarget --grasps", self.out, "--out robot.npz"))
+            folder = Path(self.mesh).parent if Path(self.mesh).is_file() else None
+            given = option("--objects", folder)
+            lines.append(suggestion("retarget --grasps", self.out, given, "--out robot.npz"))
         else:
             lines += [f"what would help: {words}" for words in perceived.verdict.help]
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
@@ -181,15 +183,18 @@ class Perceive:
             return
         from fungrasp.report.live_page import LivePage
 
-        with LivePage(model) if self.source.page else nullcontext() as page:
-            if page is not None:
-                print(
-                    f"the camera's picture: {page.address} (on this computer only); Ctrl-C ends", flush=True
-                )
-            said = ""
+        with ExitStack() as ended:
+            page, said = None, ""
 
             def show(view: LiveView) -> None:
-                nonlocal said
+                nonlocal page, said
+                # A camera that gives no image has nothing to show.
+                if page is None and self.source.page:
+                    page = ended.enter_context(LivePage(model))
+                    print(
+                        f"the camera's picture: {page.address} (on this computer only); Ctrl-C ends",
+                        flush=True,
+                    )
                 if page is not None:
                     page.show(view)
                 if view.words != said:
@@ -204,7 +209,6 @@ class Perceive:
     def _write(self, perceived: Perceived, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""
         from fungrasp.grasps import save_human_grasps
-        from fungrasp.objects.held_object import write_mesh
 
         notes: list[str] = []
         if self.report is not None:
@@ -218,12 +222,10 @@ class Perceive:
         if path is not None:
             write_json(path, perceived.as_json())
         if perceived.hand.side == "left":
-            for name, mirrored in perceived.objects.items():
-                path = self.out.parent / f"{name}.obj"
-                write_mesh(path, mirrored)
-                notes.append(
-                    f"the scene was mirrored, as hands are right ones here; the object's mesh: {path}"
-                )
+            name = perceived.grasp.object_name
+            notes.append(
+                f"the scene was mirrored, as hands are right ones here: '{name}' is the mesh's mirror image"
+            )
         save_human_grasps(self.out, perceived.grasps)
         return notes
 

@@ -36,7 +36,7 @@ def check_file(path: str | Path, what: str, largest: int) -> Path:
     except (OSError, ValueError) as error:
         raise cannot_read(path, error) from error
     if stat.S_ISDIR(status.st_mode):
-        raise FungraspError(f"the {what} {one_line(path)} is a folder")
+        raise FungraspError(f"the {what} {one_line(path)} is a folder: give a file in it")
     if not stat.S_ISREG(status.st_mode):
         raise FungraspError(f"the {what} {one_line(path)} is no regular file")
     if status.st_size > largest:

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
 from fungrasp.formats.mesh_file import is_colorless, read_colored_mesh
-from fungrasp.geometry.triangle_mesh import triangle_mesh, volume_and_center
+from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
 from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
@@ -124,13 +123,3 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     return trimesh.Trimesh(
         model.vertices, model.faces, vertex_colors=np.asarray(colors)[nearest], process=False
     )
-
-
-def write_mesh(path: Path, model: ObjectModel) -> None:
-    """Write the object's surface, in the format that the path's ending names.
-
-    Raises:
-        FungraspError: it can't be written.
-    """
-    with atomic_path(path) as temporary:
-        triangle_mesh(model.vertices, model.faces).export(temporary)

@@ -12,7 +12,8 @@ import numpy as np
 
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
-from fungrasp.formats.mesh_file import read_mesh
+from fungrasp.formats.file_bytes import check_file
+from fungrasp.formats.mesh_file import LARGEST, read_mesh
 from fungrasp.formats.numpy_files import read_npz
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, parted, rebuild, simplify, unite
@@ -24,7 +25,7 @@ MESH_FORMAT = 1
 """Goes up when the same file should give another surface."""
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
-"""File types looked up by an object's name, in this order."""
+"""File types of objects; by an object's name they are looked up in this order."""
 
 TABLE_SIDE = 1.5
 """Side of the table [m]; an object longer than it is refused."""
@@ -51,7 +52,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
     """Read a closed surface in metres.
 
     Args:
-        path: any mesh trimesh reads; a scene's meshes are joined.
+        path: the file, of one of ``MESH_SUFFIXES``; a scene's meshes are joined.
         repair: mend a surface that is not closed; else that is an error.
 
     Returns:
@@ -63,18 +64,20 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         FungraspError: the file is missing, unreadable, empty, not finite, not in metres, or can't be mended.
     """
     path = Path(path)
-    if path.suffix.lower() in MESH_SUFFIXES and path.is_file():
-        # Nothing but this file says what the surface is. To read it takes another process, and trimesh.
-        with path.open("rb") as stream:
-            content = hashlib.file_digest(stream, "sha256").hexdigest()
-        vertices, faces, repairs = cached_on_disk(
-            "meshes",
-            f"{MESH_FORMAT} {version('trimesh')} {path.suffix.lower()} {repair} {content}",
-            _kept,
-            lambda kept: _keep(kept, *_surface(path, repair)),
+    check_file(path, "mesh file", LARGEST)
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise FungraspError(
+            f"cannot read the mesh {path}: a mesh is a file {', '.join(MESH_SUFFIXES)}; export it as one"
         )
-    else:
-        vertices, faces, repairs = _surface(path, repair)
+    # Nothing but this file says what the surface is. To read it takes another process, and trimesh.
+    with path.open("rb") as stream:
+        content = hashlib.file_digest(stream, "sha256").hexdigest()
+    vertices, faces, repairs = cached_on_disk(
+        "meshes",
+        f"{MESH_FORMAT} {version('trimesh')} {path.suffix.lower()} {repair} {content}",
+        _kept,
+        lambda kept: _keep(kept, *_surface(path, repair)),
+    )
     for phrase in repairs:
         _log.warning("%s: %s", path, phrase)
     return vertices, faces, repairs
