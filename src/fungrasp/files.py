@@ -23,6 +23,10 @@ _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 """Tells processes of this machine from those of others that share a folder."""
 
 
+class CannotWriteError(FungraspError):
+    """A file or folder that can't be made or written to, or a disk that is full."""
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path``, else it is removed.
@@ -30,7 +34,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     The temporary name ends in the same suffix, so that libraries which choose a format by suffix agree.
 
     Raises:
-        FungraspError: the folder can't be written to, or the disk is full.
+        CannotWriteError: the folder can't be written to, or the disk is full.
     """
     path = Path(path)
     try:
@@ -41,14 +45,14 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         )
         os.close(handle)
     except OSError as error:
-        raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
+        raise CannotWriteError(f"cannot write {path}: {error.strerror or error}") from error
     temporary = Path(name)
     try:
         yield temporary
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
     except OSError as error:
-        raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
+        raise CannotWriteError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -104,16 +108,16 @@ def cache_folder(kind: str) -> Path:
     """``cache_path`` for writing: the folder is made if missing.
 
     Raises:
-        FungraspError: it can't be made or written to; the message names the variable that moves it.
+        CannotWriteError: it can't be made or written to; the message names the variable that moves it.
     """
     folder = cache_path(kind)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or error
-        raise FungraspError(f"cannot make the cache folder {folder}: {reason}; {MOVE_CACHE}") from error
+        raise CannotWriteError(f"cannot make the cache folder {folder}: {reason}; {MOVE_CACHE}") from error
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise FungraspError(f"cannot write to the cache folder {folder}; {MOVE_CACHE}")
+        raise CannotWriteError(f"cannot write to the cache folder {folder}; {MOVE_CACHE}")
     return folder
 
 

@@ -164,7 +164,7 @@ def test_a_missing_subcommand_is_a_usage_error(install, capsys):
         (FungraspError("no\n  hand"), 2, "fungrasp: error: no hand"),
         (KeyboardInterrupt(), 130, "fungrasp: interrupted"),
         (MemoryError(), 2, "fungrasp: error: out of memory"),
-        (OSError(errno.ENOSPC, "No space left on device"), 2, "fungrasp: error: No space left on device"),
+        (OSError(errno.ENOSPC, "Full"), 2, "fungrasp: error: Full; FUNGRASP_CACHE moves what is kept"),
         (OSError(errno.EACCES, "Permission denied", "a/b"), 2, "fungrasp: error: a/b: Permission denied"),
     ],
 )

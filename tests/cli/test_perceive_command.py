@@ -251,7 +251,7 @@ def test_an_image_of_a_recording(folder, found, camera, tmp_path, capsys):
 def test_a_camera_without_its_package_is_told(folder, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     status, out, err = run(capsys, "perceive", "--camera", "--mesh", NAME, "--out", tmp_path / "g.npz")
-    assert status == 2 and "pip install 'fungrasp[realsense]'" in err and err.count("\n") == 1 and not out
+    assert status == 2 and 'pip install "fungrasp[realsense]"' in err and err.count("\n") == 1 and not out
     given = ("--camera", tmp_path / "none", "--mesh", NAME, "--out", tmp_path / "g.npz")
     status, _, err = run(capsys, "perceive", *given)
     assert status == 2 and "--camera is realsense, or a folder" in err

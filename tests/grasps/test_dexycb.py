@@ -260,7 +260,7 @@ def test_mano_needs_smplx_and_a_model(tmp_path, monkeypatch):
 
     root = write_dataset(tmp_path / "data")
     monkeypatch.setitem(sys.modules, "smplx", None)
-    with pytest.raises(FungraspError, match=r"needs smplx: pip install 'fungrasp\[mano\]'"):
+    with pytest.raises(FungraspError, match=r'needs smplx: pip install "fungrasp\[mano\]"'):
         import_dexycb(root, DexYCBOptions(mano=tmp_path))
 
 

@@ -120,7 +120,7 @@ def test_keys_tell_inputs_and_versions_apart(monkeypatch):
 
 
 def test_a_cluster_gives_the_same(tmp_path, monkeypatch):
-    pytest.importorskip("ray", reason="needs Ray: pip install 'fungrasp[ray]'")
+    pytest.importorskip("ray", reason='needs Ray: pip install "fungrasp[ray]"')
     monkeypatch.setenv("PYTHONPATH", HERE)
     job, seen, store = Squares(5), [], PartStore(tmp_path)
     assert job.made_once

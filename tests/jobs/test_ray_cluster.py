@@ -22,7 +22,7 @@ from fungrasp.hands import load_hand
 from fungrasp.jobs import RayCluster
 from fungrasp.retargeting import retarget
 
-ray = pytest.importorskip("ray", reason="needs Ray: pip install 'fungrasp[ray]'")
+ray = pytest.importorskip("ray", reason='needs Ray: pip install "fungrasp[ray]"')
 pytestmark = pytest.mark.timeout(600)
 
 

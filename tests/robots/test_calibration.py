@@ -202,7 +202,7 @@ def painted(board: Board, in_camera: np.ndarray) -> np.ndarray:
 
 
 def test_corners_are_found_in_images() -> None:
-    pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'fungrasp[calibration]'")
+    pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "fungrasp[calibration]"')
     board = Board(marker=0.0)
     turn = quaternion_from_rotation_vector(np.array([0.3, -0.2, 0.1]))
     in_camera = np.concatenate([[-0.1, -0.07, 0.6], turn])
@@ -216,7 +216,7 @@ def test_corners_are_found_in_images() -> None:
 
 
 def test_the_command_calibrates_from_images_of_a_charuco_board(tmp_path: Path) -> None:
-    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'fungrasp[calibration]'")
+    cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "fungrasp[calibration]"')
     cell, rng, board = load_cell("ur5e-allegro"), np.random.default_rng(0), Board()
     arm = ArmKinematics(cell, load_hand(cell.hand))
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)

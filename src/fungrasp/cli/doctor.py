@@ -30,7 +30,7 @@ class DoctorCommand(Answering):
         ]
         missing = [e.name for e in found.extras if e.missing]
         if missing:
-            parts.append(f"to add an extra: pip install 'fungrasp[{missing[0]}]'")
+            parts.append(f'to add an extra: pip install "fungrasp[{missing[0]}]"')
         return Answer(found.as_json(), "\n\n".join(parts))
 
 

@@ -6,6 +6,7 @@ table of them by subcommand name, in which "module:class" stands for one that is
 
 from __future__ import annotations
 
+import errno
 import importlib
 import importlib.util
 import os
@@ -100,7 +101,9 @@ def _status(work: Callable[[], int]) -> int:
         return _fail(f"out of memory: {error}" if str(error) else "out of memory")
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
-        return _fail(f"{where}{error.strerror or error}")
+        # Compiled loops, whose writer does not say where, are the first to miss it.
+        full = "; FUNGRASP_CACHE moves what is kept" if error.errno == errno.ENOSPC else ""
+        return _fail(f"{where}{error.strerror or error}{full}")
 
 
 def available_commands() -> dict[str, tuple[str, str]]:

@@ -32,7 +32,7 @@ def write_mcap_episodes(episodes: Sequence[Trajectory], folder: str | Path) -> l
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise FungraspError(f"MCAP files need a package: pip install 'fungrasp[deploy]' ({error})") from error
+        raise FungraspError(f'MCAP files need a package: pip install "fungrasp[deploy]" ({error})') from error
     folder, written = Path(folder), []
     folder.mkdir(parents=True, exist_ok=True)
     for episode in episodes:
@@ -64,7 +64,7 @@ def read_mcap_episode(path: str | Path) -> Trajectory:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError as error:
-        raise FungraspError(f"MCAP files need a package: pip install 'fungrasp[deploy]' ({error})") from error
+        raise FungraspError(f'MCAP files need a package: pip install "fungrasp[deploy]" ({error})') from error
     try:
         with Path(path).open("rb") as stream:
             reader = make_reader(stream)

@@ -26,7 +26,7 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     try:
         import yaml
     except ImportError as error:
-        raise FungraspError("reading DexYCB needs PyYAML: pip install 'fungrasp[dexycb]'") from error
+        raise FungraspError('reading DexYCB needs PyYAML: pip install "fungrasp[dexycb]"') from error
 
     class Loader(yaml.SafeLoader):
         """Plain data and tuples."""

@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import cache_folder, cache_path
+from fungrasp.files import CannotWriteError, cache_folder, cache_path
 
 T = TypeVar("T")
 
@@ -28,19 +27,21 @@ def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callab
         read: reads the file.
         write: computes the result and writes the file, whole or not at all.
 
-    Where the cache folder can't be written to, results are kept for this process only.
+    Where the cache folder can't be written to, or is full, results are kept for this process only.
     """
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
     found = _try_read(cache_path(kind) / name, read)
     if found is not None:
         return found
     try:
-        path = cache_folder(kind) / name
-    except FungraspError as error:
-        path = _temporary_folder(str(error)) / f"{kind}-{name}"
-        found = _try_read(path, read)
-        if found is not None:
-            return found
+        return _made(cache_folder(kind) / name, read, write)
+    except CannotWriteError as error:
+        if not _temporary_folder.cache_info().currsize:
+            logging.getLogger(__name__).warning("%s: results are not kept", error)
+        return _made(_temporary_folder() / f"{kind}-{name}", read, write)
+
+
+def _made(path: Path, read: Callable[[Path], T], write: Callable[[Path], None]) -> T:
     with _locked(path.with_suffix(".lock")):
         found = _try_read(path, read)
         if found is not None:
@@ -50,19 +51,16 @@ def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callab
 
 
 @functools.cache
-def _temporary_folder(reason: str) -> Path:
+def _temporary_folder() -> Path:
     """A folder that goes with this process."""
-    logging.getLogger(__name__).warning("%s: results are not kept", reason)
     folder = tempfile.mkdtemp(prefix="fungrasp-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
 
 
 def _try_read(path: Path, read: Callable[[Path], T]) -> T | None:
-    if not path.exists():
-        return None
     try:
-        return read(path)
+        return read(path) if path.exists() else None
     except (OSError, ValueError, LookupError, TypeError) as error:
         logging.getLogger(__name__).warning("%s is unreadable (%s): computing it again", path, error)
         return None
@@ -76,6 +74,10 @@ def _locked(path: Path) -> Iterator[None]:
     except ImportError:
         yield
         return
-    with path.open("w") as file:
+    try:
+        file = path.open("w")
+    except OSError as error:
+        raise CannotWriteError(f"cannot write {path}: {error.strerror}") from error
+    with file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -61,7 +61,7 @@ def write_lerobot_dataset(
         import pyarrow.parquet as pq
     except ImportError as error:
         raise FungraspError(
-            f"LeRobot data sets need a package: pip install 'fungrasp[lerobot]' ({error})"
+            f'LeRobot data sets need a package: pip install "fungrasp[lerobot]" ({error})'
         ) from error
     folder = Path(folder)
     _check(episodes, folder)

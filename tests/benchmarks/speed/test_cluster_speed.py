@@ -7,7 +7,7 @@ from benchmark_runs import run_benchmark
 
 from fungrasp.evaluation import read_result
 
-pytest.importorskip("ray", reason="needs Ray: pip install 'fungrasp[ray]'")
+pytest.importorskip("ray", reason='needs Ray: pip install "fungrasp[ray]"')
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ class ManoHand:
         try:
             import smplx  # pyright: ignore[reportMissingImports]
         except ImportError as error:
-            raise FungraspError("using a MANO model needs smplx: pip install 'fungrasp[mano]'") from error
+            raise FungraspError('using a MANO model needs smplx: pip install "fungrasp[mano]"') from error
         path = Path(path)
         file = path / f"MANO_{side.upper()}.pkl" if path.is_dir() else path
         if not file.is_file():

@@ -417,7 +417,7 @@ def _cma_es(problem: _Problem, start: np.ndarray) -> np.ndarray:
         import cma
     except ImportError as error:
         raise FungraspError(
-            "the method cma-es needs the package cma: pip install 'fungrasp[sysid]'"
+            'the method cma-es needs the package cma: pip install "fungrasp[sysid]"'
         ) from error
     settings = problem.settings
     free = ~problem.withheld
