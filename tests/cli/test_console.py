@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import pytest
 
-from fungrasp.cli.console import table
+from fungrasp.cli.console import option, suggestion, table
 
 ROWS = [("name", "slip [mm/s]"), ("  a", "1.5"), ("[b]", "95 % interval")]
 
@@ -44,3 +45,8 @@ def test_progress_off_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
         for done in (1, 4, 5):
             show(done)
     assert capsys.readouterr().err == "lifting: 50 %\nlifting: 100 %\n"
+
+
+def test_a_suggested_command_can_be_copied_whatever_its_paths() -> None:
+    line = suggestion("view", Path("my grasps.npz"), option("--objects", Path("a b")), option("--x", None), "")
+    assert line == "next: fungrasp view 'my grasps.npz' --objects 'a b'"

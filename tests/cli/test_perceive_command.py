@@ -125,6 +125,7 @@ def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_pa
     assert told["verdict"]["object"] == told["object"]["score"]
     text = page.read_text()
     assert "<html" in text and "Made by" in text
+    assert f"next: fungrasp retarget --grasps {out} --objects {folder} --out robot.npz" in words
     robot = tmp_path / "robot.npz"
     status, _, err = run(capsys, "retarget", "--grasps", out, "--objects", folder, "--out", robot)
     assert status == 0 and load_robot_grasps(robot).object_name.tolist() == ["thing"]

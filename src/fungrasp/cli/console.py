@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -82,13 +83,15 @@ class Answering:
 
 
 def suggestion(*words: object) -> str:
-    """A line that says which command is useful next. words: of its command line; None and "" are left out."""
-    return " ".join(("next: fungrasp", *(str(word) for word in words if word not in (None, ""))))
+    """A line that says which command is useful next. words: of its command line, paths as such; None and ""
+    are left out."""
+    given = (shlex.quote(str(word)) if isinstance(word, Path) else str(word) for word in words if word)
+    return " ".join(("next: fungrasp", *given))
 
 
 def option(name: str, value: object) -> str:
     """An option of a command line with its value; "" where there is none. name: with its dashes."""
-    return "" if value is None else f"{name} {value}"
+    return "" if value is None else f"{name} {shlex.quote(str(value))}"
 
 
 @contextmanager

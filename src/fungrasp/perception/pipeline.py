@@ -313,7 +313,7 @@ def _warnings(
         found += scene.object.warnings
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
-    found += image_warnings(capture, refined, scene.object.pose_camera_object, model)
+    found += image_warnings(capture, refined, scene.object, model)
     if (size := size_warning(refined)) is not None:
         found.append(size)
     if refined.side != scene.hand.side:

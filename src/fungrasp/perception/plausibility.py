@@ -13,7 +13,7 @@ from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.camera.readiness import along_bones, cut_edge
-from fungrasp.perception.estimates import HandEstimate, PerceptionWarning
+from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.hand.fit import OTHER_SIDE
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.estimate import SIZES
@@ -71,15 +71,15 @@ def other_doubt(
     scene: HandCandidate, warnings: Sequence[PerceptionWarning], fitted: FittedShape | None
 ) -> str:
     """What speaks against the answer, whatever its probabilities are: they are those of images of the right
-    scale and of the side that the hand has, in which hand and object are whole."""
+    scale and of the side that the hand has, with aligned depth, in which hand and object are whole."""
     for one in warnings:
         # A mesh that fits has the size of what is seen; a shape that was fitted takes any.
         unscaled = one.code == "hand_size" and fitted is not None
-        # Nor of what is cut off: it may slide along the edge, and fingers beyond it are found inside.
-        cut = one.code == "cut_off"
+        # What is cut off may slide along the edge, and fingers beyond it are found inside.
+        unlike = one.code in ("cut_off", "depth_shifted")
         seen = scene.detected
         other_side = one.code == "side_not_as_given" and seen is not None and seen.side_score >= OTHER_SIDE
-        if unscaled or cut or other_side:
+        if unscaled or unlike or other_side:
             return str(one)
     return ""
 
@@ -98,16 +98,14 @@ def check_holdable(model: ObjectModel) -> None:
 
 
 def image_warnings(
-    capture: Capture, hand: HandEstimate, pose: np.ndarray, model: ObjectModel
+    capture: Capture, hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel
 ) -> list[PerceptionWarning]:
-    """What the image lacks: warnings of a hand or an object, in its pose, that is cut off at an edge, and of
-    red and blue that are swapped."""
+    """What the image lacks: warnings of a hand, or an object whose pose is accepted, that is cut off at an
+    edge, and of red and blue that are swapped."""
     lens, found = capture.intrinsics, []
-    project = lens.project
-    seen = {
-        "hand": np.concatenate([hand.pixels, project(hand.joints_camera)]),
-        "object": project(transform_points(pose, model.vertices)),
-    }
+    seen = {"hand": np.concatenate([hand.pixels, lens.project(hand.joints_camera)])}
+    if thing.accepted:
+        seen["object"] = lens.project(transform_points(thing.pose_camera_object, model.vertices))
     for what, pixels in seen.items():
         if (edge := cut_edge(lens, pixels)) is not None:
             found.append(PerceptionWarning.of("cut_off", what=what, edge=edge))
