@@ -48,5 +48,5 @@ def test_progress_off_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
 
 
 def test_a_suggested_command_can_be_copied_whatever_its_paths() -> None:
-    line = suggestion("view", Path("my grasps.npz"), option("--objects", Path("a b")), option("--x", None), "")
+    line = suggestion("view", Path("my grasps.npz"), option("--objects", Path("a b")), option("--x", None))
     assert line == "next: fungrasp view 'my grasps.npz' --objects 'a b'"

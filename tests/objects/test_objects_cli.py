@@ -47,6 +47,8 @@ def test_show(capsys):
     assert "0.35 kg" in out
     assert "handle, " in out
     assert "18 convex" in out
+    assert main(["objects", "show", "box:60x28x30", "--mass", "0.1"]) == 0
+    assert "[1.403e-05, 0.000e+00, 0.000e+00]" in capsys.readouterr().out
 
 
 def test_show_a_file_as_json(capsys, brick):

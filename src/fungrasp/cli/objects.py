@@ -110,7 +110,10 @@ def _text(d: dict[str, Any]) -> str:
         ("center", f"({', '.join(f'{x * 100:.2f}' for x in d['center_of_mass'])}) cm"),
     ]
     if d["inertia"] is not None:
-        rows += [("inertia", f"[{', '.join(f'{x:.3e}' for x in row)}] kg m2") for row in d["inertia"]]
+        # What rounding leaves of nothing, and -0, are 0.
+        least = 1e-9 * max(map(max, d["inertia"]))
+        rounded = [[x if abs(x) > least else 0.0 for x in row] for row in d["inertia"]]
+        rows += [("inertia", f"[{', '.join(f'{x:.3e}' for x in row)}] kg m2") for row in rounded]
     rows += [
         ("part", f"{name}, {part['area'] / total:.0%} of the surface") for name, part in d["parts"].items()
     ]
