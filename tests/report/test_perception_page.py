@@ -134,7 +134,7 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
         < said.index("In the image")
     )
     assert "so what touches it is uncertain" in said
-    assert "<wrong>" not in html
+    assert "<wrong>" not in html and "mesh?</li>" in html
     assert "<mine>" not in html
 
 

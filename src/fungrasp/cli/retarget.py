@@ -86,7 +86,7 @@ class Retarget(Answering):
         lines = [
             quality.table(),
             *(f"warning: {words}" for words in touching),
-            f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:.0f} grasps/s",
+            f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:,.1f} grasps/s",
             suggestion("evaluate --grasps", self.out, option("--objects", self.objects)),
         ]
         value = {"grasps": self.out, "count": len(robot), "objects": len(objects), "quality": summary}

@@ -247,4 +247,4 @@ def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> st
 
 
 def _sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:].rstrip('.')}."
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}{'' if words.endswith('?') else '.'}"

@@ -159,7 +159,7 @@ def _checked(width: int, height: int, fx: float, fy: float, cx: float, cy: float
         why = "are cx and cy swapped" if swapped else "intrinsics of another resolution"
         raise FungraspError(
             f"{where}: fx = {fx:g}, fy = {fy:g}, cx = {cx:g}, cy = {cy:g} [pixels] don't fit an image of "
-            f"{width} x {height} pixels: {why}, or not in pixels?"
+            f"{width} x {height} pixels: {why}, not in pixels, or is the image cropped (give the whole one)?"
         )
     return lens
 
