@@ -18,7 +18,7 @@ from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
-from fungrasp.perception.hand.joint_confidence import joint_confidences, joint_features
+from fungrasp.perception.hand.joint_confidence import SURE, joint_confidences, joint_features
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.io.scene_folders import write_folder
@@ -358,6 +358,7 @@ def test_what_is_cut_off_at_the_edge_is_not_sure():
     )
     assert found.object.accepted and not found.confident
     assert found.verdict.doubt.endswith("is cut off at the left edge of the image")
+    assert found.hand.confidence.max() < SURE < seen().hand.confidence.max()
 
 
 def test_a_hand_without_depth():

@@ -50,6 +50,7 @@ from fungrasp.perception.perceived import (
 from fungrasp.perception.plausibility import (
     check_held,
     check_holdable,
+    edge_of_hand,
     image_warnings,
     other_doubt,
     size_warning,
@@ -170,7 +171,8 @@ def perceive(
     with watch.stage("refinement"):
         refined = _refined_hand(scene, capture, model, side, seed)
         of_joints = joint_features(capture, scene.hand, refined, scene.object.accepted)
-        refined = replace(refined, confidence=joint_confidences(of_joints))
+        cut = edge_of_hand(capture, refined) is not None
+        refined = replace(refined, confidence=joint_confidences(of_joints, cut))
     # 6: the grasp in the world.
     with watch.stage("grasp"):
         plane = scene.table

@@ -97,18 +97,23 @@ def check_holdable(model: ObjectModel) -> None:
     _check_origin(model, MAX_HAND_DISTANCE)
 
 
+def edge_of_hand(capture: Capture, hand: HandEstimate) -> str | None:
+    """The edge of the image that cuts off a hand; None if it is whole."""
+    return cut_edge(
+        capture.intrinsics, np.concatenate([hand.pixels, capture.intrinsics.project(hand.joints_camera)])
+    )
+
+
 def image_warnings(
     capture: Capture, hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel
 ) -> list[PerceptionWarning]:
     """What the image lacks: warnings of a hand, or an object whose pose is accepted, that is cut off at an
     edge, and of red and blue that are swapped."""
-    lens, found = capture.intrinsics, []
-    seen = {"hand": np.concatenate([hand.pixels, lens.project(hand.joints_camera)])}
+    lens, edges = capture.intrinsics, {"hand": edge_of_hand(capture, hand)}
     if thing.accepted:
-        seen["object"] = lens.project(transform_points(thing.pose_camera_object, model.vertices))
-    for what, pixels in seen.items():
-        if (edge := cut_edge(lens, pixels)) is not None:
-            found.append(PerceptionWarning.of("cut_off", what=what, edge=edge))
+        pixels = lens.project(transform_points(thing.pose_camera_object, model.vertices))
+        edges["object"] = cut_edge(lens, pixels)
+    found = [PerceptionWarning.of("cut_off", what=what, edge=edge) for what, edge in edges.items() if edge]
     u, v = along_bones(lens, hand.pixels)
     redder = capture.color[v, u, 0].astype(int) - capture.color[v, u, 2]
     blue, red = (redder < -TINGE).sum(), (redder > TINGE).sum()

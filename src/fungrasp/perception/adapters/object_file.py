@@ -99,7 +99,9 @@ def _of_folder(folder: Path, image: int | str | None) -> Path:
         )
     if image is None:
         if len(files) > 1:
-            raise FungraspError(f"{folder} has the poses of {len(files)} images: say which image is meant")
+            raise FungraspError(
+                f"{folder} has the poses of {len(files)} images: say which is meant (--image)"
+            )
         return next(iter(files.values()))
     number = _number(image)
     found = [file for stem, file in files.items() if stem == str(image)] or [
@@ -119,7 +121,7 @@ def _of_image(numbers: np.ndarray, image: int | str | None, where: str) -> np.nd
     if len(numbers) == 1:
         return numbers[0]
     if image is None:
-        raise FungraspError(f"{where} has {len(numbers)} poses: say which image is meant")
+        raise FungraspError(f"{where} has {len(numbers)} poses: say which is meant (--image)")
     row = _number(image)
     if row is None or not 0 <= row < len(numbers):
         raise FungraspError(f"{where} has no pose of image {image}; it has 0 to {len(numbers) - 1}")

@@ -128,7 +128,9 @@ def _of_image(content: Mapping[str, Any], image: int | None, where: str) -> Mapp
     if image is None:
         if len(content) == 1:
             return next(iter(content.values()))
-        raise FungraspError(f"{where} has the intrinsics of {len(content)} images: say which image is meant")
+        raise FungraspError(
+            f"{where} has the intrinsics of {len(content)} images: say which is meant (--image)"
+        )
     for key, value in content.items():
         if int(key) == image:
             return value
