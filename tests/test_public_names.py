@@ -7,10 +7,12 @@ import dataclasses
 import importlib
 import inspect
 import pkgutil
+import re
 import textwrap
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -118,3 +120,12 @@ def test_the_checks_find_something() -> None:
 
     assert list(_members_without_docstring(Point)) == ["far", "y"] and _own_doc(Point) is None
     assert "train" in {name for module in modules() for name, _ in public(module)}
+
+
+def test_the_manual_says_where_the_main_names_come_from():
+    page = (Path(__file__).parents[1] / "docs" / "api" / "index.md").read_text()
+    rows = re.findall(r"^\| \[?`(fungrasp[\w.]*)`.*?\| (.*) \|$", page, re.MULTILINE)
+    said = {name: module for module, names in rows for name in re.findall(r"`(\w+)`", names)}
+    assert sorted(said) == fungrasp.__all__
+    for name, module in said.items():
+        assert getattr(importlib.import_module(module), name) is getattr(fungrasp, name)
