@@ -38,7 +38,7 @@ def test_foundation_pose_writes_a_matrix_per_image(tmp_path):
         same_pose(estimate.pose_camera_object)
     assert estimate.accepted and estimate.score == ACCEPT and "no score" in estimate.note
     assert read_object_pose(folder / "000012.txt").pose_camera_object[2] == 0.7
-    with pytest.raises(FungraspError, match="2 images: say which image"):
+    with pytest.raises(FungraspError, match="2 images: say which is meant"):
         read_object_pose(folder)
     with pytest.raises(FungraspError, match="no pose of image 4; it has 000003 to 000012"):
         read_object_pose(folder, image=4)
@@ -61,7 +61,7 @@ def test_matrices_and_our_seven_numbers_in_any_file(tmp_path):
         same_pose(read_object_pose(tmp_path / name, image=image).pose_camera_object)
     unsure = read_object_pose(tmp_path / "named.json")
     assert unsure.score == 0.4 and not unsure.accepted and unsure.note.startswith("low confidence")
-    with pytest.raises(FungraspError, match="has 2 poses: say which image"):
+    with pytest.raises(FungraspError, match="has 2 poses: say which is meant"):
         read_object_pose(tmp_path / "many.npy")
     with pytest.raises(FungraspError, match="no pose of image 2; it has 0 to 1"):
         read_object_pose(tmp_path / "many.npy", image=2)
