@@ -47,14 +47,7 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
-from fungrasp.perception.plausibility import (
-    check_held,
-    check_holdable,
-    edge_of_hand,
-    image_warnings,
-    other_doubt,
-    size_warning,
-)
+from fungrasp.perception.plausibility import check_held, check_holdable, edge_of_hand, hardly_so, other_doubt
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -171,8 +164,8 @@ def perceive(
     with watch.stage("refinement"):
         refined = _refined_hand(scene, capture, model, side, seed)
         of_joints = joint_features(capture, scene.hand, refined, scene.object.accepted)
-        cut = edge_of_hand(capture, refined) is not None
-        refined = replace(refined, confidence=joint_confidences(of_joints, cut))
+        confidence = joint_confidences(of_joints, edge_of_hand(capture, refined) is not None)
+        refined = replace(refined, confidence=confidence)
     # 6: the grasp in the world.
     with watch.stage("grasp"):
         plane = scene.table
@@ -315,9 +308,7 @@ def _warnings(
         found += scene.object.warnings
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
-    found += image_warnings(capture, refined, scene.object, model)
-    if (size := size_warning(refined)) is not None:
-        found.append(size)
+    found += hardly_so(capture, refined, scene.object, model)
     if refined.side != scene.hand.side:
         found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
     if scene.table is None:

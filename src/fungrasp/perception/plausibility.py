@@ -99,16 +99,16 @@ def check_holdable(model: ObjectModel) -> None:
 
 def edge_of_hand(capture: Capture, hand: HandEstimate) -> str | None:
     """The edge of the image that cuts off a hand; None if it is whole."""
-    return cut_edge(
-        capture.intrinsics, np.concatenate([hand.pixels, capture.intrinsics.project(hand.joints_camera)])
-    )
+    lens = capture.intrinsics
+    return cut_edge(lens, np.concatenate([hand.pixels, lens.project(hand.joints_camera)]))
 
 
-def image_warnings(
+def hardly_so(
     capture: Capture, hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel
 ) -> list[PerceptionWarning]:
-    """What the image lacks: warnings of a hand, or an object whose pose is accepted, that is cut off at an
-    edge, and of red and blue that are swapped."""
+    """Warnings of a hand, or an object whose pose is accepted, that the image's edge cuts off; of swapped red
+    and blue; and of a hand smaller or larger than those of 95 % of adults: of the scale of depth and
+    intrinsics, nothing else in an image tells as much."""
     lens, edges = capture.intrinsics, {"hand": edge_of_hand(capture, hand)}
     if thing.accepted:
         pixels = lens.project(transform_points(thing.pose_camera_object, model.vertices))
@@ -119,14 +119,8 @@ def image_warnings(
     blue, red = (redder < -TINGE).sum(), (redder > TINGE).sum()
     if blue > max(BLUE * len(redder), red):
         found.append(PerceptionWarning.of("colors_swapped"))
-    return found
-
-
-def size_warning(hand: HandEstimate) -> PerceptionWarning | None:
-    """A warning if the hand is smaller or larger than those of 95 % of adults. Of the scale of depth and
-    intrinsics, nothing else in an image tells as much."""
     size, spread = hand_size(hand.joints_camera), 2 * HAND_SIZE_SPREAD
-    if abs(np.log(size)) < spread:
-        return None
-    low, high = np.exp([-spread, spread]).tolist()
-    return PerceptionWarning.of("hand_size", size=size, low=low, high=high)
+    if abs(np.log(size)) >= spread:
+        low, high = np.exp([-spread, spread]).tolist()
+        found.append(PerceptionWarning.of("hand_size", size=size, low=low, high=high))
+    return found
