@@ -4,7 +4,7 @@ from __future__ import annotations
 
 BENCHMARKS = {
     "speed": "retargeting, planning, training, clusters and drivers: how fast, at what quality",
-    "engines": "physics steps per second: the environment beside bare physics",
+    "engines": "physics steps per second beside bare physics; recorded grasps in other engines",
     "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",
     "grasp_set": "makes human grasps of many objects, in parts to train, to choose and to confirm",
@@ -18,6 +18,7 @@ BENCHMARKS = {
     "paper": "the free policies of all hands, and the paper's tables",
     "cold_start": "a newcomer's first commands, from nothing",
     "extras": "each optional extra alone, from nothing",
+    "builtin_objects": "writes the meshes of the built-in objects",
     "documents.tables": "the tables of README and docs, from docs/lab/results",
 }
 """Summary of each benchmark, by the name of its room."""

@@ -122,7 +122,7 @@ TRIALS = {
         "fungrasp robots calibrate ur5e-allegro --images images --out c.toml", IMAGE, ends_with="board"
     ),
     "deploy": Trial("fungrasp deploy --robot ur5e-allegro --policy plan --fast --log lift.mcap"),
-    "drake": Trial("fungrasp audit episodes --engine drake", RECORDED),
+    "drake": Trial("python -m benchmarks.engines audit episodes --engine drake", RECORDED),
     "dexycb": Trial(
         "fungrasp grasps import dexycb dexycb --out d.npz",
         SEQUENCE,
@@ -140,7 +140,7 @@ TRIALS = {
     "pose": Trial("python -m benchmarks.faults --devices tracker --trials 1"),
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
     "realsense": Trial("fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera|libusb"),
-    "sapien": Trial("fungrasp audit episodes --engine sapien", RECORDED),
+    "sapien": Trial("python -m benchmarks.engines audit episodes --engine sapien", RECORDED),
     "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),
     "viewer": Trial("python page.py", f"{GRASPS}\nopen('page.py', 'w').write({PAGE!r})"),

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.engines``: physics steps per second."""
+"""``python -m benchmarks.engines speed``: physics steps per second."""
 
 from __future__ import annotations
 
@@ -63,6 +63,3 @@ class Simulation:
             f"{'the' if speed.identical else 'NOT the'} same motion in all three"
         )
         print(f"{speed.worlds} worlds of {hand.name}; {machine()}")
-
-
-COMMAND = Simulation

@@ -11,13 +11,12 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
+from benchmarks.builtin_objects.assembly import assemble
 from benchmarks.grasp_set.shapes import DRAWN_KINDS
 from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.grasps.importers.ycb import YCB_MASSES
-from fungrasp.objects import ObjectModel, load_object, object_from_file
-from fungrasp.objects.builtin import BUILTINS
-from fungrasp.objects.builtin.assembly import assemble
+from fungrasp.objects import ObjectModel, load_object, object_from_file, object_names
 from fungrasp.objects.object_registry import mesh_files
 
 BUILTIN_SCALES = (0.85, 1.2)
@@ -85,7 +84,7 @@ def drawn_objects(count: int, seed: int) -> list[SetObject]:
 def builtin_objects(count: int, seed: int) -> list[SetObject]:
     """Each built-in object in ``count`` random sizes and masses."""
     objects = []
-    for name, number in product(BUILTINS, range(count)):
+    for name, number in product(object_names(), range(count)):
         rng = np.random.default_rng([seed, *name.encode(), number])
         scale = float(np.round(rng.uniform(*BUILTIN_SCALES), 3))
         thing = load_object(name)

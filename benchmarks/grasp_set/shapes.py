@@ -7,9 +7,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fungrasp.objects.builtin import containers, desk, drinking, kitchen, tools
-from fungrasp.objects.builtin.assembly import PartSolids
-from fungrasp.objects.builtin.shapes import Solid, along_x, box, ellipse, lathe, ring, sweep
+from benchmarks.builtin_objects import containers, desk, drinking, kitchen, tools
+from benchmarks.builtin_objects.assembly import PartSolids
+from benchmarks.builtin_objects.shapes import (
+    Solid,
+    along_x,
+    box,
+    ellipse,
+    ring,
+    sweep,
+)
+from fungrasp.objects.plain_shapes import lathe
 
 CERAMIC, GLASS_FILLED, PAPER, WATER = 2300.0, 1150.0, 730.0, 1000.0
 """Densities [kg/m3]: stoneware; plastic with glass fibers; a book's pages; what bottles hold."""

@@ -36,7 +36,7 @@ def test_retargeting_side_by_side(human, tmp_path, capsys):
 def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys):
     path = tmp_path / "b.json"
     status, out, _ = run_benchmark(
-        capsys, "engines", "--grasps", human, "--worlds", 4, "--repeat", 1, "--json", path
+        capsys, "engines", "speed", "--grasps", human, "--worlds", 4, "--repeat", 1, "--json", path
     )
     assert status == 0
     numbers = json.loads(path.read_text())
@@ -71,8 +71,8 @@ def test_planning_counts_core_seconds_with_and_without_rollouts(human, tmp_path,
     [
         (("speed", "retarget", "--method", "contakt"), "Did you mean 'contact'?"),
         (("speed", "retarget", "--repeat", 0), "--repeat must be at least 1"),
-        (("engines", "--worlds", 0), "--worlds must be at least 1"),
-        (("engines", "--hand", "alegro"), "Did you mean 'allegro'?"),
+        (("engines", "speed", "--worlds", 0), "--worlds must be at least 1"),
+        (("engines", "speed", "--hand", "alegro"), "Did you mean 'allegro'?"),
         (("speed", "retarget", "--grasps", "none.npz"), "none.npz does not exist"),
         (("speed", "retargeting"), "Did you mean 'retarget'?"),
     ],

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from fungrasp.objects import ConvexPiece, convex_pieces, load_object
 from fungrasp.objects.convex_decomposition import DecompositionSettings, fewer_points, mesh_digest
-from fungrasp.objects.piece_fidelity import piece_fidelity
+from fungrasp.objects.object_description import piece_fidelity
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 

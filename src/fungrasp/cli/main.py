@@ -25,7 +25,6 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "scan": ("fungrasp.cli.scan", "make a mesh of an object from a few images with depth of it"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
-    "audit": ("fungrasp.cli.audit", "try recorded grasps in other physics engines"),
     "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull
+
+from fungrasp.geometry.signed_distance import mesh_signed_distance
 from fungrasp.objects.object_model import ObjectModel
-from fungrasp.objects.piece_fidelity import piece_fidelity
 
 
 def describe_object(model: ObjectModel) -> dict[str, Any]:
@@ -29,3 +33,46 @@ def describe_object(model: ObjectModel) -> dict[str, Any]:
         "pieces": len(model.pieces),
         "fidelity": asdict(piece_fidelity(model)),
     }
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """Where the surface of the union of an object's pieces is, compared with its mesh [m]."""
+
+    bulge_max: float
+    """Largest distance of a point of a piece outside the mesh [m]."""
+    bulge_mean: float
+    """Mean over the pieces' surface of the distance outside the mesh [m], 0 where they are inside."""
+    shrink_max: float
+    """Largest distance of a point of the mesh outside all pieces [m]."""
+    shrink_mean: float
+    """Mean over the mesh of the distance outside all pieces [m], 0 where it is inside one."""
+
+
+def piece_fidelity(model: ObjectModel, samples: int = 4000) -> Fidelity:
+    """Compare the pieces with the mesh.
+
+    Args:
+        model: the object.
+        samples: points on the mesh, and on all pieces together; the pieces' corners are added.
+    """
+    shapes = [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in model.pieces]
+    area = sum(shape.area for shape in shapes)
+    on_pieces = np.concatenate([_surface(shape, round(samples * shape.area / area)) for shape in shapes])
+    corners = np.concatenate([piece.vertices for piece in model.pieces])
+    outside = np.maximum(mesh_signed_distance(model.mesh, np.concatenate([on_pieces, corners])), 0.0)
+    on_mesh = _surface(model.mesh, samples)
+    planes = [ConvexHull(piece.vertices).equations for piece in model.pieces]
+    uncovered = np.maximum(
+        np.min([(on_mesh @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes], axis=0), 0.0
+    )
+    return Fidelity(
+        bulge_max=float(outside.max()),
+        bulge_mean=float(outside[: len(on_pieces)].mean()),
+        shrink_max=float(uncovered.max()),
+        shrink_mean=float(uncovered.mean()),
+    )
+
+
+def _surface(mesh: trimesh.Trimesh, count: int) -> np.ndarray:
+    return np.asarray(trimesh.sample.sample_surface(mesh, max(count, 1), seed=0)[0])

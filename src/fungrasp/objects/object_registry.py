@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.objects.builtin import BUILTINS, build_builtin
+from fungrasp.objects.builtin_objects import BUILTINS, load_builtin
 from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
 from fungrasp.objects.mirroring import MIRRORED, mirrored_object
 from fungrasp.objects.object_model import ObjectModel
@@ -34,7 +34,7 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
     """
     if name not in BUILTINS:
         raise UnknownNameError("object", name, BUILTINS)
-    return build_builtin(name, mass)
+    return load_builtin(name, mass)
 
 
 def load_object(name: str | Path, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
 from fungrasp.errors import FungraspError
-from fungrasp.objects.builtin.shapes import box, lathe
 from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.objects.object_model import ObjectModel
 
@@ -41,7 +42,7 @@ def plain_shape(name: str, mass: float) -> ObjectModel:
     sizes = _sizes(name)
     kind = name.split(":", 1)[0]
     if kind == "box":
-        points = box(sizes)
+        points = 0.5 * np.array(sizes) * list(product((-1.0, 1.0), repeat=3))
     elif kind == "cylinder":
         radius, height = 0.5 * sizes[0], 0.5 * sizes[1]
         points = lathe([(radius, -height), (radius, height)], _SEGMENTS)
@@ -53,6 +54,13 @@ def plain_shape(name: str, mass: float) -> ObjectModel:
     return ObjectModel(
         name, mass, hull.vertices, hull.faces.astype(np.int32), construction=(hull,), source="its name"
     )
+
+
+def lathe(profile: Sequence[tuple[float, float]], segments: int = 40) -> np.ndarray:
+    """Corners of a convex solid of revolution about z. profile: radius and height [m], from bottom to top."""
+    angles = np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.concatenate([np.insert(radius * circle, 2, height, axis=1) for radius, height in profile])
 
 
 def _sizes(name: str) -> list[float]:

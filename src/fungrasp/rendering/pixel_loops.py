@@ -9,8 +9,6 @@ from fungrasp.geometry.compiling import compiled, compiled_part
 NOTHING, TABLE = -1, -2
 """Values of a segmentation where no surface is seen."""
 
-NOWHERE = -9
-
 TILE = 16
 """Side of the squares of pixels of which all are cast or none."""
 

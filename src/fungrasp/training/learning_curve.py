@@ -14,12 +14,12 @@ from fungrasp.errors import FungraspError
 from fungrasp.files import atomic_path
 from fungrasp.formats.file_bytes import read_bytes
 from fungrasp.objects import ObjectModel, with_sizes
+from fungrasp.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_policy import residual_policy
 from fungrasp.sim2real import draw
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, play
-from fungrasp.training.curve_drawing import curve_svg
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary
 
@@ -168,3 +168,28 @@ def draw_curves(path: Path, curves: Mapping[str, Path]) -> None:
     columns = {name: np.array(read_curve(file), dtype=float).reshape(-1, 5) for name, file in curves.items()}
     with atomic_path(path) as part:
         part.write_text(curve_svg(columns))
+
+
+ACROSS = ((0, 1e-6, "control steps [millions]"), (1, 1 / 60, "time [min]"))
+"""Column, factor and title of what the panels beside each other are over."""
+DOWN = ((2, "success", (0.0, 1.0)), (3, "contact ratio", (0.0, 1.0)), (4, "slip [mm/s]", None))
+"""Column, title and limits of what the panels below each other show."""
+
+
+def curve_svg(curves: Mapping[str, np.ndarray]) -> str:
+    """Success, contact ratio and slip over control steps and over time.
+
+    Args:
+        curves: columns of ``CurvePoint``, shape [N, 5] each, by the name of the training.
+    """
+    panels = []
+    for row, (measure, title, limits) in enumerate(DOWN):
+        for column, (over, factor, across) in enumerate(ACROSS):
+            # One legend is enough.
+            named = row == 0 and column == len(ACROSS) - 1
+            lines = [
+                PlotLine(factor * points[:, over], points[:, measure], name if named else "")
+                for name, points in curves.items()
+            ]
+            panels.append(PlotPanel(title if column == 0 else "", across, title, lines, limits=limits))
+    return panels_svg(panels, columns=2) + "\n"

@@ -16,7 +16,9 @@ from recorded import (
 from fungrasp.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
 from fungrasp.grasps.joint_orders import MANO, OPENPOSE
-from fungrasp.perception.adapters import read_hand_estimate, read_hands
+from fungrasp.perception.adapters import read_hand_estimate
+from fungrasp.perception.adapters.hand_fields import read_fields
+from fungrasp.perception.adapters.hand_file import hands_of
 from fungrasp.perception.adapters.hand_placement import _common_factor
 
 JOINTS = true_hand()
@@ -112,7 +114,7 @@ def test_wilor_mini_with_two_hands(tmp_path, capture):
         **both,
     }
     path = write_npz(tmp_path / "h.npz", fields)
-    hands = read_hands(path, CAMERA)
+    hands = hands_of(read_fields(path), CAMERA)
     assert [(hand.side, hand.score) for hand in hands] == [("right", 0.8), ("left", 0.9)]
     assert worst(read_hand_estimate(path, capture, side="right")) < 0.008
     assert read_hand_estimate(path, capture, hand=1).side == "left"

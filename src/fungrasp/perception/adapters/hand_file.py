@@ -7,16 +7,13 @@ and distance in the depth image.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
-from fungrasp.formats.guarded import guarded
 from fungrasp.grasps.anatomy import bone_ratios, hand_size, joint_bends
 from fungrasp.grasps.joint_orders import ORDERS, joint_order
-from fungrasp.perception.adapters.hand_fields import HandFields, read_fields
+from fungrasp.perception.adapters.hand_fields import HandFields
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.io.capture import Intrinsics
@@ -31,12 +28,11 @@ ASPECT = 0.02
 """Part by which the shapes of two images that are the same one may differ."""
 
 
-@guarded("hand file")
-def read_hands(path: str | Path, intrinsics: Intrinsics) -> list[DetectedHand]:
-    """All hands of a file. Its fields are in docs/adapters.md.
+def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
+    """All hands of a file.
 
     Args:
-        path: ``.json`` or ``.npz``.
+        fields: of the file; docs/adapters.md has them.
         intrinsics: of the image.
 
     Returns:
@@ -44,13 +40,8 @@ def read_hands(path: str | Path, intrinsics: Intrinsics) -> list[DetectedHand]:
         are the file's, 1 where it has none.
 
     Raises:
-        FungraspError: the file can't be read, lacks a field, or it can't be of this image.
+        FungraspError: it lacks a field, or can't be of this image.
     """
-    return hands_of(read_fields(path), intrinsics)
-
-
-def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
-    """``read_hands`` on fields that have been read."""
     joints = _joints(fields)
     count = len(joints)
     sides = _sides(fields, count)

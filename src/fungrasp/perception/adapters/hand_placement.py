@@ -100,7 +100,7 @@ def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = Fa
     """The hand in metres.
 
     Args:
-        detected: landmarks and shape, as ``read_hands`` gives them.
+        detected: landmarks and shape, as ``hands_of`` gives them.
         capture: the same image with depth; its mask, if there is one, says what is not the hand.
         keep_size: the shape's size is known to be right: depth is used only to judge it.
 

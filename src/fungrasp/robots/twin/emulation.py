@@ -9,9 +9,9 @@ from typing import Any, Self
 from fungrasp.errors import FungraspError
 from fungrasp.robots.cell import ArmSettings, DeviceSettings, RobotCell
 from fungrasp.robots.emulators.emulator import Emulator
+from fungrasp.robots.emulators.plant import PlantCommand, PlantState
 from fungrasp.robots.pose.stream import PosePublisher
 from fungrasp.robots.twin.clocks import RealTimeTwin
-from fungrasp.robots.twin.plants import TwinArmPlant, TwinHandPlant
 from fungrasp.robots.twin.world import TwinWorld
 
 POLL = 0.005
@@ -109,3 +109,40 @@ def _loopback(device: DeviceSettings) -> str:
             "file and give addresses such as 127.0.0.2"
         )
     return device.address
+
+
+class TwinArmPlant:
+    """The arm's joints."""
+
+    def __init__(self, world: TwinWorld):
+        """world: on the clock of the wall."""
+        self._world = world
+
+    def apply(self, command: PlantCommand, now: float) -> None:
+        """See ``Plant.apply``. Without positions the arm keeps its last target: brakes."""
+        if command.positions is not None:
+            self._world.command_arm(command.positions)
+
+    def state(self, now: float) -> PlantState:
+        """See ``Plant.state``."""
+        return PlantState(*self._world.arm_state())
+
+
+class TwinHandPlant:
+    """The hand's independent joints."""
+
+    def __init__(self, world: TwinWorld):
+        """world: on the clock of the wall."""
+        self._world = world
+
+    def apply(self, command: PlantCommand, now: float) -> None:
+        """See ``Plant.apply``."""
+        self._world.powered = command.positions is not None or command.torques is not None
+        if command.torques is not None:
+            self._world.command_torques(command.torques)
+        elif command.positions is not None:
+            self._world.command_hand(command.positions)
+
+    def state(self, now: float) -> PlantState:
+        """See ``Plant.state``."""
+        return PlantState(*self._world.hand_state())

@@ -7,17 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
     cross,
     quaternion_from_rotation_vector,
     quaternion_multiply,
+    relative,
     rotate,
     transform_points,
 )
+from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.task.environment import LiftEnvironment
-from fungrasp.task.use.finger_press import press_offsets
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis
-from fungrasp.task.use.motion import OPENING_TIME, UseMotion
+from fungrasp.task.use.motion import OPENING_TIME, TriggerPress, UseMotion
 
 RAMP_TIME = 0.3
 """Time in which forces on the object and the press of a finger rise [s]."""
@@ -162,3 +164,35 @@ def _away(end: np.ndarray, palm: np.ndarray) -> np.ndarray:
     """Unit vectors from palms to far ends, shape [..., 3]. end: [m], [..., 3]; palm: poses, [..., 7]."""
     way = end - palm[..., :3]
     return way / np.linalg.norm(way, axis=-1, keepdims=True)
+
+
+PRESS_MARGIN = 1.5
+"""The press of a finger over the force that the trigger needs: it touches beside the point that is planned,
+and a part of it is lost."""
+
+
+def press_offsets(environment: LiftEnvironment, world: int, trigger: TriggerPress) -> np.ndarray:
+    """Offsets of the finger servos that raise the force at the finger's tip, straight into the object, to the
+    trigger's and a margin [rad], shape [U]: ``J^T f`` over the servos' stiffness. What the finger presses
+    with already is what its servos' torques give in that direction.
+
+    Args:
+        environment: it is read.
+        world: that the finger is in.
+        trigger: what is pressed, with which finger.
+    """
+    engine, hand = environment.engine, environment.scene.hand
+    object_pose, palm = engine.object_pose[[world]], engine.palm_pose[[world]]
+    joints = hand.independent(engine.joint_positions[[world]])
+    kinematics = HandKinematics(hand, 1)
+    kinematics.update(relative(object_pose, palm), joints)
+    tip = kinematics.body_points((hand.fingers[trigger.finger].tip,))
+    place = kinematics.points(tip)
+    model = environment.scene.models[engine.object_index[world]]
+    outward = SignedDistanceBank([model.signed_distance]).query(np.zeros(1, dtype=int), place)[1][0, 0]
+    torques = -(outward / np.linalg.norm(outward)) @ kinematics.jacobian(tip.bodies, place)[0, 0, :, 6:]
+    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
+    squeeze = environment.task.setpoints.fingers[world] - joints[0]
+    pressing = torques @ (stiffness * squeeze) / (torques @ torques)
+    missing = PRESS_MARGIN * trigger.force - max(pressing, 0.0)
+    return max(missing, 0.0) * torques / stiffness

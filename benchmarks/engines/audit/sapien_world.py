@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.engines.audit.bundle import EpisodeBundle
+from benchmarks.engines.audit.hand_parts import Body, Inertia, Joint, Shape, Vector
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.audit.bundle import EpisodeBundle
-from fungrasp.evaluation.audit.hand_parts import Body, Inertia, Joint, Shape, Vector
 
 TIMESTEP = 0.002
 """[s]; PhysX's articulations need smaller steps than MuJoCo."""
@@ -28,7 +28,7 @@ _ALONG_X = (HALF, 0.0, -HALF, 0.0)
 
 
 class SapienWorld:
-    """See ``fungrasp.evaluation.audit.replay.EpisodeWorld``. Dry friction of joints is left out: PhysX knows
+    """See ``benchmarks.engines.audit.replay.EpisodeWorld``. Dry friction of joints is left out: PhysX knows
     it as a share of the load alone. A coupling is a stiff tendon along the chain of links."""
 
     def __init__(self, bundle: EpisodeBundle):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from benchmarks.engines.audit.other_engines import AuditResult, EngineName
+from benchmarks.engines.audit.replay import Replayed
 from fungrasp.errors import FungraspError
-from fungrasp.evaluation.audit.other_engines import AuditResult, EngineName
-from fungrasp.evaluation.audit.replay import Replayed
 from fungrasp.files import atomic_path
 from fungrasp.formats.json_file import read_json
 from fungrasp.formats.record_json import record_from_json

@@ -41,11 +41,6 @@ def prism(outline: Sequence[tuple[float, float]], bottom: float, top: float, bev
     return np.concatenate([np.column_stack([p, np.full(len(p), z)]) for p, z in levels])
 
 
-def lathe(profile: Profile, segments: int = 40) -> Solid:
-    """A convex solid of revolution about z, through the points of ``profile`` from bottom to top."""
-    return np.concatenate([_circle(radius, height, segments) for radius, height in profile])
-
-
 def ring(outer: Profile, inner: Profile, pieces: int = 12, fineness: int = 4) -> list[Solid]:
     """A hollow solid of revolution about z, cut into ``pieces`` equal sectors.
 
@@ -167,11 +162,6 @@ def turned(solid: Solid, angle: float, pivot: Sequence[float] = (0, 0, 0)) -> So
 def mirrored(solid: Solid) -> Solid:
     """The solid with y and z negated: turned half round about x."""
     return solid * [1, -1, -1]
-
-
-def _circle(radius: float, height: float, segments: int) -> np.ndarray:
-    angles = np.linspace(0, 2 * np.pi, segments, endpoint=False)
-    return _at(np.stack([np.cos(angles), np.sin(angles)], axis=1), radius, height)
 
 
 def _at(directions: np.ndarray, radius: float, height: float) -> np.ndarray:

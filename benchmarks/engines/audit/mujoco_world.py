@@ -7,8 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from fungrasp.evaluation.audit.bundle import EpisodeBundle
-from fungrasp.evaluation.audit.hand_parts import Vector
+from benchmarks.engines.audit.bundle import EpisodeBundle
+from benchmarks.engines.audit.hand_parts import Vector
 from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.simulation import SceneSettings
 
@@ -22,7 +22,7 @@ _TYPES = {
 
 
 class MujocoWorld:
-    """See ``fungrasp.evaluation.audit.replay.EpisodeWorld``."""
+    """See ``benchmarks.engines.audit.replay.EpisodeWorld``."""
 
     def __init__(self, bundle: EpisodeBundle):
         """bundle: of the episode."""

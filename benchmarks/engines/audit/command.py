@@ -1,4 +1,4 @@
-"""``fungrasp audit``: whether recorded grasps hold in other physics engines as well."""
+"""``python -m benchmarks.engines audit``: whether recorded grasps hold in other physics engines as well."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Audit:
     this command reads as well."""
 
     def run(self) -> Answer:
-        from fungrasp.evaluation.audit import audit, load_bundles
-        from fungrasp.evaluation.audit.other_engines import world_maker
-        from fungrasp.evaluation.audit.result_file import KeptEpisodes
+        from benchmarks.engines.audit import audit, load_bundles
+        from benchmarks.engines.audit.other_engines import world_maker
+        from benchmarks.engines.audit.result_file import KeptEpisodes
         from fungrasp.objects import load_object
 
         world_maker(self.engine)
@@ -52,6 +52,3 @@ class Audit:
         with progress_bar(f"in {self.engine}", len(made)) as show:
             result = audit(made, self.engine, kept.known, kept.add, show)
         return Answer(result.json(), result.table())
-
-
-COMMAND = Audit

@@ -11,15 +11,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.engines.audit.bundle import SUFFIX as BUNDLE
+from benchmarks.engines.audit.bundle import EpisodeBundle, load_bundle, make_bundle, scene_of
+from benchmarks.engines.audit.replay import EpisodeWorld, Replayed, play_bundle
 from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.evaluation.audit.bundle import SUFFIX as BUNDLE
-from fungrasp.evaluation.audit.bundle import EpisodeBundle, load_bundle, make_bundle, scene_of
-from fungrasp.evaluation.audit.replay import EpisodeWorld, Replayed, play_bundle
+from fungrasp.evaluation import Trajectory, replay
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.evaluation.trajectory import Trajectory, replay
 from fungrasp.formats.record_json import record_to_json
 from fungrasp.objects import ObjectModel
-from fungrasp.simulation.scene import Scene
+from fungrasp.simulation import Scene
 from fungrasp.text_table import table
 
 EngineName = Literal["mujoco", "drake", "sapien"]
@@ -113,14 +113,14 @@ def world_maker(engine: EngineName) -> Callable[[EpisodeBundle], EpisodeWorld]:
     if find_spec(PACKAGES[engine]) is None:
         raise FungraspError(f'--engine {engine} is not installed: pip install "fungrasp[{engine}]"')
     if engine == "drake":
-        from fungrasp.evaluation.audit.drake_world import DrakeWorld
+        from benchmarks.engines.audit.drake_world import DrakeWorld
 
         return DrakeWorld
     if engine == "sapien":
-        from fungrasp.evaluation.audit.sapien_world import SapienWorld
+        from benchmarks.engines.audit.sapien_world import SapienWorld
 
         return SapienWorld
-    from fungrasp.evaluation.audit.mujoco_world import MujocoWorld
+    from benchmarks.engines.audit.mujoco_world import MujocoWorld
 
     return MujocoWorld
 

@@ -12,8 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.evaluation.audit.hand_parts import (
+from benchmarks.engines.audit.hand_parts import (
     Body,
     CoupledJoints,
     Inertia,
@@ -25,6 +24,7 @@ from fungrasp.evaluation.audit.hand_parts import (
     short,
     vector,
 )
+from fungrasp.errors import FungraspError
 from fungrasp.evaluation.trajectory import PHASES, Trajectory
 from fungrasp.files import atomic_path
 from fungrasp.formats.json_file import read_json

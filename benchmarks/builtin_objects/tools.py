@@ -6,20 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import PartSolids
-from fungrasp.objects.builtin.shapes import (
+from benchmarks.builtin_objects.assembly import PartSolids
+from benchmarks.builtin_objects.shapes import (
     Solid,
     along_x,
     along_y,
     box,
     ellipse,
-    lathe,
     mirrored,
     moved,
     prism,
     sweep,
     turned,
 )
+from fungrasp.objects.plain_shapes import lathe
 
 
 @dataclass(frozen=True)

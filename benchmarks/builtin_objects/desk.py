@@ -6,8 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import PartSolids
-from fungrasp.objects.builtin.shapes import Solid, along_x, box, eye, lathe, mirrored, prism, turned
+from benchmarks.builtin_objects.assembly import PartSolids
+from benchmarks.builtin_objects.shapes import (
+    Solid,
+    along_x,
+    box,
+    eye,
+    mirrored,
+    prism,
+    turned,
+)
+from fungrasp.objects.plain_shapes import lathe
 
 
 @dataclass(frozen=True)

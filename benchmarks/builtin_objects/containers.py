@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import PartSolids
-from fungrasp.objects.builtin.shapes import box, ellipse, lathe, sweep
+from benchmarks.builtin_objects.assembly import PartSolids
+from benchmarks.builtin_objects.shapes import box, ellipse, sweep
+from fungrasp.objects.plain_shapes import lathe
 
 
 @dataclass(frozen=True)

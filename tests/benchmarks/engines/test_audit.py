@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark_runs import run_benchmark
 
 import fungrasp
-from fungrasp.cli.main import main
+from benchmarks.engines.audit import EpisodeBundle, audit, load_bundle, load_bundles, other_engines
+from benchmarks.engines.audit.result_file import KeptEpisodes
 from fungrasp.errors import FungraspError
 from fungrasp.evaluation import LiftTestSpec
-from fungrasp.evaluation.audit import EpisodeBundle, audit, load_bundle, load_bundles, other_engines
-from fungrasp.evaluation.audit.result_file import KeptEpisodes
 from fungrasp.objects import builtin_object
 
 
@@ -103,8 +103,8 @@ def test_a_bundle_holds_everything_and_is_read_as_it_was_written(folder, tmp_pat
 
 def test_the_command_goes_on_and_says_what_holds(folder, tmp_path, capsys):
     where, file = recorded("allegro", folder), tmp_path / "audit.json"
-    assert main(["audit", str(where), "--engine", "mujoco", "--json", str(file)]) == 0
-    assert "held in mujoco" in capsys.readouterr().out
+    status, out, _ = run_benchmark(capsys, "engines", "audit", where, "--engine", "mujoco", "--json", file)
+    assert status == 0 and "held in mujoco" in out
     before = KeptEpisodes(file, "mujoco").known
     assert len(before) == 2
     assert audit(bundles_of(where), "mujoco", before, lambda one: pytest.fail("it is known")).agreeing == 2
@@ -122,8 +122,8 @@ def test_what_can_not_be_replayed_is_refused_in_words(folder, tmp_path, monkeypa
     with pytest.raises(FungraspError, match="no recorded episodes"):
         bundles_of(tmp_path / "none")
     monkeypatch.setattr(other_engines, "find_spec", lambda name: None)
-    assert main(["audit", str(first), "--engine", "sapien"]) == 2
-    assert 'not installed: pip install "fungrasp[sapien]"' in capsys.readouterr().err
+    status, _, err = run_benchmark(capsys, "engines", "audit", first, "--engine", "sapien")
+    assert status == 2 and 'not installed: pip install "fungrasp[sapien]"' in err
 
 
 @pytest.mark.slow

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import manifold3d
 import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
+from benchmarks.builtin_objects.shapes import Solid
 from fungrasp.geometry.triangle_mesh import volume_and_center
-from fungrasp.objects.builtin.resting_rotation import resting_rotation
-from fungrasp.objects.builtin.shapes import Solid
-from fungrasp.objects.convex_decomposition import ConvexPiece, convex_hull
 from fungrasp.objects.mesh_repair import hull_solid, vertex_components
 
 PartSolids = Mapping[str, Sequence[Solid]]
@@ -22,10 +22,13 @@ GEOMETRY_TOLERANCE = 1e-8
 SPECK = 1e-10
 """Volume below which a closed surface is rounding [m3]."""
 
+FLAT = 1e-3
+"""Normals whose angle is smaller belong to one face of the hull [rad]."""
+
 
 def assemble(
     parts: PartSolids,
-) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[ConvexPiece, ...]]:
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray], list[Solid]]:
     """Unite convex solids, turn them to where they come to rest, put the origin at their box's center.
 
     Returns:
@@ -45,11 +48,11 @@ def assemble(
         mesh.vert_properties[:, :3], np.asarray(mesh.tri_verts, dtype=np.int64)
     )
     part_of_face = part_of_face[kept_faces]
-    turn = resting_rotation(vertices, volume_and_center(vertices[faces])[1])
+    turn = _resting_rotation(vertices, volume_and_center(vertices[faces])[1])
     vertices = vertices @ turn.T
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     masks = {name: part_of_face == name for name in parts}
-    pieces = tuple(convex_hull(points @ turn.T - center) for points in _joined(solids))
+    pieces = [points @ turn.T - center for points in _joined(solids)]
     return vertices - center, faces.astype(np.int32), masks, pieces
 
 
@@ -94,3 +97,31 @@ def _convex_together(a: Solid, b: Solid) -> bool:
     if hull * (1 - GEOMETRY_TOLERANCE) > first.volume() + second.volume():
         return False
     return hull * (1 - GEOMETRY_TOLERANCE) <= (first + second).volume()
+
+
+def _resting_rotation(vertices: np.ndarray, center_of_mass: np.ndarray) -> np.ndarray:
+    """The smallest rotation after which an object is stable: its center of mass is above a face of its hull.
+
+    Args:
+        vertices: [m], shape [V, 3].
+        center_of_mass: [m], shape [3].
+
+    Returns:
+        Rotation matrix, shape [3, 3]; the identity if it stands already.
+    """
+    hull = ConvexHull(vertices)
+    normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
+    for row in np.argsort(normals[:, 2]):
+        normal = normals[row]
+        face = np.linalg.norm(normals - normal, axis=1) < FLAT
+        foot = center_of_mass - (normal @ center_of_mass + offsets[row]) * normal
+        if any(_inside(vertices[corners], foot, normal) for corners in hull.simplices[face]):
+            if normal[2] < -1 + FLAT**2:
+                return np.eye(3)
+            return Rotation.align_vectors([[0, 0, -1]], [normal])[0].as_matrix()
+    raise AssertionError("the center of mass lies inside the hull, so it is above one of its faces")
+
+
+def _inside(triangle: np.ndarray, point: np.ndarray, normal: np.ndarray) -> bool:
+    turns = [np.cross(triangle[(k + 1) % 3] - triangle[k], point - triangle[k]) @ normal for k in range(3)]
+    return bool(min(turns) >= -1e-12 or max(turns) <= 1e-12)

@@ -6,8 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.objects.builtin.assembly import PartSolids
-from fungrasp.objects.builtin.shapes import Solid, bow, ellipse, lathe, ring, sweep
+from benchmarks.builtin_objects.assembly import PartSolids
+from benchmarks.builtin_objects.shapes import (
+    Solid,
+    bow,
+    ellipse,
+    ring,
+    sweep,
+)
+from fungrasp.objects.plain_shapes import lathe
 
 
 @dataclass(frozen=True)

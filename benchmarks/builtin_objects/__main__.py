@@ -1,0 +1,51 @@
+"""``python -m benchmarks.builtin_objects``: writes the meshes of the package's built-in objects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.builtin_objects.assembly import PartSolids, assemble
+from benchmarks.builtin_objects.catalogue import CONSTRUCTIONS
+from fungrasp.files import atomic_path
+from fungrasp.objects.builtin_objects import BUILTINS, FIELDS, MESHES
+
+
+def write_builtin_objects(path: Path = MESHES) -> None:
+    """Write all of them anew. Another version of manifold3d may cut the same surfaces into other triangles.
+
+    Raises:
+        FungraspError: the file can't be written.
+    """
+    made = [_fields(CONSTRUCTIONS[name]()) for name in BUILTINS]
+    arrays: dict[str, Any] = {key: np.concatenate([fields[key] for fields in made]) for key in FIELDS}
+    with atomic_path(path) as temporary:
+        np.savez_compressed(
+            temporary,
+            counts=np.array([[len(fields[key]) for key in FIELDS] for fields in made]),
+            **arrays,
+        )
+
+
+def _fields(parts: PartSolids) -> dict[str, np.ndarray]:
+    """What the file holds of an object."""
+    vertices, faces, masks, pieces = assemble(parts)
+    # Most corners of pieces are points of the surface, to the last bit.
+    points, row = list(vertices), {point.tobytes(): i for i, point in enumerate(vertices)}
+    for corner in np.concatenate(pieces):
+        if row.setdefault(corner.tobytes(), len(points)) == len(points):
+            points.append(corner)
+    return {
+        "points": np.array(points),
+        "faces": faces.astype(np.uint16),
+        "part_of_face": np.argmax(list(masks.values()), axis=0).astype(np.uint8),
+        "part_names": np.array(list(masks)),
+        "corners": np.array([row[corner.tobytes()] for corner in np.concatenate(pieces)], np.uint16),
+        "corner_counts": np.array([len(piece) for piece in pieces], np.uint16),
+    }
+
+
+if __name__ == "__main__":
+    write_builtin_objects()
