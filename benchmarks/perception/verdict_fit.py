@@ -18,6 +18,7 @@ OBJECT_SIGNS: Mapping[str, int] = {
     "larger": -1,
     "off": -1,
     "left_over": -1,
+    "mask_piece": -1,
     "told": 1,
     "other_size": -1,
     "other_side": -1,
@@ -30,17 +31,18 @@ HAND_SIGNS: Mapping[str, int] = {
     "joints": 1,
 }
 
-OBJECT_PRIOR: Mapping[str, float] = {"agreement": 1.07, "rival": -3.0}
+OBJECT_PRIOR: Mapping[str, float] = {"agreement": 1.07, "left_over": -0.6, "rival": -3.0}
 """Weights that few trials are to change little. A different pose that fits as well makes either as likely,
-but hardly any of the trials has one. In the trials the outline tells what agreement does; where it can't be
-seen, agreement must count as without it."""
+but hardly any of the trials has one. In the trials the outline tells what agreement does, and the mask's
+piece what is left over; where they can't be seen, those must count as without them."""
 
 HAND_PRIOR: Mapping[str, float] = {"hand_score": 6.0}
 """Weights that few trials are to change little: of 85 rendered hands of earlier measurements those with a
 score of 0.6 or more had joints 9.7 mm off, the others 32 mm."""
 
-FIRM = 20.0
-"""How many times as firmly the prior weights are held."""
+FIRM = 40.0
+"""How many times as firmly the prior weights are held: with twice as many captures as 20 was chosen with,
+twice as much, or the trials would outweigh them."""
 
 RIDGE = 1.0
 """Weight of the squares of the weights' differences from the prior ones (0 where there is none), in that of

@@ -26,6 +26,7 @@ GOOD = PoseEvidence(
     larger=-0.4,
     off=1.2,
     left_over=0.0,
+    mask_piece=0.0,
 )
 
 
@@ -61,6 +62,7 @@ def test_good_evidence_is_sure_and_needs_no_help():
         ({"larger": 6.0}, "the mesh of this very object"),
         ({"larger": -6.0}, "the mesh of this very object"),
         ({"off": 9.0}, "the mesh of this very object"),
+        ({"mask_piece": 2000.0}, "the mesh of this very object"),
         ({"left_over": 0.4}, "the mesh of this very object"),
         ({"told": 0.0, "explained": 0.6}, "a click at the object"),
         ({"explained": 0.3, "hidden": 0.8}, "another view"),
@@ -111,7 +113,7 @@ def test_shares_add_up_to_the_odds():
 
 
 def test_each_number_counts_one_way_only():
-    against = ("larger", "off", "left_over", "other_size", "other_side", "rival")
+    against = ("larger", "off", "left_over", "mask_piece", "other_size", "other_side", "rival")
     assert all(weight <= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name in against)
     assert all(weight >= 0 for name, weight in OBJECT_WEIGHTS.weights.items() if name not in against)
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from math import exp, isfinite, isnan, log, nan
+from math import exp, expm1, isfinite, isnan, log, nan
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.perception.object_pose.confidence import ACCEPT, features
+from fungrasp.perception.object_pose.confidence import ACCEPT, PIECE, features
 from fungrasp.perception.object_pose.verdict_weights import HAND_WEIGHTS, OBJECT_WEIGHTS
 from fungrasp.perception.scene.depth_edges import SMOOTHED
 
@@ -47,6 +47,7 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
     "larger": ("outline in the image larger or smaller than the mesh's, by", 1.0, "pixels"),
     "off": ("outline in the image beside the mesh's, in the worst eighth, by", 1.0, "pixels"),
     "left_over": ("how far the object reaches beyond the mesh, as a part of its size", 100.0, "%"),
+    "mask_piece": ("largest piece of the mask beyond the mesh", 1.0, "pixels"),
     "told": ("a mask was given: 1, none: 0", 1.0, ""),
     "other_size": ("fit of the mesh in another size", 100.0, "%"),
     "other_side": ("fit of it with another side longer or shorter", 100.0, "%"),
@@ -59,6 +60,7 @@ ROWS: Mapping[str, tuple[str, float, str]] = {
 SHOWN: Mapping[str, Callable[[float], float]] = {
     "agreement": lambda value: 1.0 - exp(-value),
     "left_over": lambda value: round(max(exp(value) - 0.01, 0.0), 6),
+    "mask_piece": lambda value: PIECE * expm1(value),
     "rival": lambda value: 0.8 + 0.2 * value,
     "joints": lambda value: 1.0 / (1.0 + exp(-value)),
     **dict.fromkeys(("other_size", "other_side"), exp),
@@ -210,7 +212,8 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         return ()
     shares = OBJECT_WEIGHTS.shares(features(e))
     size = shares["other_size"] + shares["other_side"]
-    covered = shares["agreement"] + shares["larger"] + shares["off"] + shares["left_over"]
+    outline = shares["larger"] + shares["off"] + shares["left_over"] + shares["mask_piece"]
+    covered = shares["agreement"] + outline
     found = []
     if max(e.other_size, e.other_side) > BETTER and size < covered:
         found.append("a mesh of the right size: another one fits better; is its unit right?")

@@ -2,8 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from fungrasp.perception.object_pose.outline import outline_offset
+from fungrasp.objects import plain_shape
+from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_view import view_of_object
+from fungrasp.perception.object_pose.outline import outline_of, outline_offset
 
 V, U = np.mgrid[:120, :160]
 GREEN, TABLE = (60, 160, 80), (190, 170, 150)
@@ -71,3 +76,39 @@ def test_a_silhouette_that_fills_the_image_tells_nothing():
 
 def test_an_image_of_one_color_tells_nothing():
     assert np.isnan(outline_offset(np.full((120, 160, 3), 128, np.uint8), ellipse(30, 30), NOTHING)).all()
+
+
+LENS = Intrinsics(320, 240, 400.0, 400.0, 160.0, 120.0)
+POSE = np.array([0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0])
+
+
+def mask_piece(length: int, spill: int = 0) -> float:
+    """Of a bar 240 mm long behind a board, looked at with a mesh of another length that ends at the bar's
+    left end and with its mask, which spills over the wall behind it by so many pixels."""
+    bar = known_object(plain_shape("box:240x40x30", 0.2))
+    v, u = np.mgrid[: LENS.height, : LENS.width]
+    rays = LENS.deproject(np.stack([u.ravel(), v.ravel()], axis=-1), np.ones(u.size))
+    depth = bar.rays.cast(POSE[None], rays)[0].reshape(u.shape)
+    board, shown = (u >= 180) & (u < 220), np.isfinite(depth)
+    depth = np.where(board, 0.35, np.where(shown, depth, 1.2)).astype(np.float32)
+    color = np.where(
+        board[..., None], (90, 150, 60), np.where(shown[..., None], (40, 80, 170), (190, 170, 150))
+    )
+    spilled = ndimage.binary_dilation(shown, iterations=spill) if spill else shown
+    capture = Capture(color.astype(np.uint8), depth, LENS, spilled & ~board)
+    mesh = known_object(plain_shape(f"box:{length}x40x30", 0.2))
+    view, problem = view_of_object(mesh, capture, None, None, np.random.default_rng(0))
+    assert view is not None, problem
+    moved = POSE.copy()
+    moved[0] += (length - 240) / 2000
+    return outline_of(view, moved, 0).mask_piece
+
+
+def test_a_piece_of_the_mask_beyond_what_hides_it_is_found():
+    """It is farther from the middle than the short mesh is large, which is no reason not to see it."""
+    assert mask_piece(240) == 0.0
+    assert mask_piece(150) > 500
+
+
+def test_what_a_mask_shows_of_the_wall_is_no_piece():
+    assert mask_piece(240, spill=9) == 0.0

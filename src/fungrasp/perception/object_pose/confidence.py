@@ -26,6 +26,9 @@ UNSEEN_LARGER, UNSEEN_OFF = 0.8, 2.8
 """What is taken where too little of the outline is seen [pixels]: twice the medians of right answers, so that
 it speaks little for or against."""
 
+PIECE = 10.0
+"""Pieces of so few pixels count by their size, larger ones by its logarithm."""
+
 RIVAL_DISTANCE = 0.01
 """A pose so far from another (ADD-S [m]) is a different answer."""
 
@@ -54,6 +57,7 @@ def features(evidence: PoseEvidence) -> dict[str, float]:
         "larger": UNSEEN_LARGER if np.isnan(e.larger) else abs(e.larger),
         "off": UNSEEN_OFF if np.isnan(e.off) else e.off,
         "left_over": float(np.log(e.left_over + 0.01)),
+        "mask_piece": float(np.log1p(e.mask_piece / PIECE)),
         "told": float(e.told == 1.0),
         "other_size": float(np.clip(e.other_size, -0.6, 0.4)),
         "other_side": float(np.clip(e.other_side, -0.3, 0.3)),

@@ -47,6 +47,8 @@ class PoseEvidence:
     """How far the one is from the other where it is most [pixels]."""
     left_over: float
     """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
+    mask_piece: float
+    """The largest piece of the given mask beyond the silhouette [pixels]."""
 
     def as_dict(self) -> dict[str, float]:
         """By name."""
@@ -87,4 +89,5 @@ def pose_evidence(
         larger=outline.larger,
         off=outline.off,
         left_over=outline.left_over,
+        mask_piece=outline.mask_piece,
     )

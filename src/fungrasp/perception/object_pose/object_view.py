@@ -58,6 +58,8 @@ class ObjectView:
     """What the object must agree with under each of ``masks``."""
     seen: Segmentation
     """What each pixel shows, and how certain its depth is."""
+    given: np.ndarray | None = None
+    """The mask as it was given, shape [H, W] bool; what is too far from the rest is not in ``capture``."""
 
     @property
     def foreign(self) -> float:
@@ -98,6 +100,7 @@ def view_of_object(
     rng: np.random.Generator,
 ) -> tuple[ObjectView | None, str]:
     """The image made ready; or why that can't be."""
+    given = capture.mask
     if capture.mask is not None:
         pixels = int((capture.mask & capture.measured).sum())
         if pixels < LEAST_PIXELS:
@@ -115,7 +118,7 @@ def view_of_object(
     if not masks:
         return None, f"what may be the object has only {max(counts, default=0)} pixels with depth"
     evidence = tuple(object_evidence(capture, mask, seen, table, rng) for mask in masks)
-    return ObjectView(known, capture, table, joints, seen.support, masks, evidence, seen), ""
+    return ObjectView(known, capture, table, joints, seen.support, masks, evidence, seen, given), ""
 
 
 def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:

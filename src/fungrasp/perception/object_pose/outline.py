@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.object_pose.object_view import ObjectView
+from fungrasp.perception.scene.table import plane_tolerance
 
 SILHOUETTE_RAYS = 40_000
 """At most about so many rays draw the silhouette."""
@@ -58,6 +59,14 @@ FEW = 6
 LEFT_OVER = 99.5
 """Percentile of the distances of the object's pixels from the silhouette: single pixels are wrong."""
 
+RIM = 2.5, 5.0
+"""Pixels of a mask so near to the silhouette are its rim, and so are pieces of which no pixel is farther away
+than the second [pixels]: outlines are a pixel or two wide."""
+
+ANOTHER = 0.5
+"""What is farther from the silhouette, or deeper than the object, by more than this part of the mesh's size
+is another thing."""
+
 
 @dataclass(frozen=True)
 class Outline:
@@ -71,6 +80,9 @@ class Outline:
     [pixels]; NaN as above."""
     left_over: float
     """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
+    mask_piece: float
+    """The largest connected piece of the given mask beyond it [pixels]; 0 without a mask. A thing that goes
+    on behind a finger shows again on its other side."""
 
 
 def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
@@ -84,7 +96,7 @@ def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
     capture, lens = view.capture, view.capture.intrinsics
     own, mask = view.masks[owner] & capture.measured, capture.mask
     shows = own & (view.support > 0.5) if mask is None else mask
-    rows, columns = np.nonzero(own | shows)
+    rows, columns = np.nonzero(own | shows if view.given is None else own | shows | view.given)
     drawn = lens.project(transform_points(pose, view.known.surface.samples))
     low = np.floor(np.minimum(drawn.min(axis=0), [columns.min(), rows.min()])).astype(int) - REACH - 4
     high = np.ceil(np.maximum(drawn.max(axis=0), [columns.max(), rows.max()])).astype(int) + REACH + 5
@@ -96,7 +108,7 @@ def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
     seen = view.known.rays.cast(pose[None], rays)[0].reshape(u.shape)
     inside = np.isfinite(seen)
     if not inside.any():
-        return Outline(np.nan, np.nan, 1.0)
+        return Outline(np.nan, np.nan, 1.0, 0.0)
     from_rim: Any = ndimage.distance_transform_edt(~inside)
     away = step * from_rim
     meters = float(np.median(capture.depth[own])) / lens.fx
@@ -106,7 +118,27 @@ def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
     in_front = (depth > 0) & inside & (depth < seen - 3 * spread - IN_FRONT)
     hidden = in_front | (view.seen.classes.skin[part] > 0.5)
     larger, off = outline_offset(capture.color[part], inside, hidden)
-    return Outline(step * larger, step * off, meters * far / view.known.size)
+    piece = 0.0
+    if view.given is not None:
+        pieces = view.given[part] & (away > RIM[0]) & (meters * away < ANOTHER * view.known.size)
+        nearer = float(np.percentile(capture.depth[own], 98)) + ANOTHER * view.known.size
+        pieces &= (depth > 0) & (depth < nearer)
+        if view.table is not None:
+            height = rays.reshape(*depth.shape, 3) @ view.table[:3] * depth + view.table[3]
+            pieces &= height > plane_tolerance(depth)
+        piece = step**2 * _largest_piece(pieces, away)
+    return Outline(step * larger, step * off, meters * far / view.known.size, piece)
+
+
+def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
+    """Pixels of the largest piece of an image, shape [H, W] bool, that is no rim."""
+    # What is a pixel wide is noise.
+    opened: Any = ndimage.binary_opening(shown, np.ones((2, 2)))
+    labelled: Any = ndimage.label(opened)
+    labels, count = labelled
+    sizes, farthest = np.bincount(labels[opened], minlength=count + 1), np.zeros(count + 1)
+    np.maximum.at(farthest, labels[opened], away[opened])
+    return float(sizes[farthest > RIM[1]].max(initial=0))
 
 
 def outline_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tuple[float, float]:
