@@ -39,7 +39,7 @@ def _fields(parts: PartSolids) -> dict[str, np.ndarray]:
             points.append(corner)
     return {
         "points": np.array(points),
-        "faces": faces.astype(np.uint16),
+        "faces": np.diff(faces.astype(np.uint16), axis=0, prepend=np.zeros((1, 3), np.uint16)),
         "part_of_face": np.argmax(list(masks.values()), axis=0).astype(np.uint8),
         "part_names": np.array(list(masks)),
         "corners": np.array([row[corner.tobytes()] for corner in np.concatenate(pieces)], np.uint16),

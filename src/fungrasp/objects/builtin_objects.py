@@ -52,7 +52,8 @@ def load_builtin(name: str, mass: float | None = None) -> ObjectModel:
     """Read a built-in object. name: a key of ``BUILTINS``. mass: [kg], its own if None."""
     own, source = BUILTINS[name]
     of = {key: rows[list(BUILTINS).index(name)] for key, rows in _meshes().items()}
-    faces = of["faces"].astype(np.int32)
+    # Rows are differences from the row before, which take less room.
+    faces = np.cumsum(of["faces"], axis=0, dtype=np.uint16).astype(np.int32)
     pieces = np.split(of["points"][of["corners"]], np.cumsum(of["corner_counts"])[:-1])
     return ObjectModel(
         name,
