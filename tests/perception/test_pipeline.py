@@ -27,7 +27,7 @@ from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
-from fungrasp.perception.plausibility import hardly_so
+from fungrasp.perception.plausibility import plausibility_warnings
 from fungrasp.perception.scene.table import table_under
 
 MUG_ROW, BOWL_ROW = 0, 36
@@ -335,7 +335,7 @@ def test_swapped_colors_show_by_the_hand():
     skin = np.full_like(scene.capture.color, (70, 55, 40))
     swapped = dataclasses.replace(scene.capture, color=np.ascontiguousarray(skin[..., ::-1]))
     for capture, codes in ((dataclasses.replace(swapped, color=skin), []), (swapped, ["colors_swapped"])):
-        warnings = hardly_so(capture, seen().hand, seen().object, scene.model)
+        warnings = plausibility_warnings(capture, seen().hand, seen().object, scene.model)
         assert [one.code for one in warnings] == codes
 
     class OfRedHands:

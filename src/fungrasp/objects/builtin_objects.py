@@ -51,7 +51,8 @@ BUILTINS: Mapping[str, tuple[float, str]] = {
 def load_builtin(name: str, mass: float | None = None) -> ObjectModel:
     """Read a built-in object. name: a key of ``BUILTINS``. mass: [kg], its own if None."""
     own, source = BUILTINS[name]
-    of = {key: rows[list(BUILTINS).index(name)] for key, rows in _meshes().items()}
+    index = list(BUILTINS).index(name)
+    of = {key: rows[index] for key, rows in _meshes().items()}
     # Rows are differences from the row before, which take less room.
     faces = np.cumsum(of["faces"], axis=0, dtype=np.uint16).astype(np.int32)
     pieces = np.split(of["points"][of["corners"]], np.cumsum(of["corner_counts"])[:-1])

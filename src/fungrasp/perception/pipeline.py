@@ -47,7 +47,13 @@ from fungrasp.perception.perceived import (
     Stopwatch,
     measure_quality,
 )
-from fungrasp.perception.plausibility import check_held, check_holdable, edge_of_hand, hardly_so, other_doubt
+from fungrasp.perception.plausibility import (
+    check_held,
+    check_holdable,
+    edge_of_hand,
+    plausibility_doubt,
+    plausibility_warnings,
+)
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -192,7 +198,7 @@ def perceive(
             scene.object,
             refined,
             "" if fitted is None else fitted.name,
-            other_doubt(scene, warnings, fitted),
+            plausibility_doubt(scene, warnings, fitted),
         ),
         notes=held.notes,
         mass_range=held.mass_range,
@@ -308,7 +314,7 @@ def _warnings(
         found += scene.object.warnings
     elif (ambiguous := ambiguity(model, scene.object)) is not None:
         found.append(ambiguous)
-    found += hardly_so(capture, refined, scene.object, model)
+    found += plausibility_warnings(capture, refined, scene.object, model)
     if refined.side != scene.hand.side:
         found.append(PerceptionWarning.of("side_from_depth", side=refined.side))
     if scene.table is None:

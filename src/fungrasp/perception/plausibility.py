@@ -67,7 +67,7 @@ def _check_origin(model: ObjectModel, allowed: float) -> None:
         )
 
 
-def other_doubt(
+def plausibility_doubt(
     scene: HandCandidate, warnings: Sequence[PerceptionWarning], fitted: FittedShape | None
 ) -> str:
     """What speaks against the answer, whatever its probabilities are: they are those of images of the right
@@ -103,7 +103,7 @@ def edge_of_hand(capture: Capture, hand: HandEstimate) -> str | None:
     return cut_edge(lens, np.concatenate([hand.pixels, lens.project(hand.joints_camera)]))
 
 
-def hardly_so(
+def plausibility_warnings(
     capture: Capture, hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel
 ) -> list[PerceptionWarning]:
     """Warnings of a hand, or an object whose pose is accepted, that the image's edge cuts off; of swapped red

@@ -72,11 +72,12 @@ def meant_hands(
     """
     if not hands and (reason := _of_another_size(capture, near, detector)):
         raise FungraspError(f"no hand was found in the image; {reason}")
-    swapped = np.ascontiguousarray(capture.color[..., ::-1])
-    if not hands and find_hands(detector, replace(capture, color=swapped), near):
-        raise FungraspError(
-            "no hand was found in the image, but is with red and blue swapped: was it written as BGR?"
-        )
+    if not hands:
+        swapped = np.ascontiguousarray(capture.color[..., ::-1])
+        if find_hands(detector, replace(capture, color=swapped), near):
+            raise FungraspError(
+                "no hand was found in the image, but is with red and blue swapped: was it written as BGR?"
+            )
     if not hands and (reason := why_no_hand(capture)):
         raise FungraspError(f"no hand was found in the image; it is {reason}")
     chosen, warnings = choose_hand(hands, near, side)

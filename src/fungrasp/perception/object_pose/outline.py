@@ -132,6 +132,8 @@ def outline_of(view: ObjectView, pose: np.ndarray, owner: int) -> Outline:
 
 def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
     """Pixels of the largest piece of an image, shape [H, W] bool, that is no rim."""
+    if not shown.any():
+        return 0.0
     # What is a pixel wide is noise.
     opened: Any = ndimage.binary_opening(shown, np.ones((2, 2)))
     labelled: Any = ndimage.label(opened)
