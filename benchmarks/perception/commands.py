@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks.perception.depth import BenchDepth
 from benchmarks.perception.lifts import Lifts
+from benchmarks.perception.looks import Looks
 from benchmarks.perception.recorded import Recorded
 from benchmarks.perception.tracking import Tracking
 from benchmarks.perception.varied import Varied
@@ -14,6 +15,7 @@ COMMAND = {
     "varied": Varied,
     "lifts": Lifts,
     "verdict": Verdict,
+    "looks": Looks,
     "tracking": Tracking,
     "depth": BenchDepth,
 }

@@ -64,8 +64,9 @@ class VerdictCaptures:
             np.array([PINCH[0] < pinch_width(joints) < PINCH[1] for joints in grasps.hand_joints])
         )
 
-    def write(self, index: int, folder: Path) -> Path:
-        """Render a capture into a folder of its own, unless it is there."""
+    def write(self, index: int, folder: Path, look: int = 0) -> Path:
+        """Render a capture into a folder of its own, unless it is there. look: another look at the same
+        scene, see ``render_capture``; of the same name, so it goes elsewhere."""
         place = folder / f"{self.seed}_{index:04d}"
         if (place / TRUTH_FILE).is_file():
             return place
@@ -74,11 +75,11 @@ class VerdictCaptures:
             rng = np.random.default_rng([self.seed, index])
             grasps = self._pinches
             grasp, model = small_shape(grasps[int(rng.integers(len(grasps)))], rng)
-            known = render_capture(grasp, model, rng, settings)
+            known = render_capture(grasp, model, rng, settings, look)
             objects: Mapping[str, ObjectModel] = {model.name: model}
         else:
             grasps, objects = self._given if kind == "g" else self._builtin
-            known = capture_at(index, grasps, objects, self.seed, settings)
+            known = capture_at(index, grasps, objects, self.seed, settings, look)
         name = known.grasp.object_name
         model = objects[name] if known.side == "right" else mirrored_object(objects[mirrored_name(name)])
         write_capture(known, place, model)

@@ -92,11 +92,13 @@ def verdict_rows(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
     ]
     for hint, row in figures["told"].items():
         names = ("right_pose", "right_accepted", "wrong_pose_accepted", "wrong_mesh_accepted")
-        rows.append((hint, *(_part(row[name]) for name in names)))
+        rows.append((hint, *(counted(row[name]) for name in names)))
     hands = figures["hands"]
-    rows.append(("hands", _part(hands["right"]), _part(hands["right_sure"]), "", ""))
-    far, all_far = _part(hands["joints_far_of_sure"]), _part(hands["joints_far"])
-    rows.append(("joints", f"sure {_part(hands['joints_sure'])}", f"far off {far}", f"of all {all_far}", ""))
+    rows.append(("hands", counted(hands["right"]), counted(hands["right_sure"]), "", ""))
+    far, all_far = counted(hands["joints_far_of_sure"]), counted(hands["joints_far"])
+    rows.append(
+        ("joints", f"sure {counted(hands['joints_sure'])}", f"far off {far}", f"of all {all_far}", "")
+    )
     return rows
 
 
@@ -178,7 +180,8 @@ def reliability_svg(figures: Mapping[str, Any]) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _part(rate: Mapping[str, Any] | None) -> str:
+def counted(rate: Mapping[str, Any] | None) -> str:
+    """A rate of ``rate_of`` as words: "3 of 8"."""
     if rate is None:
         return "none"
     return f"{round(rate['rate'] * rate['count'])} of {rate['count']}"

@@ -6,7 +6,7 @@ made up. How well perception does on them says little about photographs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,10 @@ from fungrasp.rendering.ray_tracing import NOTHING, PixelRays, RayTracer
 
 TRIES = 24
 """Cameras that are tried before the best so far is taken."""
+
+TURNED = (15.0, 45.0)
+"""By so much [degrees] another look at a grasp is turned about the vertical: what a person turns the hand, or
+moves the camera, when asked for another one."""
 
 _PROBE = 8
 
@@ -107,13 +111,15 @@ def capture_at(
     objects: Mapping[str, ObjectModel],
     seed: int,
     settings: CaptureSettings | None = None,
+    look: int = 0,
 ) -> SyntheticCapture:
-    """One of the captures that ``render_captures`` gives, without the others. index: from 0 on."""
+    """One of the captures that ``render_captures`` gives, without the others. index: from 0 on; look: as for
+    ``render_capture``."""
     turn, place = divmod(index, len(grasps))
     row = int(np.random.default_rng([seed, turn]).permutation(len(grasps))[place])
     grasp = grasps[row]
     return render_capture(
-        grasp, objects[grasp.object_name], np.random.default_rng([seed, turn, row]), settings
+        grasp, objects[grasp.object_name], np.random.default_rng([seed, turn, row]), settings, look
     )
 
 
@@ -122,6 +128,7 @@ def render_capture(
     model: ObjectModel,
     rng: np.random.Generator,
     settings: CaptureSettings | None = None,
+    look: int = 0,
 ) -> SyntheticCapture:
     """One capture of a grasp of a right hand.
 
@@ -130,6 +137,8 @@ def render_capture(
         model: the object it holds.
         rng: decides camera, room, skin, light and noise.
         settings: cameras, clutter and noise.
+        look: 0 for the first look at the scene, others from a camera turned by ``TURNED``, in turn to either
+            side.
     """
     settings = settings or CaptureSettings()
     painted = painted_object(model)
@@ -156,6 +165,10 @@ def render_capture(
         scene = settings.additions(scene, grasp, center, towards, settings.skin, more)
         tracer = RayTracer(scene.surfaces, scene.look)
     pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
+    if look:
+        # Numbers of their own again: the scene and the kind of camera are those of the first look.
+        another = rng.spawn(look)[-1]
+        pose = _turned(pose, look, grasp, painted, tracer, scene, intrinsics, settings, another)
     rays, shape = posed_rays(intrinsics, pose), (intrinsics.height, intrinsics.width)
     points = tracer.see(rays)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[points.surface].reshape(shape)
@@ -241,20 +254,79 @@ def _camera(
     rng: np.random.Generator,
 ) -> np.ndarray:
     """Pose of a camera that sees hand and object: the first that sees enough, else the best, shape [7]."""
-    held = painted.moved(grasp.object_pose).vertices
-    center = 0.5 * (grasp.hand_joints.mean(0) + np.clip(held.mean(0), *np.quantile(held, (0.2, 0.8), axis=0)))
-    probe = intrinsics.resized(intrinsics.width // _PROBE, intrinsics.height // _PROBE)
-    best, most = np.zeros(7), -np.inf
-    for i in range(TRIES):
-        camera = orbit_camera(
+    center = _middle(grasp, painted)
+
+    def drawn(i: int) -> np.ndarray:
+        return _orbit(
             center + rng.normal(size=3) * 0.015,
             rng.uniform(*settings.distance),
             azimuth + rng.normal() * 12 * (1 + i),
             rng.uniform(*settings.elevation),
+            rng,
         )
-        roll = Rotation.from_euler("z", rng.normal() * 5, degrees=True)
-        rotation = (Rotation.from_matrix(camera.rotation) * roll).as_quat(scalar_first=True)
-        pose = np.concatenate([camera.position, rotation])
+
+    return _first_that_sees(drawn, grasp, tracer, scene, intrinsics, settings)
+
+
+def _turned(
+    first: np.ndarray,
+    look: int,
+    grasp: HumanGrasp,
+    painted: PaintedMesh,
+    tracer: RayTracer,
+    scene: CaptureScene,
+    intrinsics: Intrinsics,
+    settings: CaptureSettings,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Pose of a camera turned from the first look's about the grasp, shape [7]."""
+    center, side = _middle(grasp, painted), 1.0 if look % 2 else -1.0
+    away = first[:3] - center
+    distance = float(np.linalg.norm(away))
+    azimuth = float(np.degrees(np.arctan2(away[1], away[0])))
+    elevation = float(np.degrees(np.arcsin(away[2] / distance)))
+
+    def drawn(_: int) -> np.ndarray:
+        return _orbit(
+            center + rng.normal(size=3) * 0.015,
+            distance * rng.uniform(0.85, 1.15),
+            azimuth + side * rng.uniform(*TURNED),
+            float(np.clip(elevation + rng.normal() * 10, *settings.elevation)),
+            rng,
+        )
+
+    return _first_that_sees(drawn, grasp, tracer, scene, intrinsics, settings)
+
+
+def _middle(grasp: HumanGrasp, painted: PaintedMesh) -> np.ndarray:
+    """Between the middles of hand and object [m], world frame, shape [3]."""
+    held = painted.moved(grasp.object_pose).vertices
+    return 0.5 * (grasp.hand_joints.mean(0) + np.clip(held.mean(0), *np.quantile(held, (0.2, 0.8), axis=0)))
+
+
+def _orbit(
+    center: np.ndarray, distance: float, azimuth: float, elevation: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Pose of a camera that looks at a point [m], rolled a little, shape [7]. Angles in degrees."""
+    camera = orbit_camera(tuple(center), distance, azimuth, elevation)
+    roll = Rotation.from_euler("z", rng.normal() * 5, degrees=True)
+    rotation = (Rotation.from_matrix(camera.rotation) * roll).as_quat(scalar_first=True)
+    return np.concatenate([camera.position, rotation])
+
+
+def _first_that_sees(
+    drawn: Callable[[int], np.ndarray],
+    grasp: HumanGrasp,
+    tracer: RayTracer,
+    scene: CaptureScene,
+    intrinsics: Intrinsics,
+    settings: CaptureSettings,
+) -> np.ndarray:
+    """The first of the poses drawn from which hand and object are seen, else the best, shape [7]."""
+    probe = intrinsics.resized(intrinsics.width // _PROBE, intrinsics.height // _PROBE)
+    best, most = np.zeros(7), -np.inf
+    for i in range(TRIES):
+        pose = drawn(i)
         seen = tracer.see(posed_rays(probe, pose), shaded=False).surface
         shown = [np.isin(seen, np.flatnonzero(scene.labels == k)).mean() for k in (Label.OBJECT, Label.HAND)]
         points = np.vstack([grasp.hand_joints, scene.arm_end])

@@ -175,6 +175,24 @@ def test_a_recorded_stream_is_taken_when_all_is_seen(folder, found, tmp_path, ca
     assert status == 2 and "ended before a picture could be taken; last: all is seen" in err
 
 
+def test_a_look_that_leaves_doubt_asks_for_another(folder, found, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("fungrasp.perception.camera.live.MediaPipeHandDetector", room_detector())
+    found[:] = [dataclasses.replace(landmarks(), score=0.2)]
+    for i in range(2):
+        shutil.copytree(FOLDER, tmp_path / "stream" / f"{i}", ignore=shutil.ignore_patterns("truth.json"))
+    with Image.open(FOLDER / "rgb.png") as first:
+        changed = np.array(first)
+    changed[0, 0] ^= 1
+    Image.fromarray(changed).save(tmp_path / "stream" / "0" / "rgb.png")
+    given = ("--camera", tmp_path / "stream", "--countdown", "0", "--frames", "2", "--mesh", NAME)
+    with pytest.raises(SystemExit) as end:
+        run(capsys, "perceive", *given, "--out", tmp_path / "g.npz")
+    assert end.value.code == LOW_CONFIDENCE
+    words = capsys.readouterr().out
+    assert re.search(r"^look 1 of 2: not sure: .*; turn the hand a little, or move the camera$", words, re.M)
+    assert re.search(r"^not sure: .*; 2 looks", words, re.M), "the verdict is of both"
+
+
 def test_missing_hand_models_are_said_before_anything_is_read(tmp_path, capsys, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path))

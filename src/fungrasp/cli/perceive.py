@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
 
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.camera.live import LiveView
+    from fungrasp.perception.io.capture import Capture
     from fungrasp.perception.perceived import Perceived
 
 LOW_CONFIDENCE = 3
@@ -107,10 +107,19 @@ class Perceive:
             seed=self.seed,
             improve_pose=self.improve_pose,
         )
-        with self._watched(model) as show:
+        with self._watched(model) as (show, say):
+
+            def looked(capture: Capture) -> Perceived:
+                if self.source.camera is not None:
+                    say("the picture is taken")
+                return look(capture)
+
+            def unsure(together: Perceived) -> None:
+                turn = "" if self.source.camera is None else "; turn the hand a little, or move the camera"
+                say(f"look {together.verdict.looks} of {self.frames}: {together.verdict.words}{turn}")
+
             captures = self.source.looks(model, self.frames, show)
-            first = next(captures)
-        perceived = best_of_looks(chain([first], captures), look, self.frames)
+            perceived = best_of_looks(captures, looked, self.frames, unsure)
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
@@ -176,10 +185,12 @@ class Perceive:
         return read_object_pose(self.object_pose_file, image=self.source.image)
 
     @contextmanager
-    def _watched(self, model: ObjectModel | None) -> Iterator[Callable[[LiveView], None]]:
-        """Shows what a camera sees, on a page and in words; says when the picture is taken."""
+    def _watched(
+        self, model: ObjectModel | None
+    ) -> Iterator[tuple[Callable[[LiveView], None], Callable[[str], None]]]:
+        """Shows what a camera sees, on a page and in words; says on both how far it is."""
         if self.source.camera is None or model is None:
-            yield lambda view: None
+            yield lambda view: None, lambda words: print(words, file=sys.stderr, flush=True)
             return
         from fungrasp.report.live_page import LivePage
 
@@ -201,10 +212,14 @@ class Perceive:
                     said = view.words
                     print(said, flush=True)
 
-            yield show
+            def say(words: str) -> None:
+                if page is not None:
+                    page.say(words)
+                print(words, flush=True)
+
+            yield show, say
             if page is not None:
                 page.say("the picture is taken", done=True)
-        print("the picture is taken", flush=True)
 
     def _write(self, perceived: Perceived, seconds: float) -> list[str]:
         """Write the files, the grasp last; what to say about them."""

@@ -150,7 +150,7 @@ class ImageSource:
             count = min(most - 1, len(folders))
             yield from (read_folder(folders[-1 - i * len(folders) // count]) for i in range(count))
         elif self.camera is not None:
-            yield from (plain.read(obj) for _ in range(most - 1))
+            yield from (plain.read(obj, show) for _ in range(most - 1))
         else:
             first = RECORDED if self.image is None else self.image
             # It may end before.

@@ -7,96 +7,78 @@ from dataclasses import replace
 from math import exp, log
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.verdict import ACCEPTED_HAND
 
-AGREE = 0.025
-"""Poses of the object in the hand are the same answer if each vertex is nearer than this to another's, on
-average [m]: those of a block held by one hand were 4 to 24 mm apart, as the hand is off in each look."""
-
-RELATED = 0.35
-"""How far two looks err alike: 0 not at all, 1 the second says nothing new. With 0.2 a wrong mesh was
-accepted for that block."""
-
-PRIOR = log(2.0)
-"""Logarithm of the odds before any look: the verdict is fitted to two right answers for each wrong mesh."""
-
-PALM = (0, 1, 5, 9, 13, 17)
-"""Joints that move together, whatever the fingers do."""
+LEAST = 1e-4
+"""Nothing is taken to be less probable: one look can't decide alone."""
 
 
 def best_of_looks(
-    captures: Iterable[Capture], perceived: Callable[[Capture], Perceived], most: int
+    captures: Iterable[Capture],
+    perceived: Callable[[Capture], Perceived],
+    most: int,
+    unsure: Callable[[Perceived], None] = lambda together: None,
 ) -> Perceived:
     """The surest look, with the verdict of all of them together; no more are taken once that is sure. An
-    image that was looked at already says nothing new, nor does a later one in which nothing is found.
+    image that was looked at already says nothing new, nor does one in which nothing is found.
 
     Args:
         captures: of one grasp; camera and hand may move in between.
         perceived: looks at one.
         most: so many are taken at most.
+        unsure: is given what is known so far, where another look may follow.
 
     Raises:
-        FungraspError: as ``perceived`` of the first.
+        FungraspError: nothing is found in any; as ``perceived`` of the first.
     """
     looks: list[Perceived] = []
     seen: list[np.ndarray] = []
+    nothing: FungraspError | None = None
     for capture in captures:
         if any(np.array_equal(capture.color, color) for color in seen):
             continue
         seen.append(capture.color)
         try:
             looks.append(perceived(capture))
-        except FungraspError:
-            if not looks:
-                raise
+        except FungraspError as error:
+            nothing = nothing or error
             continue
-        best = together(looks)
-        if best.confident or len(looks) >= most:
+        known = together(looks)
+        if known.confident or len(looks) >= most:
             break
-    return best
+        unsure(known)
+    if not looks:
+        raise nothing or FungraspError("there is no image to look at")
+    return together(looks)
 
 
 def together(looks: Sequence[Perceived]) -> Perceived:
-    """The look in whose object most is believed, with the probability that all looks give it.
-
-    The logarithms of the odds are added, less where looks err alike; a look that sees the object elsewhere in
-    the hand counts against it as much as it is believed.
-    """
-    best = max(looks, key=lambda look: look.verdict.object)
+    """The look whose object is the most probable, of those that make a sure answer if there are any, with the
+    verdict of all of them."""
     if len(looks) == 1:
-        return best
-    mine, said = KDTree(_in_palm(best)), 0.0
+        return looks[0]
+    thing = probability_of_looks([look.verdict.object for look in looks])
+    answers = []
     for look in looks:
-        odds = _odds(look.verdict.object) - PRIOR
-        agrees = mine.query(_in_palm(look))[0].mean() < AGREE
-        said += odds if agrees else -max(odds, 0.0)
-    said = PRIOR + said / (1.0 + (len(looks) - 1) * RELATED)
-    thing = 1.0 / (1.0 + exp(-said))
-    sure = thing >= ACCEPT and best.verdict.hand >= ACCEPTED_HAND and not best.verdict.doubt
-    verdict = replace(best.verdict, object=thing, sure=sure, looks=len(looks))
-    return replace(best, verdict=verdict)
+        sure = thing >= ACCEPT and look.verdict.hand >= ACCEPTED_HAND and not look.verdict.doubt
+        answers.append((sure, look.verdict.object, look))
+    sure, _, best = max(answers, key=lambda answer: answer[:2])
+    return replace(best, verdict=replace(best.verdict, object=thing, sure=sure, looks=len(looks)))
 
 
-def _odds(probability: float) -> float:
-    """Logarithm of the odds."""
-    p = min(max(probability, 1e-4), 1.0 - 1e-4)
-    return log(p / (1.0 - p))
+def probability_of_looks(said: Sequence[float]) -> float:
+    """Probability that the object is right, as all looks say: the mean of the logarithms of the odds.
 
+    What a look makes of a mesh is mostly the mesh's doing: a wrong one that is believed from one side is
+    believed from another, too, so that odds must not be multiplied (decision 0104).
 
-def _in_palm(look: Perceived) -> np.ndarray:
-    """The mesh's vertices in a frame of the palm [m], shape [V, 3]."""
-    palm = look.hand.joints_camera[list(PALM)]
-    x = palm[3] - palm[0]
-    z = np.cross(x, palm[5] - palm[2])
-    axes = np.stack([x / np.linalg.norm(x), np.cross(z, x), z])
-    axes[1] /= np.linalg.norm(axes[1])
-    axes[2] /= np.linalg.norm(axes[2])
-    surface = transform_points(look.object.pose_camera_object, np.asarray(look.object_model.vertices))
-    return (surface - palm.mean(axis=0)) @ axes.T
+    Args:
+        said: each look's own probability.
+    """
+    odds = [log(p / (1.0 - p)) for p in (min(max(p, LEAST), 1.0 - LEAST) for p in said)]
+    return 1.0 / (1.0 + exp(-sum(odds) / len(odds)))
