@@ -133,7 +133,7 @@ class PerceptionVerdict:
             return f"sure: {100 * self.probability:.0f} % that all is right ({parts})"
         if self.doubt:
             return f"not sure: {self.doubt} ({parts})"
-        needed = f"it takes {100 * ACCEPT:.0f} and {100 * ACCEPTED_HAND:.0f} %"
+        needed = f"it takes {100 * ACCEPT:.3g} and {100 * ACCEPTED_HAND:.0f} %"
         return f"not sure: {100 * self.probability:.0f} % that all is right ({parts}; {needed})"
 
     def rows(self) -> list[tuple[str, str, str, str]]:

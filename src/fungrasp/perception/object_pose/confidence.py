@@ -14,7 +14,7 @@ from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.verdict_weights import OBJECT_WEIGHTS, Logistic
 from fungrasp.perception.scene.depth_edges import SHARP
 
-ACCEPT = 0.95
+ACCEPT = 0.955
 """Answers of a lower probability are not accepted: the least at which no more than 1 % of wrong
 meshes were, cross-validated over the captures of the fit."""
 
