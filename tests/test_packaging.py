@@ -93,7 +93,7 @@ def test_the_wheel_holds_licence_and_command(wheel: zipfile.ZipFile) -> None:
     names = wheel.namelist()
     assert any(name.endswith("licenses/LICENSE") for name in names)
     entry_points = next(name for name in names if name.endswith("entry_points.txt"))
-    assert "fungrasp = fungrasp.cli.main:main" in wheel.read(entry_points).decode()
+    assert "fungrasp = fungrasp.cli.start:start" in wheel.read(entry_points).decode()
     metadata = next(name for name in names if name.endswith("METADATA"))
     needed = re.findall(r"^Requires-Dist: ([\w-]+)(.*)$", wheel.read(metadata).decode(), re.MULTILINE)
     core = {name for name, condition in needed if "extra ==" not in condition}

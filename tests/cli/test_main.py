@@ -6,7 +6,9 @@ import dataclasses
 import errno
 import subprocess
 import sys
+import tomllib
 import types
+from pathlib import Path
 
 import pytest
 
@@ -173,6 +175,26 @@ def test_errors_are_one_line_on_stderr(install, capsys, error, status, line):
     assert cli.main(["greet"]) == status
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err == line + "\n"
+
+
+@pytest.mark.parametrize("first", ["fungrasp.cli.main", "dataclasses", "fungrasp.cli.hands"])
+def test_interrupted_while_it_imports_it_ends_without_a_traceback(first):
+    """The program as it is installed, with Ctrl-C where a module is looked for."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    module, _, name = project["scripts"]["fungrasp"].partition(":")
+    program = f"""
+import sys
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == {first!r}:
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from {module} import {name} as program
+sys.argv = ["fungrasp", "hands", "list"]
+sys.exit(program())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "fungrasp: interrupted\n")
 
 
 def test_a_bug_keeps_its_traceback(install):

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.cli.perceive import LOW_CONFIDENCE, parse_plane
 from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.files import CannotWriteError
 from fungrasp.grasps import load_human_grasps, load_objects, load_robot_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.objects.held_object import DENSITY, held_object
@@ -331,6 +332,21 @@ def test_an_unsure_result_is_written_and_says_so(folder, found, tmp_path, capsys
     assert "not sure: look at the grasp" in err
     told = json.loads(result.read_text())
     assert not told["sure"] and told["verdict"]["help"] and len(load_human_grasps(out)) == 1
+
+
+@pytest.mark.parametrize("option", ["--report", "--json"])
+def test_a_full_disk_takes_the_page_but_not_the_grasp(option, folder, found, tmp_path, capsys, monkeypatch):
+    def full(path, *_):
+        raise CannotWriteError(f"cannot write {path}: No space left on device")
+
+    monkeypatch.setattr("fungrasp.cli.perceive.write_json", full)
+    monkeypatch.setattr("fungrasp.report.page.atomic_path", full)
+    given = ("--folder", folder, "--mesh", NAME, "--object-pose-file", folder / "pose.txt")
+    out, other = tmp_path / "g.npz", tmp_path / "other"
+    status, words, err = run(capsys, "perceive", *given, "--out", out, option, other)
+    last = f"fungrasp: error: cannot write {other}: No space left on device; the grasp is in {out}"
+    assert status == 2 and err.splitlines()[-1] == last
+    assert len(load_human_grasps(out)) == 1 and f"{out}: a right hand" in words and not other.exists()
 
 
 def test_a_box_instead_of_a_mask_chooses_between_two_hands(folder, found, tmp_path, capsys):

@@ -86,6 +86,23 @@ def test_an_outline_that_is_not_seen_says_little_and_is_called_not_known():
     assert said.as_json()["evidence"][1]["value"] is None
 
 
+def test_pieces_of_a_mask_are_not_known_without_one():
+    for told, words in ((0.0, "not known"), (0.5, "not known"), (1.0, "0 pixels")):
+        said = verdict(dataclasses.replace(GOOD, told=told))
+        assert [row[1] for row in said.rows() if "mask beyond" in row[0]] == [words]
+        share = next(one.share for one in said.evidence if one.name == "mask_piece")
+        assert share == next(one.share for one in verdict(GOOD).evidence if one.name == "mask_piece")
+
+
+def test_where_a_pose_was_given_a_mask_helps_but_not_a_click():
+    thing = ObjectEstimate(
+        np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.2, False, evidence=dataclasses.replace(GOOD, told=0.0)
+    )
+    found, given = (perception_verdict(thing, hand(), given=said).help for said in (False, True))
+    assert any("click" in words for words in found)
+    assert "a mask of the object (--mask)" in given and not any("click" in words for words in given)
+
+
 def test_joints_that_are_not_sure_make_the_hand_unsure():
     said = verdict(GOOD, joints_sure=0.2)
     assert not said.sure and said.hand < ACCEPTED_HAND < said.object

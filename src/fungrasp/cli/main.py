@@ -16,6 +16,7 @@ from contextlib import nullcontext, redirect_stdout
 from typing import Any
 
 from fungrasp.cli.console import STDOUT, Answer
+from fungrasp.cli.start import INTERRUPTED
 from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.version import __version__
 
@@ -47,7 +48,6 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 """Module and summary of every command, in the order of the help."""
 
 USAGE_ERROR = 2
-INTERRUPTED = 130
 BROKEN_PIPE = 141
 
 

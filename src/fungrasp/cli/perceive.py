@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fungrasp.cli.console import Answer, option, suggestion, table, write_json
 from fungrasp.cli.options import JsonOut, json_path, optional_value
+from fungrasp.errors import FungraspError
 from fungrasp.perception.image_source import REALSENSE, ImageSource
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ class Perceive:
             captures = self.source.looks(model, self.frames, show)
             perceived = best_of_looks(captures, looked, self.frames, unsure)
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
-        written = self._write(perceived, perf_counter() - start)
+        written, fault = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         name = perceived.object_model.name
         # Those of the files were logged when they were read.
@@ -141,11 +142,11 @@ class Perceive:
             lines += [f"what would help: {words}" for words in perceived.verdict.help]
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
         status = 0 if perceived.confident else LOW_CONFIDENCE
-        return Answer({"grasps": self.out, **perceived.as_json()}, "\n".join(lines), status=status)
+        value = {"grasps": self.out, **perceived.as_json()}
+        return Answer(value, "\n".join(lines), fault=fault, status=status)
 
     def _check(self) -> None:
         """Complain about options that do not go together, and about hand models that are missing."""
-        from fungrasp.errors import FungraspError
         from fungrasp.files import check_writable
         from fungrasp.perception.hand.mediapipe_models import load_weights
 
@@ -221,28 +222,42 @@ class Perceive:
             if page is not None:
                 page.say("the picture is taken", done=True)
 
-    def _write(self, perceived: Perceived, seconds: float) -> list[str]:
-        """Write the files, the grasp last; what to say about them."""
+    def _write(self, perceived: Perceived, seconds: float) -> tuple[list[str], str]:
+        """Write the files, the grasp first, which stays where another can't be written.
+
+        Returns:
+            What to say about them, and which could not be written, "" if all could.
+        """
         from fungrasp.grasps import save_human_grasps
 
+        save_human_grasps(self.out, perceived.grasps)
         notes: list[str] = []
-        if self.report is not None:
-            from fungrasp.provenance import page_provenance
-            from fungrasp.report.perception_page import write_perception_page
-
-            made = page_provenance({"Image": self.source.name}, self.seed, seconds)
-            write_perception_page(self.report, perceived, made)
-            notes.append(f"page: {self.report}")
-        path = json_path(self.json)
-        if path is not None:
-            write_json(path, perceived.as_json())
         if perceived.hand.side == "left":
             name = perceived.grasp.object_name
             notes.append(
                 f"the scene was mirrored, as hands are right ones here: '{name}' is the mesh's mirror image"
             )
-        save_human_grasps(self.out, perceived.grasps)
-        return notes
+        faults: list[str] = []
+        path = json_path(self.json)
+        if path is not None:
+            try:
+                write_json(path, perceived.as_json())
+            except FungraspError as error:
+                faults.append(str(error))
+        if self.report is not None:
+            try:
+                self._write_page(self.report, perceived, seconds)
+                notes.append(f"page: {self.report}")
+            except (FungraspError, OSError) as error:
+                faults.append(str(error))
+        return notes, f"{'; '.join(faults)}; the grasp is in {self.out}" if faults else ""
+
+    def _write_page(self, path: Path, perceived: Perceived, seconds: float) -> None:
+        from fungrasp.provenance import page_provenance
+        from fungrasp.report.perception_page import write_perception_page
+
+        made = page_provenance({"Image": self.source.name}, self.seed, seconds)
+        write_perception_page(path, perceived, made)
 
 
 COMMAND = Perceive
@@ -255,8 +270,6 @@ def parse_plane(text: str | None) -> np.ndarray | None:
         FungraspError: it is something else.
     """
     import numpy as np
-
-    from fungrasp.errors import FungraspError
 
     if text is None:
         return None

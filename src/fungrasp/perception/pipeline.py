@@ -199,6 +199,7 @@ def perceive(
             refined,
             "" if fitted is None else fitted.name,
             plausibility_doubt(scene, warnings, fitted),
+            given is not None,
         ),
         notes=held.notes,
         mass_range=held.mass_range,

@@ -168,7 +168,7 @@ def hand_features(hand: HandEstimate) -> dict[str, float]:
 
 
 def perception_verdict(
-    thing: ObjectEstimate, hand: HandEstimate, fitted: str = "", doubt: str = ""
+    thing: ObjectEstimate, hand: HandEstimate, fitted: str = "", doubt: str = "", given: bool = False
 ) -> PerceptionVerdict:
     """The verdict.
 
@@ -177,6 +177,7 @@ def perception_verdict(
         hand: as it was refined.
         fitted: shape that stands for an object without a mesh.
         doubt: what speaks against it whatever the probabilities are.
+        given: whether the pose came from elsewhere and was not looked for.
     """
     of_hand = hand_features(hand)
     probability = HAND_WEIGHTS.probability(of_hand)
@@ -184,13 +185,16 @@ def perception_verdict(
     if thing.evidence is not None:
         known = features(thing.evidence)
         shares = OBJECT_WEIGHTS.shares(known)
-        # Where too little of the outline is seen the weights take a usual number, which is not shown.
-        shown = known | {name: nan for name in ("larger", "off") if isnan(getattr(thing.evidence, name))}
+        # Where too little of the outline is seen the weights take a usual number, which is not shown; nor are
+        # pieces of a mask where there is none.
+        unknown = [name for name in ("larger", "off") if isnan(getattr(thing.evidence, name))]
+        unknown += ["mask_piece"] if thing.evidence.told != 1.0 else []
+        shown = known | dict.fromkeys(unknown, nan)
         evidence += [_meter(name, shown[name], OBJECT_WEIGHTS.usual[name], shares[name]) for name in shares]
     shares = HAND_WEIGHTS.shares(of_hand)
     evidence += [_meter(name, of_hand[name], HAND_WEIGHTS.usual[name], shares[name]) for name in shares]
     sure = thing.accepted and probability >= ACCEPTED_HAND and not doubt
-    advice = object_help(thing)
+    advice = object_help(thing, given)
     if fitted and not thing.accepted:
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object (fungrasp scan)")
     if probability < ACCEPTED_HAND:
@@ -205,8 +209,13 @@ def _meter(name: str, value: float, usual: float, share: float) -> Meter:
     return Meter(name, factor * value, factor * usual, unit, share)
 
 
-def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
-    """What would make an object's pose surer, most useful first; nothing where it is accepted."""
+def object_help(thing: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
+    """What would make an object's pose surer, most useful first; nothing where it is accepted.
+
+    Args:
+        thing: the object's pose.
+        given: whether it came from elsewhere.
+    """
     e = thing.evidence
     if e is None or thing.accepted:
         return ()
@@ -219,7 +228,10 @@ def object_help(thing: ObjectEstimate) -> tuple[str, ...]:
         found.append("a mesh of the right size: another one fits better; is its unit right?")
     if e.foreign > LOOSE_MASK:
         found.append(f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background")
-    if e.told == 0.0:
+    if e.told < 1.0 and given:
+        # A click tells where to look for a pose.
+        found.append("a mask of the object (--mask)")
+    elif e.told == 0.0:
         found.append("a click at the object (--point u,v), or a mask")
     if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
         found.append("another view, in which more of the object is seen")

@@ -11,7 +11,7 @@ from PIL import Image
 from fungrasp.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_alignment, check_hints
-from fungrasp.perception.io.image_files import parse_box, read_capture, read_mask
+from fungrasp.perception.io.image_files import parse_box, read_capture, read_color, read_mask
 
 
 def test_files_become_a_capture_in_metres(tmp_path, caplog):
@@ -141,6 +141,24 @@ def test_large_images_are_made_smaller_with_a_word(tmp_path, caplog):
     np.testing.assert_allclose(capture.intrinsics.project(ray), pixel, atol=0.5)
     column, row = np.round(pixel).astype(int)
     assert (capture.depth[row - 2, column], capture.depth[row + 2, column + 2]) == pytest.approx((0.9, 0.6))
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tiff"])
+@pytest.mark.parametrize("orientation", [0, 1, 2, 3, 6, 8])
+def test_an_image_that_is_shown_turned_is_refused(tmp_path, orientation, suffix):
+    """Depth and intrinsics may be of the pixels as stored or as shown."""
+    path, pixels = tmp_path / f"turned{suffix}", np.zeros((20, 30, 3), np.uint8)
+    pixels[:, :15] = 200
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(pixels).save(path, exif=exif)
+    if orientation < 2:
+        assert np.abs(read_color(path).astype(int) - pixels).max() < 20
+        return
+    with pytest.raises(
+        FungraspError, match=rf"color image .* \(EXIF orientation {orientation}\): turn color"
+    ):
+        read_color(path)
 
 
 def test_an_enormous_image_is_refused_before_it_is_decoded(tmp_path):

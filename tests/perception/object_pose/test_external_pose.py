@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from object_pose_scenes import scene
 
-from fungrasp.geometry.poses import quaternion_from_rotation_vector
+from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture
 from fungrasp.perception.estimates import ObjectEstimate
-from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception.object_pose.confidence import ACCEPT, ambiguity
 from fungrasp.perception.object_pose.external_pose import score_given_pose
 
 MUG = load_object("mug")
@@ -60,3 +60,19 @@ def test_without_depth_at_the_object_it_is_not_sure() -> None:
 def test_another_mesh_is_not_believed() -> None:
     capture = SCENE.capture.with_object(mask=SCENE.mask)
     assert not score_given_pose(said(), capture, load_object("hammer"), SCENE.hand, SCENE.table).accepted
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi])
+def test_a_pose_that_fits_the_other_way_round_as_well_is_warned_of(turn: float) -> None:
+    """The front and the back of a spray bottle are much alike; a bowl looks the same from all sides."""
+    for name, alike in (("spray_bottle", True), ("bowl", False)):
+        model = load_object(name)
+        there = scene(model, model.rest_pose(0.4), np.array([0.05, 0.0, 0.1]))
+        around = np.array([0, 0, 0, np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
+        given = ObjectEstimate(compose(there.pose, around), ACCEPT, True, judged=False)
+        capture = there.capture.with_object(mask=there.mask)
+        judged = score_given_pose(given, capture, model, there.hand, there.table)
+        warning = ambiguity(model, judged)
+        assert (warning is not None and warning.code == "object_orientation") == alike
+        assert judged.alternatives and all(score <= judged.score for _, score in judged.alternatives)
+        assert judged.pose_camera_object.tobytes() == given.pose_camera_object.tobytes()

@@ -10,9 +10,9 @@ import numpy as np
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.confidence import ACCEPT, RIVAL_DISTANCE, confidence
-from fungrasp.perception.object_pose.estimate import RAYS
-from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
+from fungrasp.perception.object_pose.confidence import RIVAL_DISTANCE
+from fungrasp.perception.object_pose.estimate import ANSWERS, RAYS, PoseAnswers, best_estimate
+from fungrasp.perception.object_pose.evidence import pose_evidence
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
@@ -24,7 +24,13 @@ from fungrasp.perception.object_pose.object_view import (
 )
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.scoring import PoseScorer
-from fungrasp.perception.object_pose.search import PoseHypotheses, PoseSearchSettings, refine_poses
+from fungrasp.perception.object_pose.search import (
+    PoseHypotheses,
+    PoseSearchSettings,
+    best_poses,
+    refine_poses,
+    with_symmetries,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -58,7 +64,8 @@ def score_given_pose(
         improve: whether to give the best fit nearby instead of the pose itself.
 
     Returns:
-        The answer with its score. Not accepted where the depth says nothing about the object; the warning
+        The answer with its score, and as alternatives the poses that the mesh's near-symmetries make of it,
+        each as it fits best. Not accepted where the depth says nothing about the object; the warning
         says why.
 
     Raises:
@@ -70,14 +77,14 @@ def score_given_pose(
     if view is None:
         warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
         return replace(thing, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
-    pose, score, evidence, residual = _scored(thing.pose_camera_object, view, view.scorer(RAYS), rng, improve)
-    return ObjectEstimate(pose, score, score >= ACCEPT, (), residual, evidence=evidence)
+    pose, answers = _scored(thing.pose_camera_object, view, view.scorer(RAYS), rng, improve)
+    return replace(best_estimate(answers), pose_camera_object=pose)
 
 
 def _scored(
     pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
-) -> tuple[np.ndarray, float, PoseEvidence, float]:
-    """A pose, or the best fit nearby; its probability; what that is made of; how far it is off [m]."""
+) -> tuple[np.ndarray, PoseAnswers]:
+    """A pose, or the best fit nearby; that fit and what near-symmetries make of it, with their scores."""
     known, rounds = view.known, PoseSearchSettings().rounds
     evidence = list(view.evidence)
     mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)
@@ -97,5 +104,20 @@ def _scored(
     best = int(np.argmax(np.where(near, scores.quality, -1.0)))
     chosen = poses[best] if improve else pose
     residual = known.surface.median_distance(view.evidence[owners[best]].points, chosen)
+    first = PoseHypotheses(poses[best : best + 1], owners[best : best + 1])
+    others = _turned(first, view, scorer)
+    answers = np.concatenate([first.poses, others.poses])
+    scores = scorer(answers, np.concatenate([first.owner, others.owner]))
     evidence = pose_evidence(view, scorer, poses[best], int(owners[best]), 0.0, rng)
-    return chosen, confidence(evidence), evidence, residual
+    return chosen, PoseAnswers(answers, scores, residual, evidence)
+
+
+def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> PoseHypotheses:
+    """What the mesh's near-symmetries make of a pose, each fitted to the depth, best first: a program that
+    gives one pose does not say which way round the object may be as well."""
+    turned = with_symmetries(first, view.known)
+    turned = PoseHypotheses(turned.poses[1:], turned.owner[1:])
+    for step in PoseSearchSettings().rounds[3:]:
+        turned = refine_poses(view.known, view.evidence, turned, step)
+        turned = best_poses(turned, view.known, scorer, ANSWERS)
+    return turned
