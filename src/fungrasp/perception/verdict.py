@@ -27,11 +27,10 @@ LOOSE_MASK = 0.25
 """A mask with a larger part of other things is loose: 6 pixels too many around an object of 50 make 40 %,
 true masks of the images looked at had up to 20 %."""
 
-MUCH_HIDDEN = 0.5
-"""Part of the silhouette that is hidden, from which on another view is worth more than anything else."""
-
-FEW_PIXELS = 500
-"""Fewer pixels of the object don't tell its pose well."""
+MUCH_HIDDEN, FEW_PIXELS = 0.35, 2000
+"""Part of the silhouette that is hidden, and measured pixels of the object: with less hidden and more pixels
+81 % of right answers are sure without a mask and 91 % with one; with more hidden 63 and 85 %, with fewer
+pixels 35 and 74 %, with both 34 and 58 % (512 renders, cross-validated)."""
 
 ALIKE = 0.9
 """Quality of another pose, as a part of the answer's, from which on only more to see tells them apart."""
@@ -233,8 +232,12 @@ def object_help(thing: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
         found.append("a mask of the object (--mask)")
     elif e.told == 0.0:
         found.append("a click at the object (--point u,v), or a mask")
-    if e.hidden > MUCH_HIDDEN or e.pixels < FEW_PIXELS or size < AGAINST:
+    if e.hidden > MUCH_HIDDEN:
+        found.append(f"another view: {100 * e.hidden:.0f} % of the object is behind the hand")
+    elif size < AGAINST:
         found.append("another view, in which more of the object is seen")
+    if e.pixels < FEW_PIXELS:
+        found.append(f"the camera nearer to it: only {e.pixels:.0f} pixels show the object")
     if e.edge_width > SMOOTHED:
         found.append("the camera's spatial and hole-filling filters turned off")
     if e.colored == 0.0 and e.rival > ALIKE:
