@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.perception.other_people import painted_person
 from benchmarks.perception.scene_additions import varied_settings
+from benchmarks.synthetic_captures.capture_camera import posed_rays
 from benchmarks.synthetic_captures.capture_scene import SKIN_LIKE, Label, surroundings
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
-from benchmarks.synthetic_captures.render_capture import drawn_intrinsics, photographed, posed_rays
+from benchmarks.synthetic_captures.render_capture import drawn_intrinsics, photographed
 from fungrasp.hands import hand_files, load_hand
 from fungrasp.perception import Capture
 from fungrasp.rendering.camera import orbit_camera

@@ -8,12 +8,12 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from benchmarks.synthetic_captures.capture_camera import posed_rays
 from benchmarks.synthetic_captures.capture_scene import capture_table
 from benchmarks.synthetic_captures.capture_settings import TYPICAL
 from benchmarks.synthetic_captures.depth_cameras import DepthCamera, camera_depth
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
 from benchmarks.synthetic_captures.painted_mesh import painted_object
-from benchmarks.synthetic_captures.render_capture import posed_rays
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics
