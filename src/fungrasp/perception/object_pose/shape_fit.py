@@ -1,7 +1,7 @@
 """A box, a cylinder or a sphere fitted to what is seen in a hand: for objects of which there is no mesh.
 
-What no image shows is a guess: the shape goes on behind the hand to where thumb and fingers hold it; its far
-side is where the fingertips are, or as deep as it is wide.
+What no image shows is a guess: the far side is where the fingertips are that hold it, or as deep as it is
+wide.
 Camera frame: OpenCV [m].
 """
 
@@ -13,24 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.errors import FungraspError
-from fungrasp.geometry.poses import (
-    inverse_transform_points,
-    quaternion_from_rotation_vector,
-    quaternion_multiply,
-)
-from fungrasp.grasps.hand_thickness import FINGER_RADII
+from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.objects import plain_shape
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, cleaned_mask, thinned
-from fungrasp.perception.object_pose.scoring import (
-    CONTACT,
-    HAND_SHIFTS,
-    SHIFT_COST,
-    PoseScorer,
-    pose_scorer,
-)
-from fungrasp.perception.scene.segmentation import TIPS, segment
+from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
+from fungrasp.perception.scene.segmentation import segment
 
 REACH = 0.13
 """Parts of an object of unknown size are looked for so far from the fingertips [m]."""
@@ -54,8 +43,8 @@ ROUNDS = ((0.010, 12.0, 0.35), (0.006, 8.0, 0.20), (0.004, 5.0, 0.12), (0.002, 3
 """Standard deviations of the random moves: shift [m], turn [degrees], logarithm of a side."""
 
 TOUCHING = 0.015
-"""Thumb and fingers so far from the surface [m] halve what a shape is worth: without a mesh nothing else
-tells what is held from what lies beside the hand."""
+"""Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what
+is held from what lies beside the hand."""
 
 TOO_LITTLE = "too little of an object is seen in the hand: click at it (--point), or give a mesh"
 
@@ -108,7 +97,7 @@ def fit_shape(
     for kind, numbers in SHAPES.items():
         size = "x".join(["100"] * (max(numbers) + 1))
         known = known_object(plain_shape(f"{kind}:{size}", 1.0))
-        fit = _Fit(kind, pose_scorer(known, capture, view, masks, table, None, RAYS), joints)
+        scorer = pose_scorer(known, capture, view, masks, table, joints, RAYS)
         for owner, mask in enumerate(masks):
             rows, columns = np.nonzero(mask & capture.measured & (view.classes.thing > 0.5))
             if len(rows) < LEAST_PIXELS:
@@ -116,9 +105,8 @@ def fit_shape(
             depth = capture.depth[rows, columns]
             points = capture.intrinsics.deproject(np.stack([columns, rows], axis=-1), depth)
             poses, sides = _starts(points, numbers, table)
-            worth, pose, side = _climbed(fit, poses, sides, numbers, owner, rng)
-            quality, apart = fit.judged(pose[None], side[None], owner)
-            quality = float(quality[0] / (1.0 + np.square(apart[0] / CONTACT)))
+            worth, pose, side = _climbed(scorer, poses, sides, numbers, owner, rng)
+            quality = float(scorer(pose[None], np.array([owner]), side[None] / UNIT).quality[0])
             name = f"{kind}:" + "x".join(
                 f"{1000 * one:.0f}" for one in side[np.unique(numbers, return_index=True)[1]]
             )
@@ -126,45 +114,6 @@ def fit_shape(
     if not found:
         raise FungraspError(TOO_LITTLE)
     return max(found, key=lambda one: one[0])[1]
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """What a shape of one kind is worth."""
-
-    kind: str
-    scorer: PoseScorer
-    """Of the shape with sides of ``UNIT``, without a hand."""
-    joints: np.ndarray | None
-    """Of the hand [m], camera frame, shape [21, 3], if known."""
-
-    def judged(self, poses: np.ndarray, sides: np.ndarray, owner: int) -> tuple[np.ndarray, np.ndarray]:
-        """How well shapes explain the image, 0 to 1; how far thumb and two fingers are from them [m]: shape
-        [H] each. poses: [H, 7]; sides: [m], [H, 3]; owner: the mask."""
-        quality = self.scorer(poses, np.full(len(poses), owner), sides / UNIT).quality
-        if self.joints is None:
-            return quality, np.zeros(len(poses))
-        tips, nearest = self.joints[list(TIPS)], np.full(len(poses), np.inf)
-        for shift in HAND_SHIFTS:
-            local = inverse_transform_points(poses, tips * (1.0 + shift / tips[:, 2].mean()))
-            apart = np.abs(_outside(self.kind, local, 0.5 * sides[:, None]) - FINGER_RADII[:, 3])
-            # Every grasp is one of the thumb and fingers against it: others may be in the air.
-            fingers = np.sort(apart[:, :-1], axis=1)[:, :2]
-            mean = (apart[:, -1] + fingers.sum(axis=1)) / 3.0
-            nearest = np.minimum(nearest, mean + abs(shift) * SHIFT_COST)
-        return quality, nearest
-
-
-def _outside(kind: str, points: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Distance of points from a shape's surface [m], negative inside, shape [...]. points: in the shape's
-    frame [m], shape [..., 3]; half: half its sides [m], shape [..., 3]."""
-    if kind == "sphere":
-        return np.linalg.norm(points, axis=-1) - half[..., 0]
-    beyond = np.abs(points) - half
-    if kind == "cylinder":
-        around = np.linalg.norm(points[..., :2], axis=-1) - half[..., 0]
-        beyond = np.stack([around, beyond[..., 2]], axis=-1)
-    return np.linalg.norm(np.maximum(beyond, 0.0), axis=-1) + np.minimum(beyond.max(axis=-1), 0.0)
 
 
 def _starts(
@@ -205,7 +154,7 @@ def _starts(
 
 
 def _climbed(
-    fit: _Fit,
+    scorer: PoseScorer,
     poses: np.ndarray,
     sides: np.ndarray,
     numbers: tuple[int, ...],
@@ -215,12 +164,9 @@ def _climbed(
     """The highest worth that random moves reach, its pose [7] and sides [3]."""
 
     def scored(poses: np.ndarray, sides: np.ndarray) -> np.ndarray:
-        explained, apart = fit.judged(poses, sides, owner)
-        return explained / (1.0 + np.square(apart / TOUCHING))
+        scores = scorer(poses, np.full(len(poses), owner), sides / UNIT)
+        return scores.quality / (1.0 + np.square(scores.contact / TOUCHING))
 
-    grip = (
-        None if fit.joints is None else 0.5 * (fit.joints[TIPS[-1]] + fit.joints[list(TIPS[:2])].mean(axis=0))
-    )
     quality = scored(poses, sides)
     for shift, turn, grow in ROUNDS:
         rows = np.argsort(-quality)[:KEPT]
@@ -233,16 +179,12 @@ def _climbed(
         growth = np.exp(grow * moves[:, 6:][:, list(numbers)])
         before = np.repeat(sides, TRIES, axis=0)
         wider = np.clip(before * growth, *LIMITS)
-        # A third of them grow away from the camera, whose side is seen, a third into the hand, the others
-        # about their middle.
+        # Half of them grow away from the camera, whose side is seen, the others about their middle.
         towards = near[:, :3] / np.linalg.norm(near[:, :3], axis=1, keepdims=True)
-        if grip is not None:
-            held = grip - near[1::3, :3]
-            towards[1::3] = held / np.maximum(np.linalg.norm(held, axis=1, keepdims=True), 1e-9)
         axes = Rotation.from_quat(turned, scalar_first=True).as_matrix()
         deeper = np.einsum("hik,hi->hk", axes, towards)
         back = np.einsum("hik,hk->hi", axes, 0.5 * (wider - before) * deeper)
-        back[::3] = 0.0
+        back[::2] = 0.0
         tried = np.concatenate([near[:, :3] + shift * moves[:, :3] + back, turned], axis=1)
         better = scored(tried, wider)
         poses, sides = np.concatenate([poses, tried]), np.concatenate([sides, wider])
