@@ -31,6 +31,9 @@ PINCH = (0.015, 0.085)
 OTHER_SIDES = (0.018, 0.09)
 """Range of a small shape's other sides [m]."""
 
+THUMB_TIP, FINGERTIPS = 20, [4, 8]
+"""Joints: of the thumb, and of index and middle finger."""
+
 SKIN = 0.007
 """From a joint of a fingertip to its skin [m]."""
 
@@ -88,7 +91,7 @@ class VerdictCaptures:
 
 def pinch_width(joints: np.ndarray) -> float:
     """Width of what fits between the tips of the thumb and two fingers [m]. joints: shape [21, 3]."""
-    return float(np.linalg.norm(joints[[8, 12]].mean(axis=0) - joints[4])) - 2 * SKIN
+    return float(np.linalg.norm(joints[FINGERTIPS].mean(axis=0) - joints[THUMB_TIP])) - 2 * SKIN
 
 
 def small_shape(grasp: HumanGrasp, rng: np.random.Generator) -> tuple[HumanGrasp, ObjectModel]:
@@ -99,13 +102,13 @@ def small_shape(grasp: HumanGrasp, rng: np.random.Generator) -> tuple[HumanGrasp
     mm = [f"{1000 * side:.0f}" for side in (width, *sides)]
     name = ("box:" + "x".join(mm), f"cylinder:{mm[0]}x{mm[1]}", f"sphere:{mm[0]}")[int(rng.integers(3))]
     model = plain_shape(name, 0.1)
-    fingers = joints[[8, 12]].mean(axis=0)
-    along = (fingers - joints[4]) / np.linalg.norm(fingers - joints[4])
+    fingers, thumb = joints[FINGERTIPS].mean(axis=0), joints[THUMB_TIP]
+    along = (fingers - thumb) / np.linalg.norm(fingers - thumb)
     facing = Rotation.align_vectors(along[None], np.array([[1.0, 0.0, 0.0]]))[0]
     best, most = grasp.object_pose, -np.inf
     for turn in rng.uniform(0, 2 * np.pi, 16):
         rotation = facing * Rotation.from_euler("x", turn)
-        pose = np.concatenate([0.5 * (fingers + joints[4]), rotation.as_quat(scalar_first=True)])
+        pose = np.concatenate([0.5 * (fingers + thumb), rotation.as_quat(scalar_first=True)])
         beside = inverse_transform_points(pose, joints)
         free = float(_outside(model, beside).min())
         if free > most:
