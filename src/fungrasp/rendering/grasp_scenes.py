@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-import trimesh
-from scipy.spatial import KDTree
 
 from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -36,7 +35,6 @@ PALM_TINT = 0.75
 
 _PALETTE = 64
 _PREFIX = "robot/"
-_SPACING = 0.01
 
 
 def human_grasp_scene(
@@ -65,9 +63,9 @@ def human_grasp_scene(
     texture.data = np.round(255 * palette).astype(np.uint8).tobytes()
     material = spec.add_material(name="skin", rgba=[1, 1, 1, 1], specular=0.25, shininess=0.15)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "skin"
-    surface = _dense(thing.vertices, thing.faces)
-    apart, _ = KDTree(surface).query(inverse_transform_points(pose, hand.vertices))
-    near = np.clip((0.030 - apart) / 0.020, 0.0, 1.0)
+    local = inverse_transform_points(pose, hand.vertices)
+    apart = SignedDistanceBank([thing.signed_distance]).query(np.zeros(1, dtype=int), local[None])[0][0]
+    near = np.clip((0.030 - np.abs(apart)) / 0.020, 0.0, 1.0)
     touching = hand.links @ contacts.astype(float)
     touching -= hand.links[:, 0] * contacts[0] * (1.0 - near)
     place = (0.5 + touching * (_PALETTE - 1)) / _PALETTE
@@ -225,11 +223,6 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
     except ValueError as error:
         raise FungraspError(f"the scene can't be drawn: {' '.join(str(error).split())}") from error
-
-
-def _dense(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Points at most ``_SPACING`` apart on a surface."""
-    return trimesh.remesh.subdivide_to_size(vertices, faces, _SPACING, max_iter=12)[0]
 
 
 def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: np.ndarray, faces: np.ndarray) -> mujoco.MjsMesh:

@@ -146,6 +146,6 @@ def _encoded(picture: np.ndarray, photograph: bool) -> str:
     if photograph:
         Image.fromarray(picture).save(buffer, "JPEG", quality=PHOTOGRAPH_QUALITY, subsampling=0)
     else:
-        Image.fromarray(picture).save(buffer, "PNG", optimize=True)
+        Image.fromarray(picture).save(buffer, "PNG")
     kind = "jpeg" if photograph else "png"
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.object_pose.confidence import CLOSE, RIVAL_DISTANCE, TURNED
+from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.report.page_parts import figure
@@ -30,7 +30,7 @@ def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> 
         return '<p class="outcome">No other pose of the object was worth considering.</p>'
     poses = np.stack([thing.pose_camera_object, *(pose for pose, _ in thing.alternatives)])
     scores = [thing.score, *(score for _, score in thing.alternatives)]
-    points = np.asarray(trimesh.sample.sample_surface(model.mesh, POINTS, seed=0)[0])
+    points = known_object(model).surface.samples[:POINTS]
     apart, turned = _differences(points, poses, poses[0])
     rows = [f'<tr><th scope="row">The answer</th><td class="number">{thing.score:.2f}</td></tr>']
     pictures, shown = [], poses[:1]

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.grasps.human_hand import HUMAN_FINGERS
@@ -18,6 +17,7 @@ from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
 from fungrasp.perception.builtin_image import BuiltinTruth
 from fungrasp.perception.hand.joint_confidence import SURE, WITHIN
+from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.pose_error import add, rotation_error
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.verdict import PerceptionVerdict
@@ -122,7 +122,7 @@ def true_errors(truth: BuiltinTruth, perceived: Perceived) -> list[Quantity]:
     """How far what was perceived is from the truth."""
     joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
     pose = perceived.object.pose_camera_object
-    points = np.asarray(trimesh.sample.sample_surface(perceived.object_model.mesh, 2000, seed=0)[0])
+    points = known_object(perceived.object_model).surface.samples
     apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
     turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
     return [

@@ -32,6 +32,7 @@ from fungrasp.perception.hand.palm_windows import (
     anchor_centers,
     box_overlap,
     decode_palms,
+    exposed,
     window_of_landmarks,
     window_of_palm,
 )
@@ -191,6 +192,50 @@ def test_lengths_of_hands_in_the_image():
     assert possible(hand_at(300, 200, 150.0), 228.0)
     assert not possible(hand_at(300, 200, 30.0), 228.0) and not possible(hand_at(300, 200, 400.0), 228.0)
     assert np.isnan(hand_lengths(np.zeros((4, 4)), 600.0)).all() and lengths.shape == (480, 640)
+
+
+class Answers(MediaPipeHandDetector):
+    """Sees the same hand in every window."""
+
+    def __init__(self, pixels_per_metre, score):
+        metres = np.random.default_rng(2).uniform(-0.06, 0.06, (21, 3))
+        self.hand = DetectedHand(metres[:, :2] * pixels_per_metre + [320, 240], metres, "right", 0.9, score)
+        self._looks = 0
+
+    def _palms(self, image, window):
+        return [(0.9, Window((320.0, 240.0), 200.0))]
+
+    def _landmarks_in(self, image, window, mirrored=False):
+        self._looks += 1
+        return self.hand
+
+
+def test_small_hands_are_those_that_the_first_windows_confirm():
+    color, far = np.zeros((480, 640, 3), np.uint8), hand_lengths(np.full((480, 640), 1.5), 600.0)
+    assert Answers(500.0, 0.7).hand.length == pytest.approx(95.0)
+    assert len(Answers(500.0, 0.7).detect(color)) == 1 and Answers(400.0, 0.7).detect(color) == []
+    assert Answers(500.0, 0.7).detect_with_depth(color, far) == []
+    assert len(Answers(400.0, 0.9).detect(color)) == 1
+    assert len(Answers(400.0, 0.9).detect_with_depth(color, far)) == 1
+    assert hand_at(100, 100, 60.0).length == hand_at(100, 100, 60.0).extent
+
+
+def test_underexposed_images_are_made_brighter():
+    light = np.random.default_rng(3).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    assert exposed(light) is light
+    dark = (light * 0.3).astype(np.uint8)
+    assert np.abs(exposed(dark).astype(int) - light).max() < 8
+    black = np.zeros((4, 4, 3), np.uint8)
+    assert exposed(black) is black
+
+
+@needs_weights
+def test_a_hand_in_the_dark_is_found(picture):
+    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
+    truth = picture.capture.intrinsics.project(picture.joints_camera)
+    dark = (picture.capture.color * 0.15).astype(np.uint8)
+    (hand,) = MediaPipeHandDetector().detect(dark)
+    assert np.median(np.linalg.norm(hand.pixels - truth, axis=1)) < 15
 
 
 @needs_weights

@@ -18,6 +18,11 @@ from fungrasp.perception.io.capture import Box, Capture
 HAND_LENGTH = 0.19
 """Length of an adult's hand from wrist to fingertips [m]."""
 
+CLEAR_LENGTH = 80.0
+"""What is shorter in the image is blurred in the models' windows, some of which then show hands in lenses,
+paws and parts of hands [pixels]. An adult's hand is 36 pixels wide then. At the far end of the range, 0.9 m,
+it is so long for a camera of 640 pixels and 80 degrees."""
+
 UNDECIDED = 0.6
 """Below this part of its windows' votes the landmark model is overruled by how the fingers bend."""
 
@@ -65,6 +70,15 @@ class DetectedHand:
     def extent(self) -> float:
         """Diagonal of that box [pixels]."""
         return float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
+
+    @property
+    def length(self) -> float:
+        """How long a straight hand of this scale is in the image [pixels], by ``shape_camera``; where it has
+        no size, the extent."""
+        pixels = self.pixels - self.pixels.mean(axis=0)
+        shape = self.shape_camera[:, :2] - self.shape_camera[:, :2].mean(axis=0)
+        size = float((shape**2).sum())
+        return HAND_LENGTH * float((pixels * shape).sum()) / size if size > 0 else self.extent
 
     @property
     def right(self) -> float:
@@ -229,3 +243,11 @@ def length_at(pixels: np.ndarray, lengths: np.ndarray | None, otherwise: float) 
 def possible(hand: DetectedHand, length: float) -> bool:
     """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
     return EXTENTS[0] < hand.extent / length < EXTENTS[1]
+
+
+def clear(hand: DetectedHand, lengths: np.ndarray | None) -> bool:
+    """Whether a hand has enough pixels to be seen clearly.
+
+    lengths: as in ``length_at``; where depth is not known, the hand's own scale counts.
+    """
+    return length_at(hand.pixels, lengths, otherwise=hand.length) >= CLEAR_LENGTH

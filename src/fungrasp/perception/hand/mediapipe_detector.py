@@ -15,13 +15,21 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from fungrasp.perception.hand.detected_hand import DetectedHand, length_at, possible, which_side
+from fungrasp.perception.hand.detected_hand import (
+    CLEAR_LENGTH,
+    DetectedHand,
+    clear,
+    length_at,
+    possible,
+    which_side,
+)
 from fungrasp.perception.hand.mediapipe_models import MediaPipeModel, load_weights, model_runtime
 from fungrasp.perception.hand.palm_windows import (
     DETECTOR_PIXELS,
     Window,
     box_overlap,
     decode_palms,
+    exposed,
     search_windows,
     window_of_landmarks,
     window_of_palm,
@@ -166,7 +174,7 @@ class MediaPipeHandDetector:
             Most probable first; empty if there is none.
         """
         self._looks = 0
-        image = Image.fromarray(color)
+        image = Image.fromarray(exposed(color))
         height, width = color.shape[:2]
         palms: list[tuple[float, Window]] = []
         refused: list[DetectedHand] = []
@@ -181,7 +189,7 @@ class MediaPipeHandDetector:
             ]
             first = [hand for hand in verified if hand.score >= LEAST_HAND_SCORE]
             if first:
-                return first + found[MOST_VERIFIED:]
+                return first + [hand for hand in found[MOST_VERIFIED:] if clear(hand, lengths)]
             refused += found[:MOST_VERIFIED]
             palms += seen
             if self._looks + VERIFYING > MOST_LOOKS:
@@ -196,16 +204,19 @@ class MediaPipeHandDetector:
         return [best] if best is not None and best.score >= LEAST_HAND_SCORE else []
 
     def _verified(self, image: Image.Image, hand: DetectedHand, lengths: np.ndarray | None) -> DetectedHand:
-        """The hand, if the windows around it confirm it, else what windows all round make of it."""
+        """The hand, if the windows around it confirm it; else what windows all round make of it, of score 0
+        if it is too small for that."""
         window = _window_of(hand)
         length = length_at(hand.pixels, lengths, window.size / WINDOW_LENGTHS)
         if possible(hand, length):
             again = [self._landmarks_in(image, window, mirrored) for mirrored in (False, True)]
             if all(confirms(hand, answer, length) for answer in again):
                 return consensus([hand, *again], again, length)
+        if not clear(hand, lengths):
+            return replace(hand, score=0.0)
         middle = hand.pixels.mean(axis=0)
         turned = self._answers(image, [(middle, turn) for turn in WINDOW_TURNS], length)
-        return self._consensus(image, [hand, *turned], length)
+        return self._consensus(image, [hand, *turned], length, lengths)
 
     def _around_palm(
         self, image: Image.Image, palm: Window, lengths: np.ndarray | None
@@ -213,6 +224,8 @@ class MediaPipeHandDetector:
         """What windows about a palm make of its hand; None as soon as they show none. palm: the window that
         the hand should be in."""
         length = length_at(np.array([palm.center]), lengths, palm.size / WINDOW_LENGTHS)
+        if length < CLEAR_LENGTH:
+            return None
         centers = palm.center + length * np.array(WINDOW_OFFSETS)
         every: list[DetectedHand] = []
         for looked, least in ((centers[:1], FIRST_LOOK), (centers[1:], SECOND_LOOK)):
@@ -220,7 +233,7 @@ class MediaPipeHandDetector:
             every += self._answers(image, places, length)
             if max(answer.score for answer in every) < least:
                 return None
-        return self._consensus(image, every, length)
+        return self._consensus(image, every, length, lengths)
 
     def _answers(
         self, image: Image.Image, places: list[tuple[np.ndarray, float]], length: float
@@ -238,14 +251,17 @@ class MediaPipeHandDetector:
             for (u, v), turn in places
         ]
 
-    def _consensus(self, image: Image.Image, every: list[DetectedHand], length: float) -> DetectedHand:
+    def _consensus(
+        self, image: Image.Image, every: list[DetectedHand], length: float, lengths: np.ndarray | None
+    ) -> DetectedHand:
         """The answer that most others confirm, of those seen already and from windows around the best; of
-        score 0 where none is of a hand's size.
+        score 0 where none is clear and of a hand's size.
 
         Args:
             image: RGB.
             every: answers.
             length: of a hand in the image [pixels].
+            lengths: the same by pixel, if depth is known.
         """
         best = sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]
         last = [
@@ -254,7 +270,7 @@ class MediaPipeHandDetector:
             for mirrored in (False, True)
         ]
         every = every + last
-        sized = [answer for answer in every if possible(answer, length)]
+        sized = [answer for answer in every if possible(answer, length) and clear(answer, lengths)]
         if not sized:
             return replace(best[0], score=0.0)
         return consensus(sized, last, length)

@@ -20,6 +20,9 @@ from PIL import Image
 
 from fungrasp.perception.io.capture import Box
 
+DIM = 128
+"""Images whose brightest parts are darker, of 255, are underexposed by half the range or more."""
+
 PALM_OUTLINE = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 """Landmarks (models' order) that a window around known landmarks is made from: palm, thumb, near joints."""
 
@@ -77,6 +80,17 @@ class Window:
     def _rotation(self) -> np.ndarray:
         c, s = math.cos(self.angle), math.sin(self.angle)
         return np.array([[c, -s], [s, c]])
+
+
+def exposed(color: np.ndarray) -> np.ndarray:
+    """An underexposed image, as bright as the models know images: its 99th percentile white; else as given.
+
+    color: RGB, uint8, shape [H, W, 3]; so is the result.
+    """
+    white = float(np.percentile(color[::4, ::4].max(axis=2), 99))
+    if white >= DIM or white == 0:
+        return color
+    return np.clip(color * (255.0 / white), 0, 255).astype(np.uint8)
 
 
 def window_of_palm(box: np.ndarray, wrist: np.ndarray, middle_mcp: np.ndarray) -> Window:
