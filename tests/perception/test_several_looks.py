@@ -39,6 +39,9 @@ def test_looks_that_are_sure_are_sure_together_and_not_surer():
 
 def test_a_look_that_says_no_counts_against():
     assert together([look(0.92), look(0.1)]).verdict.object < 0.6
+    unsure = look(0.5)
+    unsure = replace(unsure, verdict=replace(unsure.verdict, help=("another view",)))
+    assert together([look(0.97), unsure]).verdict.help == ("another view",), "the sure one has no advice"
     # One look can't decide alone, however sure it is.
     assert not together([look(1.0), look(0.1), look(0.0)]).verdict.sure
 

@@ -68,7 +68,12 @@ def together(looks: Sequence[Perceived]) -> Perceived:
         sure = thing >= ACCEPT and look.verdict.hand >= ACCEPTED_HAND and not look.verdict.doubt
         answers.append((sure, look.verdict.object, look))
     sure, _, best = max(answers, key=lambda answer: answer[:2])
-    return replace(best, verdict=replace(best.verdict, object=thing, sure=sure, looks=len(looks)))
+    # A look that is sure of itself has no advice; what the others lack would have helped.
+    least = min(looks, key=lambda look: look.verdict.object)
+    advice = () if sure else best.verdict.help or least.verdict.help
+    return replace(
+        best, verdict=replace(best.verdict, object=thing, sure=sure, help=advice, looks=len(looks))
+    )
 
 
 def probability_of_looks(said: Sequence[float]) -> float:
