@@ -122,6 +122,9 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     said = words(page(tmp_path, perceived()))
     assert said.index("✓ Sure: 86 % that all is right") < said.index("In the image")
     assert "Not sure" not in said and "What would help" not in said
+    assert "seen in one image" in said
+    several = replace(perceived().verdict, looks=3)
+    assert "seen in the surest of 3 images" in words(page(tmp_path, perceived(verdict=several)))
     warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
     thing = replace(perceived().object, score=0.3, accepted=False)
     verdict = PerceptionVerdict(False, 0.3, 0.5, METERS, ("a click at the object",))

@@ -95,7 +95,9 @@ def perception_title(perceived: Perceived) -> str:
     name = perceived.grasp.object_name.removesuffix(MIRRORED).replace("_", " ")
     name = "unknown object" if perceived.fitted is not None else name
     task = f", to {perceived.grasp.task}" if perceived.grasp.task else ""
-    return f"{name[:1].upper()}{name[1:]}{task}: seen in one image"
+    looks = perceived.verdict.looks
+    where = "one image" if looks == 1 else f"the surest of {looks} images"
+    return f"{name[:1].upper()}{name[1:]}{task}: seen in {where}"
 
 
 def side_words(perceived: Perceived) -> str:
