@@ -38,6 +38,7 @@ def best_of_looks(
     """
     looks: list[Perceived] = []
     seen: list[np.ndarray] = []
+    known: Perceived | None = None
     nothing: FungraspError | None = None
     for capture in captures:
         if any(np.array_equal(capture.color, color) for color in seen):
@@ -52,9 +53,9 @@ def best_of_looks(
         if known.confident or len(looks) >= most:
             break
         unsure(known)
-    if not looks:
+    if known is None:
         raise nothing or FungraspError("there is no image to look at")
-    return together(looks)
+    return known
 
 
 def together(looks: Sequence[Perceived]) -> Perceived:
