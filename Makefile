@@ -18,7 +18,7 @@ SEES = $(BIN)/python -c 'import sys, ai_edge_litert; from fungrasp.perception.ha
 	sys.exit(not have_weights())' 2>/dev/null
 CHECKS := lint types imports docs unit
 # Tests that take seconds; with the checks before them, less than a minute on two cores.
-QUICK := tests/test_errors.py tests/test_files.py tests/benchmarks/documents/test_tables.py tests/hands/test_forward_kinematics.py \
+QUICK := tests/core/test_errors.py tests/core/test_files.py tests/benchmarks/documents/test_tables.py tests/hands/test_forward_kinematics.py \
 	tests/geometry/test_poses.py tests/optimization tests/sim2real tests/policies/checkpoint \
 	tests/evaluation/test_statistics.py tests/evaluation/test_result_files.py tests/cli/test_console.py
 
@@ -79,7 +79,7 @@ quick: $(VENV)/.installed-dev
 	$(BIN)/pytest $(QUICK)
 
 fuzz: $(VENV)/.installed-dev
-	$(BIN)/python tests/formats/fuzz.py --cases $(CASES) --seed $(SEED)
+	$(BIN)/python tests/core/formats/fuzz.py --cases $(CASES) --seed $(SEED)
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix

@@ -6,7 +6,7 @@ import sys
 from typing import Any, NoReturn
 
 from fungrasp.cli.main import run_command
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 
 def main(name: str, command: Any) -> NoReturn:

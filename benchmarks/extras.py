@@ -55,7 +55,7 @@ MANO = (
     COMPLAIN
     + """
 from fungrasp.grasps.importers.mano import ManoHand
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 try:
     ManoHand("nowhere")
 except FungraspError as error:
@@ -74,7 +74,7 @@ PAGE = (
     COMPLAIN
     + """
 import fungrasp
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 try:
     fungrasp.view("few.npz", port=0, wait=False).close()
 except FungraspError as error:
@@ -84,7 +84,7 @@ except FungraspError as error:
 WORLDS = (
     COMPLAIN
     + """
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 try:
     from fungrasp.training.gymnasium_env import LiftEnv
 except FungraspError as error:

@@ -9,7 +9,7 @@ import pytest
 REAL_TIME = (
     "cli",
     "deployment",
-    "jobs",
+    "core/jobs",
     "reliability",
     "robots",
     "ros2",

@@ -30,8 +30,8 @@ from fungrasp.cli.main import COMMANDS, every_command, main
 from fungrasp.deployment import deploy
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
+from fungrasp.media import demonstration
 from fungrasp.objects import builtin_object
-from fungrasp.report import demonstration
 from fungrasp.task import Outcomes
 
 ROOT = Path(__file__).parents[1]

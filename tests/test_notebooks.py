@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 import fungrasp
-from fungrasp.report.notebook import notebook_html
-from fungrasp.text_table import table
+from fungrasp.core.text_table import table
+from fungrasp.media.notebook import notebook_html
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
 

@@ -186,7 +186,7 @@ def test_a_mesh_file_that_was_read_before_needs_no_trimesh(tmp_path: Path) -> No
 
 
 def test_the_page_about_an_image_needs_nothing_that_simulates() -> None:
-    code = "import sys, fungrasp.report.perception_page; print(*sys.modules)"
+    code = "import sys, fungrasp.media.perception_page; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     rooms = {"evaluation", "planning", "policies", "retargeting", "simulation", "task"}
     assert not set(done.stdout.split()) & {f"fungrasp.{room}" for room in rooms}

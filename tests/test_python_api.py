@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fungrasp
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.retargeting import retarget
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.builtin_objects.assembly import PartSolids, assemble
 from benchmarks.builtin_objects.catalogue import CONSTRUCTIONS
-from fungrasp.files import atomic_path
+from fungrasp.core.files import atomic_path
 from fungrasp.objects.builtin_objects import BUILTINS, FIELDS, MESHES
 
 

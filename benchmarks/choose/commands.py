@@ -60,7 +60,7 @@ class Choose:
         from benchmarks.command import check_positive
         from benchmarks.grasp_set.parts import load_part
         from fungrasp.cli.console import progress_bar
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
 
         check_positive(every=self.every)
         if self.part == "confirm" and not self.decision:
@@ -108,8 +108,8 @@ class Choose:
 
         import numpy as np
 
+        from fungrasp.core.provenance import run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.provenance import run_record
 
         rows = []
         for number, (name, stratum) in enumerate(zip(names, strata, strict=True)):

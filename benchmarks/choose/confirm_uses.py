@@ -8,8 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 from benchmarks.choose.pairing import PairedRates
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import read_bytes
 
 LARGEST = 1_000_000
 """Bytes of the largest record that is read."""

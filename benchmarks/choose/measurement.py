@@ -23,12 +23,12 @@ from benchmarks.choose.variant import Variant
 from benchmarks.grasp_set.parts import SetPart, load_part
 from benchmarks.peers.comparison import PEERS
 from benchmarks.peers.problem import PeerProblem
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.evaluation import evaluate
 from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand, load_hand
-from fungrasp.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.objects import ObjectModel
 from fungrasp.policies import make_planner
 from fungrasp.retargeting import METHODS, retarget

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.jobs import Arrays
+from fungrasp.core.jobs import Arrays
 
 ALL = "all"
 """Name of the row of all strata together."""

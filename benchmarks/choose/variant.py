@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.peers.comparison import PEERS, installed_peers
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.record_json import record_from_json
 from fungrasp.evaluation import LiftTestSpec
-from fungrasp.formats.record_json import record_from_json
 from fungrasp.planning import MotionSettings
 from fungrasp.retargeting import METHODS, RetargetSettings
 

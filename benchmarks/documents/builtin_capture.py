@@ -12,7 +12,7 @@ from benchmarks.perception.capture_files import TRUTH_FILE, write_capture
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.depth_noise import ColorNoise
 from benchmarks.synthetic_captures.render_capture import render_capture
-from fungrasp.files import atomic_path
+from fungrasp.core.files import atomic_path
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE, COLOR_FILE, DEPTH_FILE, LENS_FILE

@@ -22,10 +22,10 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
+from fungrasp.media import look_at_grasp, render, robot_grasp_scene
+from fungrasp.media.grasp_scenes import robot_scene_states
+from fungrasp.media.pictures import grid
 from fungrasp.objects import ObjectModel
-from fungrasp.rendering import look_at_grasp, render, robot_grasp_scene
-from fungrasp.rendering.grasp_scenes import robot_scene_states
-from fungrasp.report import grid
 from fungrasp.retargeting import retarget
 
 LAB = Path(__file__).parents[2] / "docs" / "lab"

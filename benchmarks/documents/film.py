@@ -15,9 +15,9 @@ from PIL import Image
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.grasps.picks import picked_rows
 from fungrasp.hands import load_hand
+from fungrasp.media.demonstration import FPS, demonstrate
+from fungrasp.media.video import write_video
 from fungrasp.policies import default_policy
-from fungrasp.report.demonstration import FPS, demonstrate
-from fungrasp.report.video import write_video
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 

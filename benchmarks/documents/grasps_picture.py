@@ -12,8 +12,8 @@ from PIL import Image
 
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.rendering import Camera, grasp_scene, look_at_grasp, render
-from fungrasp.report import grid
+from fungrasp.media import Camera, grasp_scene, look_at_grasp, render
+from fungrasp.media.pictures import grid
 from fungrasp.retargeting import retarget
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"

@@ -9,7 +9,7 @@ from benchmarks.documents.measured import (
     read,
 )
 from benchmarks.documents.perception_table import SOURCES, perception_rows
-from fungrasp.formats import (
+from fungrasp.core.formats import (
     image_file,
     json_file,
     mesh_file,
@@ -21,8 +21,8 @@ from fungrasp.formats import (
     toml_file,
     yaml_file,
 )
-from fungrasp.formats.file_bytes import DEEPEST, MOST_NODES
-from fungrasp.formats.xml_file import DEEPEST_ELEMENT
+from fungrasp.core.formats.file_bytes import DEEPEST, MOST_NODES
+from fungrasp.core.formats.xml_file import DEEPEST_ELEMENT
 
 
 def perception() -> Table:

@@ -16,7 +16,7 @@ from benchmarks.documents.failures_picture import LAB, frames_of
 from fungrasp.evaluation import Trajectory, replay
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.report import grid
+from fungrasp.media.pictures import grid
 from fungrasp.task.use import load_use_motions, motion_of
 
 MOMENTS = (0.0, 0.33, 0.67, 1.0)

@@ -19,7 +19,7 @@ import numpy as np
 
 import fungrasp
 from fungrasp.cli.main import main as main_program
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
 from fungrasp.viewer.choose_page import perceived_capture

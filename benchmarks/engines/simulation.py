@@ -34,9 +34,9 @@ class Simulation:
         import numpy as np
 
         from benchmarks.engines.simulation_speed import simulation_speed
+        from fungrasp.core.provenance import machine
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.provenance import machine
         from fungrasp.retargeting import retarget
 
         check_positive(worlds=self.worlds, repeat=self.repeat)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from benchmarks.command import check_positive
 from fungrasp.cli.console import table
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.grasp_choice import GraspChoice
-from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
     from benchmarks.fault_series.moments import Scene
@@ -45,8 +45,8 @@ class BenchFaultSeries:
     """Write every deployment here (.json, with a .csv beside), anew after each; a stopped run goes on."""
 
     def run(self) -> None:
+        from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.provenance import machine, run_record
         from fungrasp.robots.process_priority import raise_priority
 
         check_positive(faults=self.faults, twins=self.twins)
@@ -132,7 +132,7 @@ def drawn_faults(hand: str, count: int, seed: int, kinds: Sequence[str] = ()) ->
     from benchmarks.fault_series.fault_kinds import KINDS
     from benchmarks.fault_series.moments import EDGE, Moment
     from benchmarks.fault_series.trial import Drawn
-    from fungrasp.errors import UnknownNameError
+    from fungrasp.core.errors import UnknownNameError
 
     known = {kind.name: kind for kind in KINDS if hand in kind.hands}
     for name in kinds:

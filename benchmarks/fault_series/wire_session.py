@@ -9,10 +9,10 @@ from pathlib import Path
 
 from benchmarks.fault_series.moments import LOOK, PreparerOf, Scene
 from benchmarks.faults.control_session import driver_process
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.log import McapLog
-from fungrasp.errors import FungraspError
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import RobotCell

@@ -13,9 +13,9 @@ import numpy as np
 from benchmarks.faults.emulated_devices import torque_controlled_fingers
 from benchmarks.faults.plants import ServoPlant, TorquePlant
 from benchmarks.faults.tracker_emulator import TrackerEmulator, TrackerErrors
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
 from fungrasp.deployment.twin_deployment import reachable_placement
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel

@@ -16,8 +16,8 @@ from benchmarks.faults.control_bench import ControlBench
 from benchmarks.faults.control_process import ControlProcess
 from benchmarks.faults.control_session import INSIDE, ControlFault, ControlSession, run_session
 from benchmarks.faults.reaction_times import ReactionTrial, motion_after
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.log import read_log
-from fungrasp.errors import FungraspError
 from fungrasp.robots.arms.ur import URSettings
 from fungrasp.robots.control_loop.loop_driver import DRIVER_TIMEOUT
 

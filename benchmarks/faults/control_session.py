@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.deployment.grasp_choice import GraspChoice
-from fungrasp.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,8 +40,8 @@ class BenchFaults:
     """Write every trial here (.json, with a .csv beside)."""
 
     def run(self) -> None:
+        from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.provenance import machine, run_record
         from fungrasp.robots.process_priority import raise_priority
 
         if self.trials < 1:

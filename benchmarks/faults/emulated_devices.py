@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults.plants import ServoPlant, TorquePlant
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.plant import Plant

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 from benchmarks.command import check_positive
 from fungrasp.cli.console import table, write_json
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
 
 if TYPE_CHECKING:
     from benchmarks.gpu.world_speed import WorldSpeed
@@ -57,9 +57,9 @@ class ManyWorlds:
         import torch
 
         from benchmarks.gpu.world_speed import world_speed
+        from fungrasp.core.provenance import git_revision, machine
         from fungrasp.grasps import builtin_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.provenance import git_revision, machine
         from fungrasp.retargeting import retarget
         from fungrasp.simulation import BufferSizes
         from fungrasp.training.plan_library import Variety, build_plan_library
@@ -147,7 +147,7 @@ def _drawn(found: list[WorldSpeed]) -> str:
     """Physics, control steps and rollouts per second over worlds, in powers of ten."""
     import numpy as np
 
-    from fungrasp.plots import PlotLine, PlotPanel, panels_svg
+    from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 
     panels = []
     for name, title in (

@@ -46,10 +46,10 @@ class MakeGraspSet:
         )
         from benchmarks.grasp_set.parts import OBJECTS, save_set, split_objects
         from fungrasp.cli.console import progress_bar
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.jobs import PartStore
+        from fungrasp.core.provenance import run_record
         from fungrasp.grasps import HumanGraspSet, load_human_grasps
-        from fungrasp.jobs import PartStore
-        from fungrasp.provenance import run_record
 
         check_positive(sizes=self.sizes, shapes=self.shapes, count=self.count)
         if self.dexycb is not None and self.objects is None:

@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.grasp_set.objects import SetObject
 from benchmarks.grasp_set.specifications import set_specifications
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.evaluation.force_closure import closure_residual, primitive_wrenches
 from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
-from fungrasp.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 from fungrasp.synthesis import GraspSpecification, SynthesisSettings, synthesize_grasps

@@ -13,8 +13,8 @@ from scipy.spatial import KDTree
 
 from benchmarks.builtin_objects.assembly import assemble
 from benchmarks.grasp_set.shapes import DRAWN_KINDS
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
 from fungrasp.grasps.importers.ycb import YCB_MASSES
 from fungrasp.objects import ObjectModel, load_object, object_from_file, object_names
 from fungrasp.objects.object_registry import mesh_files

@@ -10,7 +10,7 @@ import tyro
 
 from benchmarks.command import check_positive
 from fungrasp.cli.console import table
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class AddedHands:
     def run(self) -> None:
         from tempfile import TemporaryDirectory
 
+        from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.provenance import machine, run_record
 
         check_positive(every=self.every)
         entries = [entry.rpartition("=") for entry in self.files]

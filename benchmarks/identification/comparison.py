@@ -35,10 +35,10 @@ class BenchIdentify:
     def run(self) -> None:
         from benchmarks.identification.drawn_twins import twin_fit
         from benchmarks.identification.known_truth import known_truth_fit, step_fit
+        from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.hands import load_hand
         from fungrasp.objects import load_object
-        from fungrasp.provenance import machine, run_record
         from fungrasp.robots.cell import load_cell
 
         allegro, inspire = load_hand("allegro"), load_hand("inspire")

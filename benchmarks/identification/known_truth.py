@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.sim2real.identification.excitation import Excitation, excitation_motion
 from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics

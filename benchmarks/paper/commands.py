@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from benchmarks.paper.free_policies import FreePolicies
 from benchmarks.paper.table_training import TableOptions
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from fungrasp.cli.console import progress_bar
 from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
-from fungrasp.files import atomic_path
+from fungrasp.core.files import atomic_path
 from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
@@ -125,8 +125,8 @@ class FreePolicies:
 
 def _synthesize(seed: int, path: Path) -> None:
     """Grasps of the built-in objects, in a file."""
+    from fungrasp.core.jobs import PartStore
     from fungrasp.grasps import save_human_grasps
-    from fungrasp.jobs import PartStore
     from fungrasp.synthesis import synthesize_grasps
     from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
 

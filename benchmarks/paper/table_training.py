@@ -11,9 +11,9 @@ import numpy as np
 
 from fungrasp.cli.console import progress_bar, table
 from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.provenance import run_record
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.provenance import run_record
 from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
@@ -149,8 +149,8 @@ class TableOptions:
 
     def _result(self, variant: Variant, seed: int) -> dict[str, Any]:
         """Results of a variant by condition: kept ones, or trained and tested now."""
+        from fungrasp.core.jobs import PartStore, part_key
         from fungrasp.hands import load_hand
-        from fungrasp.jobs import PartStore, part_key
 
         def made() -> dict[str, np.ndarray]:
             hand = load_hand(self._hand(variant))

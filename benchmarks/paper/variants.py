@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import bootstrap
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 
 CONDITIONS = ("nominal", "nominal, not adapted", "reality")
 """What each policy is tried in: worlds as believed; the same with grasps that are not adapted to the settled

@@ -60,10 +60,10 @@ def compare_with_peers(options: Peers) -> None:
     import sys
 
     from benchmarks.peers.comparison import PEERS, compare_method, installed_peers
-    from fungrasp.errors import FungraspError, UnknownNameError
+    from fungrasp.core.errors import FungraspError, UnknownNameError
+    from fungrasp.core.provenance import machine, run_record
     from fungrasp.grasps import load_human_grasps, load_objects
     from fungrasp.hands import load_hand
-    from fungrasp.provenance import machine, run_record
     from fungrasp.retargeting import METHODS
 
     there = installed_peers()

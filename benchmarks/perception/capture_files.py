@@ -13,7 +13,7 @@ from PIL import Image
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.render_capture import SyntheticCapture
-from fungrasp.files import atomic_path
+from fungrasp.core.files import atomic_path
 from fungrasp.geometry.poses import rotation_matrix
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE

@@ -37,7 +37,7 @@ class BenchDepth:
 
     def run(self) -> None:
         from benchmarks.perception.depth_statistics import beside, depth_statistics
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.perception.io.scene_folders import read_folder
 
         if self.captures < 1 or self.seed < 0:
@@ -75,8 +75,8 @@ class BenchDepth:
             yield known.capture.depth, known.capture.intrinsics
 
     def _write(self, path: Path, rows: list[tuple[str, ...]]) -> None:
+        from fungrasp.core.provenance import run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.provenance import run_record
 
         head, *body = rows
         record = run_record(self.seed) | {"head": list(head)}

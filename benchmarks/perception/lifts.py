@@ -41,7 +41,8 @@ class Lifts:
         from benchmarks.perception.measurements import rate_of
         from benchmarks.perception.recorded_captures import read_recorded, recorded_folders
         from benchmarks.perception.recorded_figures import hinted_captures
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.provenance import run_record
         from fungrasp.evaluation import evaluate, write_result
         from fungrasp.geometry.poses import transform_points
         from fungrasp.grasps.human_hand import mirror_pose
@@ -51,7 +52,6 @@ class Lifts:
         from fungrasp.perception.object_pose.pose_error import add_s
         from fungrasp.perception.pipeline import UNKNOWN, perceive
         from fungrasp.perception.scene.table import in_world, put_down
-        from fungrasp.provenance import run_record
         from fungrasp.retargeting import retarget
 
         check_positive(threads=self.threads)

@@ -27,9 +27,9 @@ class Looks:
 
     def run(self) -> None:
         from benchmarks.perception.verdict_trials import read_trials
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.provenance import run_record
         from fungrasp.evaluation import write_result
-        from fungrasp.provenance import run_record
 
         if len(self.trials) < 2:
             raise FungraspError("one file of trials is one look: give two or more")

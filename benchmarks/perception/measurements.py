@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.objects import HeldObject
 from fungrasp.perception import Capture

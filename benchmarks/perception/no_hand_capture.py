@@ -18,12 +18,12 @@ from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.render_capture import drawn_intrinsics, photographed
 from fungrasp.hands import hand_files, load_hand
+from fungrasp.media.camera import orbit_camera
+from fungrasp.media.model_surfaces import drawn_geoms, geom_surface
+from fungrasp.media.ray_tracing import NOTHING, RayTracer
+from fungrasp.media.shading import linear, model_materials
+from fungrasp.media.surfaces import SurfaceMesh
 from fungrasp.perception import Capture
-from fungrasp.rendering.camera import orbit_camera
-from fungrasp.rendering.model_surfaces import drawn_geoms, geom_surface
-from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
-from fungrasp.rendering.shading import linear, model_materials
-from fungrasp.rendering.surfaces import SurfaceMesh
 
 CLUTTER = (2, 7)
 """Fewest and most things on the table."""

@@ -43,9 +43,9 @@ def report_recorded(folder: Path, json: Path | None) -> None:
         recorded_rows,
         recorded_table,
     )
+    from fungrasp.core.provenance import machine, run_record
     from fungrasp.evaluation import write_result
     from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-    from fungrasp.provenance import machine, run_record
 
     folders, detector = recorded_folders(folder), MediaPipeHandDetector()
     results = []

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.json_file import read_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.json_file import read_json
 from fungrasp.objects import (
     ObjectModel,
     builtin_object,

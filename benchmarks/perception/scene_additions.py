@@ -15,10 +15,10 @@ from benchmarks.synthetic_captures.capture_scene import SLEEVES, SLEEVES_WORN, C
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings, camera_settings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.skin_and_sleeve import back_of_hand
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HumanGrasp, builtin_grasps
-from fungrasp.rendering.shading import Color
-from fungrasp.rendering.surfaces import SurfaceMesh
+from fungrasp.media.shading import Color
+from fungrasp.media.surfaces import SurfaceMesh
 
 HAND_AWAY = (0.16, 0.38)
 """Another person's hand is so far from the grasp, between their middles [m]."""

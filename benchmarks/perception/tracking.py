@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from benchmarks.perception.measurements import RIGHT_MM
 from fungrasp.cli.console import table, write_json
+from fungrasp.core.provenance import machine
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, rotate, transform_points
 from fungrasp.grasps import HumanGrasp, load_human_grasps, load_objects
 from fungrasp.grasps.human_hand import BONES
@@ -25,7 +26,6 @@ from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
 from fungrasp.perception.perceived import Stopwatch
-from fungrasp.provenance import machine
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 """The camera of the images."""

@@ -35,9 +35,9 @@ class Verdict:
         from benchmarks.perception.verdict_figures import reliability_svg, verdict_figures, verdict_rows
         from benchmarks.perception.verdict_fit import fitted_weights, written_weights
         from benchmarks.perception.verdict_trials import read_trials
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.provenance import run_record
         from fungrasp.evaluation import write_result
-        from fungrasp.provenance import run_record
 
         check_positive(wrong=self.wrong + 1)
         if self.captures is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from benchmarks.perception.verdict_trials import RIGHT, HandTrial, VerdictTrial
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.object_pose.confidence import features
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 from fungrasp.perception.object_pose.verdict_weights import Logistic

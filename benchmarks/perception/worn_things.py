@@ -7,9 +7,9 @@ import trimesh
 
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.skin_and_sleeve import WRIST_HALF, Forearm
-from fungrasp.rendering.hand_mesh import FINGER_RADII, REFERENCE_PALM
-from fungrasp.rendering.light_sampling import axes_along
-from fungrasp.rendering.shading import Color
+from fungrasp.media.hand_mesh import FINGER_RADII, REFERENCE_PALM
+from fungrasp.media.light_sampling import axes_along
+from fungrasp.media.shading import Color
 
 METALS: tuple[Color, ...] = ((0.83, 0.69, 0.22), (0.77, 0.77, 0.78), (0.72, 0.45, 0.33), (0.15, 0.15, 0.16))
 """Gold, silver, copper, black steel, sRGB."""

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     import numpy as np
 
+    from fungrasp.core.jobs import ClusterUse
     from fungrasp.evaluation import LiftTestResult
     from fungrasp.grasps import RobotGraspSet
-    from fungrasp.jobs import ClusterUse
     from fungrasp.objects import ObjectModel
 
 
@@ -49,10 +49,10 @@ class BenchCluster:
 
         import numpy as np
 
+        from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation import evaluate, write_result
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.provenance import machine, run_record
         from fungrasp.retargeting import retarget
 
         if self.number < 1 or self.machines < 1 + self.lose:
@@ -121,8 +121,8 @@ class BenchCluster:
         import ray
         from ray.cluster_utils import Cluster
 
+        from fungrasp.core.jobs import RayCluster
         from fungrasp.evaluation import evaluate
-        from fungrasp.jobs import RayCluster
 
         machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
         nodes = [machines.add_node(num_cpus=1) for _ in range(self.machines)]

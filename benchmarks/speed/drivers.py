@@ -23,8 +23,8 @@ class BenchRobot:
     def run(self) -> None:
         from benchmarks.faults.emulated_devices import EMULATED, known_devices
         from benchmarks.speed.driver_throughput import driver_speed
+        from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.provenance import machine, run_record
         from fungrasp.robots.process_priority import raise_priority
 
         # Real devices don't wait for a computer's other work.

@@ -37,9 +37,9 @@ class BenchPlanning:
 
         import numpy as np
 
+        from fungrasp.core.provenance import machine
         from fungrasp.evaluation.plans import plan
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
-        from fungrasp.provenance import machine
         from fungrasp.retargeting import retarget
 
         check_positive(number=self.number)

@@ -37,11 +37,11 @@ class Retargeting:
     """Write the numbers here (.json)."""
 
     def run(self) -> None:
-        from fungrasp.errors import UnknownNameError
-        from fungrasp.formats.json_file import finite
+        from fungrasp.core.errors import UnknownNameError
+        from fungrasp.core.formats.json_file import finite
+        from fungrasp.core.provenance import machine
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.provenance import machine
         from fungrasp.retargeting import METHODS
 
         check_positive(repeat=self.repeat)

@@ -47,10 +47,10 @@ class Training:
             untrained_student,
             update_speed,
         )
+        from fungrasp.core.provenance import machine
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
         from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-        from fungrasp.provenance import machine
         from fungrasp.retargeting import retarget
         from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
         from fungrasp.training.plan_library import Variety, build_plan_library

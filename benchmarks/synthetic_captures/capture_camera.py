@@ -12,9 +12,9 @@ from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix
 from fungrasp.grasps import HumanGrasp
+from fungrasp.media.camera import orbit_camera
+from fungrasp.media.ray_tracing import PixelRays, RayTracer
 from fungrasp.perception import Intrinsics
-from fungrasp.rendering.camera import orbit_camera
-from fungrasp.rendering.ray_tracing import PixelRays, RayTracer
 
 TRIES = 24
 """Cameras that are tried before the best so far is taken."""

@@ -14,9 +14,9 @@ from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, fine_mesh_no
 from benchmarks.synthetic_captures.skin_and_sleeve import Forearm, painted_hand, painted_sleeve
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
+from fungrasp.media.shading import Color, Look
+from fungrasp.media.surfaces import SurfaceMesh
 from fungrasp.objects import ObjectModel, builtin_object
-from fungrasp.rendering.shading import Color, Look
-from fungrasp.rendering.surfaces import SurfaceMesh
 
 
 class Label(IntEnum):

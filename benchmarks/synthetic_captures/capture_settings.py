@@ -8,9 +8,9 @@ from benchmarks.synthetic_captures.capture_scene import SceneAdditions
 from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCamera
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise
 from benchmarks.synthetic_captures.skin_and_sleeve import SKIN_TONES
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.media.shading import Color
 from fungrasp.perception import Intrinsics
-from fungrasp.rendering.shading import Color
 
 TYPICAL = Intrinsics(640, 480, 615.0, 615.0, 321.5, 238.0)
 """A color camera of the kind that is sold with a depth sensor for robots."""

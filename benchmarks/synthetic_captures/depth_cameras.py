@@ -30,7 +30,7 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.synthetic_captures.depth_noise import graze, smooth_field, unseen_by_second
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Intrinsics
 
 

@@ -12,9 +12,9 @@ import trimesh
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps.human_hand import mirror_points
+from fungrasp.media.shading import linear
+from fungrasp.media.surfaces import SurfaceMesh
 from fungrasp.objects import ObjectModel
-from fungrasp.rendering.shading import linear
-from fungrasp.rendering.surfaces import SurfaceMesh
 
 CREASE = float(np.cos(np.radians(35.0)))
 """A corner's normal is smooth if it differs from its triangle's by no more than this angle (cosine)."""

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.synthetic_captures.render_capture import render_capture
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays, PartStore, part_key
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.jobs import Arrays, PartStore, part_key
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector

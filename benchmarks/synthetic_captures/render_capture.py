@@ -19,14 +19,14 @@ from benchmarks.synthetic_captures.depth_cameras import camera_depth
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
 from benchmarks.synthetic_captures.varied_hand import vary_hand
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
+from fungrasp.media.ray_tracing import NOTHING, RayTracer
 from fungrasp.objects import ObjectModel, mirrored_name
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.estimates import Side
-from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,14 @@ import trimesh
 
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mixed
 from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.rendering.hand_mesh import (
+from fungrasp.media.hand_mesh import (
     FINGER_RADII,
     LINK_JOINTS,
     REFERENCE_PALM,
     THUMB_RADII,
     human_hand_mesh,
 )
-from fungrasp.rendering.shading import Color
+from fungrasp.media.shading import Color
 
 SKIN_TONES: tuple[Color, ...] = (
     (0.92, 0.76, 0.67),

@@ -47,9 +47,9 @@ class EvaluateOnTwins:
     def run(self) -> None:
         from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
         from benchmarks.twins.twin_series import TwinSeriesSpec, evaluate_on_twins
+        from fungrasp.core.jobs import PartStore
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
-        from fungrasp.jobs import PartStore
         from fungrasp.retargeting import retarget
         from fungrasp.robots.cell import load_cell
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.twins.placements import MOST_PLACEMENTS, deploy_where_reached
+from fungrasp.core.jobs import PartStore, part_key
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.phases import Phase
@@ -22,7 +23,6 @@ from fungrasp.deployment.twin_deployment import (
 )
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.jobs import PartStore, part_key
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.selection import Feasible

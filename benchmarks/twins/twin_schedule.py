@@ -16,8 +16,8 @@ from benchmarks.twins.twin_episode import (
     TwinSetup,
     TwinVariant,
 )
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.robots.twin.parameters import TwinParameters, TwinSpread, cell_twin

@@ -20,23 +20,23 @@ from benchmarks.twins.twin_schedule import (
     placed_grasps,
     try_on_twins,
 )
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import digest
+from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.jobs import PartStore
+from fungrasp.core.provenance import run_record
+from fungrasp.core.text_table import table
 from fungrasp.deployment.deploy import deployable_policy, robot_planner
 from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.files import digest
-from fungrasp.formats.record_json import record_to_json
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
-from fungrasp.jobs import PartStore
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.policies import policy_files
-from fungrasp.provenance import run_record
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.torque_limits import limited_hand
 from fungrasp.robots.twin.parameters import TwinParameters
-from fungrasp.text_table import table
 
 VARIANTS = (
     TwinVariant("full"),
@@ -49,7 +49,7 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class TwinSeriesSpec:
-    """What is asked of a series on twins. ``fungrasp.formats.record_json`` makes it JSON and reads it."""
+    """What is asked of a series on twins, as JSON by ``fungrasp.core.formats.record_json``."""
 
     cell: str = "ur5e-allegro"
     """A robot cell that is a twin: one that comes with the package, or a TOML file."""

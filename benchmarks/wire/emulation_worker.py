@@ -19,7 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell

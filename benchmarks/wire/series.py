@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.console import table
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deploy import deployment_task
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.grasp_choice import GraspChoice
-from fungrasp.errors import FungraspError
 
 if TYPE_CHECKING:
     from benchmarks.wire.timed_grasp import TimedGrasp
@@ -40,9 +40,9 @@ class BenchWire:
 
     def run(self) -> None:
         from benchmarks.wire.timed_grasp import MOST_IMAGES, rendered_grasp, timed_grasp
+        from fungrasp.core.provenance import run_record
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.hands import load_hand
-        from fungrasp.provenance import run_record
         from fungrasp.robots.cell import load_cell
 
         if self.runs < 1:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.synthetic_captures.render_capture import render_capture
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.grasp_choice import GraspChoice, why_not_tried
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

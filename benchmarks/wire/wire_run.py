@@ -11,13 +11,13 @@ import numpy as np
 from benchmarks.processor_time import processor_time
 from benchmarks.twins.placements import deploy_where_reached
 from benchmarks.wire.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.twin_deployment import reachable_placements
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
-from fungrasp.errors import FungraspError
 from fungrasp.robots.device import JointDriver
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.judge import held_throughout

@@ -15,7 +15,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from fungrasp.version import __version__ as __version__
+from fungrasp.core.version import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
@@ -27,7 +27,7 @@ _NAMES = {
         "load_objects load_robot_grasps save_human_grasps save_robot_grasps"
     ),
     "hands": "Hand load_hand",
-    "jobs": "PartStore RayCluster",
+    "core.jobs": "PartStore RayCluster",
     "objects": "ObjectModel load_object",
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner",
@@ -75,7 +75,7 @@ def _tell_notebooks() -> None:
 
 
 def _notebook_html(value: Any) -> str | None:
-    return import_module("fungrasp.report.notebook").notebook_html(value)
+    return import_module("fungrasp.media.notebook").notebook_html(value)
 
 
 _tell_notebooks()

@@ -1,5 +1,7 @@
 """The names that ``__init__.py`` loads on use, for type checkers."""
 
+from fungrasp.core.jobs import PartStore as PartStore
+from fungrasp.core.jobs import RayCluster as RayCluster
 from fungrasp.deployment.deploy import deploy as deploy
 from fungrasp.deployment.deployment_result import DeploymentSpec as DeploymentSpec
 from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
@@ -20,8 +22,6 @@ from fungrasp.grasps import save_human_grasps as save_human_grasps
 from fungrasp.grasps import save_robot_grasps as save_robot_grasps
 from fungrasp.hands import Hand as Hand
 from fungrasp.hands import load_hand as load_hand
-from fungrasp.jobs import PartStore as PartStore
-from fungrasp.jobs import RayCluster as RayCluster
 from fungrasp.objects import ObjectModel as ObjectModel
 from fungrasp.objects import load_object as load_object
 from fungrasp.perception.pipeline import perceive as perceive

@@ -15,12 +15,12 @@ from fungrasp.cli.demo import FAVORITES
 from fungrasp.cli.main import main
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
 from fungrasp.grasps.picks import picked_rows
+from fungrasp.media import demonstration
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate, builtin_image
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import read_folder
 from fungrasp.perception.perceived import Perceived
-from fungrasp.report import demonstration
 
 
 @pytest.fixture(autouse=True)
@@ -113,7 +113,7 @@ def test_a_file_in_the_way_of_the_folder(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_an_interruption_leaves_no_half_written_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fungrasp.report import episode_film as film
+    from fungrasp.media import episode_film as film
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

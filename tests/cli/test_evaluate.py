@@ -10,10 +10,10 @@ import pytest
 from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
+from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import lift_test_job, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.grasps.grasp_files import builtin_grasps
-from fungrasp.jobs import PartStore
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 
 

@@ -20,8 +20,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from fungrasp.cli.perceive import LOW_CONFIDENCE, parse_plane
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.files import CannotWriteError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import CannotWriteError
 from fungrasp.grasps import load_human_grasps, load_objects, load_robot_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.objects.held_object import DENSITY, held_object
@@ -340,7 +340,7 @@ def test_a_full_disk_takes_the_page_but_not_the_grasp(option, folder, found, tmp
         raise CannotWriteError(f"cannot write {path}: No space left on device")
 
     monkeypatch.setattr("fungrasp.cli.perceive.write_json", full)
-    monkeypatch.setattr("fungrasp.report.page.atomic_path", full)
+    monkeypatch.setattr("fungrasp.media.page.atomic_path", full)
     given = ("--folder", folder, "--mesh", NAME, "--object-pose-file", folder / "pose.txt")
     out, other = tmp_path / "g.npz", tmp_path / "other"
     status, words, err = run(capsys, "perceive", *given, "--out", out, option, other)

@@ -18,13 +18,13 @@ import pytest
 from robot_cells import cell_and_hand
 
 from fungrasp.cli.main import main
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.bring_up import grasp_steps, session, steps
 from fungrasp.deployment.bring_up.log import FAILED, PASSED, SKIPPED, BringUpLog, StepResult
 from fungrasp.deployment.bring_up.operator import BringUpEnded, Operator, StepSkipped
 from fungrasp.deployment.bring_up.steps import BringUpStep, BringUpTask
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.plan_ahead import execute_plan
-from fungrasp.errors import FungraspError
 from fungrasp.robots import single_devices
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState
 from fungrasp.robots.stop_switch import StopSwitch

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 import fungrasp
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.record_json import record_from_json, record_to_json
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.log import read_log
-from fungrasp.errors import FungraspError
-from fungrasp.formats.record_json import record_from_json, record_to_json
 
 FAST = DeploymentSpec(policy="reference", until="lift", real_time=False)
 

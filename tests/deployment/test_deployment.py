@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from robot_cells import cell_and_hand, deploy, grasp_and_object, near_cell, placed
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.log import McapLog, read_log
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
 from fungrasp.deployment.replay import replay_log
-from fungrasp.errors import FungraspError
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import RobotError

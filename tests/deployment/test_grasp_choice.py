@@ -9,8 +9,8 @@ import pytest
 
 from fungrasp.cli.deploy import Deploy
 from fungrasp.cli.robots import Emulate
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.grasp_choice import GraspChoice, why_not_tried
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object

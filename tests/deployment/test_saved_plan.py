@@ -11,6 +11,7 @@ import pytest
 from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
 
 from fungrasp.cli.main import main
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.log import read_log
 from fungrasp.deployment.phases import Phase
@@ -25,7 +26,6 @@ from fungrasp.deployment.saved_plan import (
     digests,
     load_plan,
 )
-from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.objects import load_object
 from fungrasp.planning import MotionPlanner
@@ -202,7 +202,7 @@ def test_a_real_robot_moves_for_nobody_who_is_not_asked(
 def test_a_picture_and_a_film_are_drawn(saved: Any, tmp_path: Path) -> None:
     from PIL import Image
 
-    from fungrasp.report.plan_pictures import write_plan_pictures
+    from fungrasp.media.plan_pictures import write_plan_pictures
 
     plan, (cell, hand), thing = saved[0], cell_and_hand(), grasp_and_object()[1]
     pedestal = Obstacle((-0.5, 0.0, 0.14), (0.25, 0.25, 0.28))

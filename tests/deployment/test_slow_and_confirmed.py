@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from robot_cells import cell_and_hand, deploy, near_cell
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.confirmation import ask_before_phases
 from fungrasp.deployment.log import DeploymentLog
 from fungrasp.deployment.phases import Phase
-from fungrasp.errors import FungraspError
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.kinematics.joint_path import timed_leg

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_parts import evaluate_in_parts
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, result_json
 from fungrasp.geometry.poses import compose
-from fungrasp.jobs import PartStore
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies.scripted import plan_step
 from fungrasp.sim2real import REALITY, MeasurementError, Randomization

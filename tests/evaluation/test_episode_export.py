@@ -9,7 +9,7 @@ import pytest
 from recorded_episodes import episode
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.evaluation.episode_export import read_mcap_episode, write_mcap_episodes
 

@@ -11,7 +11,7 @@ import pytest
 from recorded_episodes import HAND, episode
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.grasp_export import write_dexgraspbench, write_joint_trajectories
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps

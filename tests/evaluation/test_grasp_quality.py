@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from surface_samples import PlacedHand, convex_distance, matrix, nearest_point
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import static_quality
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects

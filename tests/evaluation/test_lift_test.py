@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small_parts import evaluate_in_parts
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import digest
+from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, replay, result_json
-from fungrasp.files import digest
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
-from fungrasp.jobs import PartStore
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import Randomization

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.record_json import record_from_json
 from fungrasp.evaluation import LiftTestSpec, evaluate, read_result
-from fungrasp.formats.record_json import record_from_json
 from fungrasp.sim2real import REALITY, Randomization
 from fungrasp.task import LiftProtocol
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.result_files import read_result, split_rows, write_result
 
 HEADER = {"command": "fungrasp evaluate", "seed": 0, "success_rate": 0.5}

@@ -9,9 +9,9 @@ import pytest
 from planned_grasps import grasps_and_objects
 from residual_policies import policy_file, predictor_file
 
+from fungrasp.core.jobs import PartStore, job
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
 from fungrasp.evaluation.lift_test_job import LiftTest
-from fungrasp.jobs import PartStore, job
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import six_direction_test
 from fungrasp.evaluation.results import static_json
 from fungrasp.evaluation.six_directions import StaticProtocol

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fungrasp.core.formats.json_file import finite
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
-from fungrasp.formats.json_file import finite
 
 
 @pytest.mark.parametrize(

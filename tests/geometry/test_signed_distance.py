@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.geometry.signed_distance import (
     crossing_number,

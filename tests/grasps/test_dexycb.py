@@ -12,7 +12,7 @@ import trimesh
 from bent_hand import bent_hand
 from scipy.spatial.transform import Rotation
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers import DexYCBOptions, import_dexycb

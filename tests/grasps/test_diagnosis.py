@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_human_grasps, save_human_grasps
 from fungrasp.grasps.anatomy import grouped
 from fungrasp.grasps.conversion import converted, mend_below_table

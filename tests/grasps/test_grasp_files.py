@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from test_grasp_sets import same
 
 import fungrasp.grasps.grasp_files as files
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import (
     HumanGraspSet,
     builtin_grasps,

@@ -13,8 +13,8 @@ from collections import OrderedDict
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.pickle_file import load_arrays_pickle
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.importers.dgrasp import import_dgrasp
 
 JOBLIB = zlib.decompress(

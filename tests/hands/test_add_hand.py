@@ -13,7 +13,7 @@ from hand_references import FOLDER
 from odd_hands import odd_hand
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand
 from fungrasp.hands.adding.couplings import GivenCoupling

@@ -10,7 +10,7 @@ import pytest
 from claws import claw
 from odd_hands import odd_hand
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand
 from fungrasp.hands.kinematics import HandKinematics

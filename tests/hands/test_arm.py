@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.geometry.poses import compose, rotate
 from fungrasp.hands import hand_files, load_hand
 from fungrasp.hands.arm import (

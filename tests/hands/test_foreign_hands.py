@@ -13,7 +13,7 @@ from odd_hands import odd_hand
 from scipy.spatial import KDTree
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand

@@ -10,7 +10,7 @@ import pytest
 from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_grasps
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import evaluate
 from fungrasp.grasps import (
     HumanGraspSet,

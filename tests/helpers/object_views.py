@@ -15,12 +15,12 @@ from benchmarks.synthetic_captures.depth_cameras import DepthCamera, camera_dept
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
 from benchmarks.synthetic_captures.painted_mesh import painted_object
 from fungrasp.geometry.poses import transform_points
+from fungrasp.media.camera import orbit_camera
+from fungrasp.media.ray_tracing import NOTHING, RayTracer
+from fungrasp.media.shading import Look
+from fungrasp.media.surfaces import SurfaceMesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.rendering.camera import orbit_camera
-from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
-from fungrasp.rendering.shading import Look
-from fungrasp.rendering.surfaces import SurfaceMesh
 
 
 def scan_table(center: np.ndarray, rng: np.random.Generator) -> SurfaceMesh:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel, builtin_object, object_names
 from fungrasp.objects.mesh_repair import bodies, hull_solid, solid
 

@@ -12,8 +12,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import CannotWriteError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import CannotWriteError
 from fungrasp.geometry.shell_from_triangles import zero_surface
 from fungrasp.objects import builtin_object, disk_cache, load_mesh, mesh_file
 from fungrasp.objects.disk_cache import cached_on_disk

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.objects import (
     ObjectModel,
     load_object,

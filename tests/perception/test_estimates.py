@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception import HandEstimate, ObjectEstimate
 
 POSE = np.array([0, 0, 0.6, 1, 0, 0, 0.0])

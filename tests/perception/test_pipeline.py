@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from hand_scenes import CAMERA, HandScene, hand_scene
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import HeldObject, ObjectModel, builtin_object

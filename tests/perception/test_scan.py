@@ -8,7 +8,7 @@ from object_views import object_views
 from scipy.spatial import KDTree
 
 from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.objects import plain_shape
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.io.scene_folders import read_folder, write_folder

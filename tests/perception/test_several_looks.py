@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.several_looks import best_of_looks, together
 from fungrasp.perception.verdict import PerceptionVerdict

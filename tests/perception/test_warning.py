@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.perception.estimates import MESSAGES, PerceptionWarning
 
 

@@ -132,12 +132,12 @@ def test_only_the_engine_steps_worlds_with_mujoco():
         if any(name.startswith("mujoco.batch") for name in imports(ast.parse(path.read_text())))
     }
     others = {path for path in users if not path.startswith("simulation/")}
-    if others and others <= {"rendering/model_rays.py", "hands/kinematics.py"}:
+    if others and others <= {"media/model_rays.py", "hands/kinematics.py"}:
         pytest.xfail(f"forward kinematics and rays still use mujoco.batch: {', '.join(sorted(others))}")
     assert not others
 
 
-@pytest.mark.parametrize("room", ["task", "sim2real", "planning", "training", "evaluation", "report"])
+@pytest.mark.parametrize("room", ["task", "sim2real", "planning", "training", "evaluation", "media"])
 def test_physics_is_behind_the_door(room):
     """Nobody steps a MuJoCo model but an engine."""
     for path in modules(room):

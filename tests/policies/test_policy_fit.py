@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from small_policies import OBSERVATION, allegro_card
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.hands.hand import read_hand_toml
 from fungrasp.policies.checkpoint.card import Part, PolicyCard, card_from_text, card_text

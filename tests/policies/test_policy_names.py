@@ -2,7 +2,7 @@
 
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.policies.registry import KINDS, policy_files
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from measured_states import poses
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, rotation_vector
 from fungrasp.policies.residual_action import ResidualSettings, add_residual, smoothed
 

@@ -9,7 +9,7 @@ import pytest
 from planned_grasps import grasps_and_objects, hand, layouts, plan, start, tracker
 from residual_policies import ACTION, SETTINGS, SIZE, policy_file
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.policies import OpenLoopPolicy, StudentPolicy, TeacherPolicy, make_planner, make_policy
 from fungrasp.policies.checkpoint.card import ActionPart, Part
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy

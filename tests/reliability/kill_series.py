@@ -33,11 +33,11 @@ from small_parts import parts_of
 from small_training import BATCH, WORLDS, hand, run_settings, training_set
 
 from fungrasp.cli.main import main as fungrasp
+from fungrasp.core.formats.onnx_file import message_fields
+from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestSpec, evaluate, result_json, write_result
 from fungrasp.evaluation.result_files import read_result, split_rows
-from fungrasp.formats.onnx_file import message_fields
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
-from fungrasp.jobs import PartStore
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.planning.selection.settings import FurtherSearch

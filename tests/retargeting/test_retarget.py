@@ -11,7 +11,7 @@ import pytest
 from retarget_scenes import ROBOTS, SHARED, held, moved, plain_objects
 from scipy.spatial.transform import Rotation
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_objects

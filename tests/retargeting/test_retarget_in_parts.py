@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from retarget_scenes import held, plain_objects
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import PartStore
 from fungrasp.grasps import RobotGraspSet, load_robot_grasps, save_robot_grasps
 from fungrasp.hands import load_hand
-from fungrasp.jobs import PartStore
 from fungrasp.retargeting import retarget
 
 MODULE = import_module("fungrasp.retargeting.retarget")

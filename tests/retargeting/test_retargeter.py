@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from retarget_scenes import held, plain_objects
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import RobotGraspSet

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
     invert,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fake_realsense import FakeRealSense
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture, Intrinsics

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.cell import RobotCell, cell_files, load_cell
 from fungrasp.robots.cell_template import write_cell_template
 from fungrasp.robots.kinematics.arm_model import Clearance

@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.robots.assembly import (
     ARM_DRIVERS,

@@ -10,7 +10,7 @@ import pytest
 from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError

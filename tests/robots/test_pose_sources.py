@@ -14,7 +14,7 @@ import pytest
 from driver_contract import wait_for
 
 from benchmarks.faults.tracker_emulator import TrackerEmulator, TrackerErrors
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import RobotCell, TrackerSettings
 from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message

@@ -12,8 +12,8 @@ import pytest
 from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.hand_knowledge import hand_knowledge
-from fungrasp.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.codecs import allegro as codec

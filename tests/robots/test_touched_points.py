@@ -13,7 +13,7 @@ import pytest
 from robot_cells import cell_and_hand
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.robots.calibration.touched_checks import (

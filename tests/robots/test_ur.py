@@ -18,7 +18,7 @@ import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
 from benchmarks.faults.plants import ServoPlant
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.arms.ur import URSettings, ur_driver
 from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
 from fungrasp.robots.codecs import rtde as codec

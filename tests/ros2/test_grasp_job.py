@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from driver_contract import wait_for
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.phases import Phase
-from fungrasp.errors import FungraspError
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, JointState, StopKind

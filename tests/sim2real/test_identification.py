@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.sim2real.identification.excitation import Excitation, excitation_motion
 from fungrasp.sim2real.identification.finger_chains import chain_of

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError
 import pytest
 from engine_contract import contract_scene
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.simulation import BufferSizes, MujocoCpuEngine, devices, found_device, make_engine, warp_device
 from fungrasp.simulation.buffer_sizes import probe_buffer_sizes
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import load_human_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.synthesis.automatic_specifications import automatic_specifications, parts_from_boxes

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import rotate, transform_points
 from fungrasp.grasps import HUMAN_LINKS, bone_lengths, load_human_grasps
 from fungrasp.grasps.anatomy import check_anatomy

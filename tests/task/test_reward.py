@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.task import reward
 from fungrasp.task.reward import RewardWeights
 

@@ -8,7 +8,7 @@ import resource
 import pytest
 import torch
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.training.checkpoint import read_checkpoint, write_checkpoint
 
 

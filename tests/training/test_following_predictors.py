@@ -10,7 +10,7 @@ import pytest
 import torch
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget

@@ -7,7 +7,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 
 from fungrasp import builtin_grasps
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.gymnasium_env import ID, LiftVectorEnv

@@ -11,7 +11,7 @@ import pytest
 import torch
 from small_training import BATCH, environment, hand, library, run_settings, training_set
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.training import learning_curve
 from fungrasp.training.checkpoint import read_checkpoint
 from fungrasp.training.learning_curve import CURVE, DRAWING, LearningCurve, draw_curves, read_curve

@@ -10,7 +10,7 @@ import pytest
 import torch
 from small_training import BATCH, WORLDS, environment, hand, library, run_settings, training_set
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.policies import StudentPolicy, TeacherPolicy, make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import read_card

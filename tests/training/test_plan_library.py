@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_training import hand, library, training_set, unusable
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.training.folder import kept_library
 from fungrasp.training.plan_library import Variety, build_plan_library
 

@@ -10,8 +10,8 @@ import torch
 from small_training import hand, training_set
 
 import fungrasp.training.success_predictor as success_predictor
-from fungrasp.errors import FungraspError
-from fungrasp.jobs import PartStore
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import PartStore
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import make_planner, make_policy
 from fungrasp.policies.checkpoint.card import Budget

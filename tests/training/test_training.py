@@ -18,7 +18,7 @@ import pytest
 import torch
 from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget

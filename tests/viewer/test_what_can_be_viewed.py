@@ -11,7 +11,7 @@ import pytest
 
 import fungrasp
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object

@@ -24,11 +24,11 @@ from benchmarks.engines.audit.hand_parts import (
     short,
     vector,
 )
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.record_json import record_from_json, record_to_json
 from fungrasp.evaluation.trajectory import PHASES, Trajectory
-from fungrasp.files import atomic_path
-from fungrasp.formats.json_file import read_json
-from fungrasp.formats.record_json import record_from_json, record_to_json
 from fungrasp.geometry.poses import relative, transform_points
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel

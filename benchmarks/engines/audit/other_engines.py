@@ -14,13 +14,13 @@ import numpy as np
 from benchmarks.engines.audit.bundle import SUFFIX as BUNDLE
 from benchmarks.engines.audit.bundle import EpisodeBundle, load_bundle, make_bundle, scene_of
 from benchmarks.engines.audit.replay import EpisodeWorld, Replayed, play_bundle
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.text_table import table
 from fungrasp.evaluation import Trajectory, replay
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.formats.record_json import record_to_json
 from fungrasp.objects import ObjectModel
 from fungrasp.simulation import Scene
-from fungrasp.text_table import table
 
 EngineName = Literal["mujoco", "drake", "sapien"]
 """MuJoCo built anew from what was recorded, as the control; Drake; PhysX 5 through SAPIEN."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.engines.audit.bundle import EpisodeBundle
 from benchmarks.engines.audit.hand_parts import Body, Inertia, Joint, Shape, Vector
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 TIMESTEP = 0.002
 """[s]; PhysX's articulations need smaller steps than MuJoCo."""

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.arm import FLANGE_SITE, PALM_SITE, mount
 from fungrasp.hands.urdf_export import model_urdf

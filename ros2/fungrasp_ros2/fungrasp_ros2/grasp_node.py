@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.deployment.deploy import deployment_task
 from fungrasp.deployment.deployment_result import (
     LAST_PHASES,
@@ -27,7 +28,6 @@ from fungrasp.deployment.holding import OPENING
 from fungrasp.deployment.log import DeploymentLog, McapLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.wired_deployment import deploy_on_robot
-from fungrasp.errors import FungraspError, UnknownNameError
 from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.policies import OpenLoopPolicy

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.cell import RobotCell

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose
 from fungrasp.robots.cell import RobotCell, check_calibrated
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus

@@ -85,7 +85,7 @@ class Touch(Answering):
     def run(self) -> Answer:
         import numpy as np
 
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.robots.calibration.touched_checks import touched_point
         from fungrasp.robots.calibration.touched_file import add_touched
         from fungrasp.robots.single_devices import arm_at_rest
@@ -143,8 +143,8 @@ class Jog(Answering):
     """Angle [rad], 0.2 at most."""
 
     def run(self) -> Answer:
+        from fungrasp.core.errors import UnknownNameError
         from fungrasp.deployment.confirmation import ask_before_motion
-        from fungrasp.errors import UnknownNameError
         from fungrasp.robots.single_devices import guarded_driver, jog, joint_names
 
         cell, hand = _wired(self.cell)
@@ -191,7 +191,7 @@ class BringUp:
         from fungrasp.deployment.bring_up.session import bring_up
         from fungrasp.deployment.bring_up.steps import BringUpTask
         from fungrasp.deployment.saved_plan import SavedPlan
-        from fungrasp.report.plan_pictures import write_plan_pictures
+        from fungrasp.media.plan_pictures import write_plan_pictures
 
         cell, hand = _wired(self.cell)
 

@@ -36,7 +36,7 @@ class Calibrate(Answering):
     """The board in the images."""
 
     def run(self) -> Answer:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.robots.calibration.calibration_file import save_calibration
         from fungrasp.robots.cell import load_cell
 
@@ -61,8 +61,8 @@ class Calibrate(Answering):
     def _from_images(self, cell: RobotCell, folder: Path) -> tuple[CameraCalibration, str]:
         import numpy as np
 
-        from fungrasp.errors import FungraspError
-        from fungrasp.formats.json_file import read_json
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.formats.json_file import read_json
         from fungrasp.hands import load_hand
         from fungrasp.perception.io.image_files import read_color
         from fungrasp.perception.io.intrinsics_files import read_intrinsics
@@ -92,8 +92,8 @@ class Calibrate(Answering):
     def _from_points(self, path: Path) -> tuple[CameraCalibration, str]:
         import numpy as np
 
-        from fungrasp.errors import FungraspError
-        from fungrasp.formats.json_file import read_json
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.formats.json_file import read_json
         from fungrasp.robots.calibration.touched_points import calibrate_from_points
 
         tree = read_json(path, "touched points")

@@ -12,8 +12,8 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.errors import FungraspError
-from fungrasp.text_table import table
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.text_table import table
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
@@ -57,7 +57,7 @@ class Answer:
             FungraspError: there is a fault.
             SystemExit: the status is not 0.
         """
-        from fungrasp.formats.json_file import finite
+        from fungrasp.core.formats.json_file import finite
 
         if as_json:
             print(json.dumps(finite(self.value), indent=2, allow_nan=False))
@@ -148,7 +148,7 @@ def write_json(path: Path, value: Any) -> None:
     Raises:
         FungraspError: the file can't be written.
     """
-    from fungrasp.files import atomic_path
+    from fungrasp.core.files import atomic_path
 
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")

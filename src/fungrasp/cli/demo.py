@@ -12,8 +12,8 @@ from fungrasp.cli.options import optional_value
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
+    from fungrasp.media.demonstration import Demonstration, Opening
     from fungrasp.perception.perceived import Perceived
-    from fungrasp.report.demonstration import Demonstration, Opening
 
 FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
 """What is shown if nothing is picked, as far as the grasps have it."""
@@ -82,7 +82,7 @@ class Demo(Answering):
     def _from_grasps(self, hand: Hand, policy: str) -> Demonstration:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.grasps.picks import picked_rows
-        from fungrasp.report.demonstration import Opening, demonstrate
+        from fungrasp.media.demonstration import Opening, demonstrate
 
         everything = load_human_grasps(self.grasps)
         rows = picked_rows(everything, self.pick, self.count, FAVORITES)
@@ -102,7 +102,7 @@ class Demo(Answering):
         )
 
     def _from_image(self, hand: Hand, policy: str) -> Demonstration | Answer:
-        from fungrasp.report.demonstration import demonstrate
+        from fungrasp.media.demonstration import demonstrate
 
         with progress_bar("looking at the image", 1) as show:
             seen, opening = self._seen(policy)
@@ -126,9 +126,9 @@ class Demo(Answering):
 
     def _seen(self, policy: str) -> tuple[Perceived, Opening]:
         """What is in the image, and what the page says of it."""
+        from fungrasp.media.perception_page import perceived_opening, true_errors
         from fungrasp.perception.builtin_image import builtin_truth, perceive_folder
         from fungrasp.perception.image_source import BUILTIN
-        from fungrasp.report.perception_page import perceived_opening, true_errors
 
         folder = self.from_image
         assert folder is not None
@@ -140,8 +140,8 @@ class Demo(Answering):
 
     def _page_of_low_confidence(self, seen: Perceived, opening: Opening) -> Answer:
         """Write the page on what was seen: the robot does not try a grasp of low confidence."""
-        from fungrasp.provenance import page_provenance
-        from fungrasp.report.perception_page import write_perception_page
+        from fungrasp.core.provenance import page_provenance
+        from fungrasp.media.perception_page import write_perception_page
 
         page = self.out / "index.html"
         write_perception_page(page, seen, page_provenance(opening.source or {}, self.seed))
@@ -151,7 +151,7 @@ class Demo(Answering):
         return Answer({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
 
         least = {"count": 1, "refine": 0, "seed": 0, "threads": 0}
         for name, value in least.items():

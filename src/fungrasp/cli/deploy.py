@@ -93,9 +93,9 @@ class Deploy(Answering):
         return self._report(result, log)
 
     def _plan(self, path: Path) -> Answer:
+        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.plan_ahead import plan_ahead
-        from fungrasp.errors import FungraspError
-        from fungrasp.report.plan_pictures import write_plan_pictures
+        from fungrasp.media.plan_pictures import write_plan_pictures
         from fungrasp.robots.cell import load_cell
 
         if path.suffix != ".npz":
@@ -123,9 +123,9 @@ class Deploy(Answering):
         return Answer({"plan": path, "picture": picture, "film": film}, text)
 
     def _execute(self, path: Path) -> Answer:
+        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.plan_ahead import execute_plan
         from fungrasp.deployment.saved_plan import load_plan
-        from fungrasp.errors import FungraspError
         from fungrasp.robots.cell import load_cell
 
         usual = Deploy()
@@ -151,8 +151,8 @@ class Deploy(Answering):
 
     def _confirm(self, switch: StopSwitch) -> Confirm | None:
         """Asks before each phase; None if nobody wants to be asked."""
+        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.confirmation import ask_before_phases
-        from fungrasp.errors import FungraspError
 
         if self.yes:
             return None
@@ -162,8 +162,8 @@ class Deploy(Answering):
 
     def _spec(self) -> tuple[DeploymentSpec, Hand]:
         """What is asked, and the hand of the cell."""
+        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.deployment_result import DeploymentSpec
-        from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
 

@@ -101,11 +101,11 @@ class Evaluate:
     def run(self) -> Answer:
         from contextlib import nullcontext
 
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation import compare_methods, evaluate
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps
-        from fungrasp.jobs import PartStore
-        from fungrasp.report.grasp_pictures import draw_grasps
+        from fungrasp.media.grasp_pictures import draw_grasps
         from fungrasp.retargeting import RetargetSpec, method_name, retarget
         from fungrasp.sim2real.joint_dynamics import identified_hand
 

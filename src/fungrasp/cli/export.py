@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from fungrasp.cli.console import Answer, Answering, progress_bar
-from fungrasp.report.episode_cameras import CameraName
+from fungrasp.media.episode_cameras import CameraName
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,7 +58,7 @@ class Export(Answering):
         return Answer({"out": self.out, "format": self.format, "written": written}, f"{self.out}: {words}")
 
     def _episodes(self) -> list[Trajectory]:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.evaluation import replay
 
         files = []
@@ -70,9 +70,9 @@ class Export(Answering):
 
     def _lerobot(self) -> tuple[str, list[Path]]:
         from fungrasp.hands import load_hand
+        from fungrasp.media.episode_cameras import episode_pictures
+        from fungrasp.media.lerobot_dataset import write_lerobot_dataset
         from fungrasp.objects import load_object
-        from fungrasp.report.episode_cameras import episode_pictures
-        from fungrasp.report.lerobot_dataset import write_lerobot_dataset
 
         # A use test begins in the midst of what a lift test ends with, and its controls are not recorded.
         lifts = [episode for episode in self._episodes() if not episode.is_use_test]
@@ -97,7 +97,7 @@ class Export(Answering):
         return f"{len(lifts)} episodes, format of LeRobot{seen}", [written]
 
     def _grasps(self) -> tuple[str, list[Path]]:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.evaluation.grasp_export import write_dexgraspbench
         from fungrasp.grasps import load_objects, load_robot_grasps
 

@@ -70,7 +70,7 @@ class ShowGrasp(Answering):
     """Folder of meshes <name>.obj for the picture; built-in objects need none."""
 
     def run(self) -> Answer:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.grasps import load_grasps
 
         grasps = load_grasps(self.file)
@@ -104,7 +104,7 @@ class ImportDexYCB(Answering):
     """Folder of meshes <name>.obj; by default DexYCB's own models."""
 
     def run(self) -> Answer:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.grasps.importers.dexycb import DexYCBOptions, import_dexycb, write_mirrored_meshes
 
         if not self.displacement > 0:
@@ -184,7 +184,7 @@ class CheckGrasps(Answering):
     """Folder of meshes <name>.obj; built-in objects need none."""
 
     def run(self) -> Answer:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.grasps.anatomy import check_anatomy, grouped
         from fungrasp.grasps.diagnosis import hand_remarks, pose_remarks, table_remarks
         from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
@@ -272,7 +272,7 @@ class SelectGrasps(Answering):
     def run(self) -> Answer:
         import numpy as np
 
-        from fungrasp.errors import FungraspError, UnknownNameError
+        from fungrasp.core.errors import FungraspError, UnknownNameError
         from fungrasp.grasps import RobotGraspSet, load_grasps, save_human_grasps, save_robot_grasps
 
         grasps = load_grasps(self.file)
@@ -325,7 +325,7 @@ def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
 
     import numpy as np
 
-    from fungrasp.errors import FungraspError
+    from fungrasp.core.errors import FungraspError
 
     chosen = np.zeros(count, dtype=bool)
     for entry in entries:
@@ -386,13 +386,13 @@ def _fields(grasp: HumanGrasp | RobotGrasp) -> dict[str, Any]:
 def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
     from PIL import Image
 
-    from fungrasp.files import atomic_path
+    from fungrasp.core.files import atomic_path
     from fungrasp.grasps import HumanGrasp
     from fungrasp.hands import load_hand
+    from fungrasp.media import grasp_scene
+    from fungrasp.media.render import render
+    from fungrasp.media.viewpoints import look_at_grasp
     from fungrasp.objects import load_object
-    from fungrasp.rendering import grasp_scene
-    from fungrasp.rendering.render import render
-    from fungrasp.rendering.viewpoints import look_at_grasp
 
     thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
     model, qpos = grasp_scene(grasp, thing, None if isinstance(grasp, HumanGrasp) else load_hand(grasp.hand))

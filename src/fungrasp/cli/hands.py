@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answer, Answering, table
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     import mujoco
@@ -149,7 +149,7 @@ class ExportHand(Answering):
     """Mount the hand on this arm: ur5e."""
 
     def run(self) -> Answer:
-        from fungrasp.files import atomic_path
+        from fungrasp.core.files import atomic_path
         from fungrasp.hands import load_hand
         from fungrasp.hands.hand_export import export_hand
 
@@ -165,8 +165,8 @@ COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHa
 def _draw(hand: Hand, path: Path) -> None:
     from PIL import Image
 
-    from fungrasp.files import atomic_path
-    from fungrasp.report.pictures import four_views, grid
+    from fungrasp.core.files import atomic_path
+    from fungrasp.media.pictures import four_views, grid
 
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
@@ -181,7 +181,7 @@ def _upright(hand: Hand) -> mujoco.MjModel:
     import mujoco
 
     from fungrasp.hands.arm import mounting_pose
-    from fungrasp.rendering.hand_shells import dressed_spec
+    from fungrasp.media.hand_shells import dressed_spec
 
     pose = mounting_pose(hand)
     spec = mujoco.MjSpec()

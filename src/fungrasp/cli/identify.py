@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from fungrasp.cli.console import Answer, Answering, table
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
 
 if TYPE_CHECKING:

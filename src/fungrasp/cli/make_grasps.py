@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import Answer, Answering, progress_bar, write_human_grasps
 from fungrasp.cli.options import on_cluster, print_use
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,7 +41,7 @@ class MakeGrasps(Answering):
     all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> Answer:
-        from fungrasp.jobs import PartStore
+        from fungrasp.core.jobs import PartStore
         from fungrasp.objects import is_plain_shape
         from fungrasp.synthesis import synthesize_grasps
 

@@ -68,7 +68,7 @@ class ShowObject(Answering):
     """Color the picture by convex piece instead of by part."""
 
     def run(self) -> Answer:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.objects.object_description import describe_object
 
         if self.picture is not None and self.picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
@@ -129,8 +129,8 @@ def _text(d: dict[str, Any]) -> str:
 def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
     from PIL import Image
 
-    from fungrasp.files import atomic_path
-    from fungrasp.report.pictures import four_views, grid
+    from fungrasp.core.files import atomic_path
+    from fungrasp.media.pictures import four_views, grid
 
     names = list(COLORS)
     legend = (

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from fungrasp.cli.console import STDOUT
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
-    from fungrasp.jobs import RayCluster
+    from fungrasp.core.jobs import RayCluster
     from fungrasp.simulation import BufferSizes, Device
 
 
@@ -22,7 +22,7 @@ def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
     Raises:
         FungraspError: more than one address.
     """
-    from fungrasp.jobs import RayCluster
+    from fungrasp.core.jobs import RayCluster
 
     if words is None:
         return None

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from fungrasp.cli.console import Answer, option, suggestion, table, write_json
 from fungrasp.cli.options import JsonOut, json_path, optional_value
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.image_source import REALSENSE, ImageSource
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ class Perceive:
 
     def _check(self) -> None:
         """Complain about options that do not go together, and about hand models that are missing."""
-        from fungrasp.files import check_writable
+        from fungrasp.core.files import check_writable
         from fungrasp.perception.hand.mediapipe_models import load_weights
 
         if None not in (self.hand_file, self.hand_from):
@@ -193,7 +193,7 @@ class Perceive:
         if self.source.camera is None or model is None:
             yield lambda view: None, lambda words: print(words, file=sys.stderr, flush=True)
             return
-        from fungrasp.report.live_page import LivePage
+        from fungrasp.media.live_page import LivePage
 
         with ExitStack() as ended:
             page, said = None, ""
@@ -253,8 +253,8 @@ class Perceive:
         return notes, f"{'; '.join(faults)}; the grasp is in {self.out}" if faults else ""
 
     def _write_page(self, path: Path, perceived: Perceived, seconds: float) -> None:
-        from fungrasp.provenance import page_provenance
-        from fungrasp.report.perception_page import write_perception_page
+        from fungrasp.core.provenance import page_provenance
+        from fungrasp.media.perception_page import write_perception_page
 
         made = page_provenance({"Image": self.source.name}, self.seed, seconds)
         write_perception_page(path, perceived, made)

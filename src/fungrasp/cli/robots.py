@@ -67,7 +67,7 @@ class ArmModel(Answering):
     """Model to write (.xml)."""
 
     def run(self) -> Answer:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
         from fungrasp.robots.cell import load_cell
 
@@ -93,8 +93,8 @@ class Check(Answering):
     def run(self) -> Answer:
         import numpy as np
 
+        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.hand_knowledge import hand_knowledge
-        from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
         from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
@@ -238,7 +238,7 @@ class ShowLog(Answering):
             f"{counts['step']} control steps, {counts['setpoint']} setpoints",
         ]
         if self.page is not None:
-            from fungrasp.report.deployment_page import write_deployment_page
+            from fungrasp.media.deployment_page import write_deployment_page
 
             lines.append(f"page: {write_deployment_page(self.page, log)}")
         return Answer({**said, "events": log.messages["/event"], "page": self.page}, "\n".join(lines))
@@ -256,9 +256,9 @@ class ReplayLog(Answering):
     """Another policy than the one that is named in the log."""
 
     def run(self) -> Answer:
+        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.log import read_log
         from fungrasp.deployment.replay import replay_log
-        from fungrasp.errors import FungraspError
         from fungrasp.hands import load_hand
         from fungrasp.objects import load_object
         from fungrasp.policies import make_policy

@@ -35,8 +35,8 @@ class Scan(Answering):
     def run(self) -> Answer:
         import numpy as np
 
-        from fungrasp.errors import FungraspError
-        from fungrasp.files import atomic_path
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.files import atomic_path
         from fungrasp.perception.io.scene_folders import read_folder
         from fungrasp.perception.scan import ScanSettings, scan_object
 

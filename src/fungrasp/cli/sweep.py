@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.console import Answer, table
-from fungrasp.errors import FungraspError
-from fungrasp.jobs import Arrays, Job, part_key
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays, Job, part_key
 
 if TYPE_CHECKING:
     from fungrasp.cli.train import Train

@@ -13,7 +13,7 @@ from fungrasp.cli.training_options import (
     predictor_file,
     progress_lines,
 )
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.observation_layouts import LayoutName
 from fungrasp.training.environment import EnvironmentSettings
@@ -161,7 +161,7 @@ class Train(Answering):
 
         from fungrasp.cli.options import on_cluster, print_use
         from fungrasp.cli.sweep import Trainings, draw_each_curve, each_training, trained
-        from fungrasp.jobs import run_job
+        from fungrasp.core.jobs import run_job
 
         each, cluster = each_training(self), on_cluster(self.ray)
         for training in each:

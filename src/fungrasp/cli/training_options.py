@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand

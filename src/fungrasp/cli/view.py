@@ -60,7 +60,7 @@ class View:
             print(shown)
 
     def _what(self) -> tuple[Any, Mapping[str, ObjectModel] | None]:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
 
         if self.mesh is not None:
             from fungrasp.viewer.choose_page import perceived_capture
@@ -77,11 +77,11 @@ class View:
         return self.what, self._objects()
 
     def _objects(self) -> Mapping[str, ObjectModel] | None:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
 
         if self.objects is None:
             return None
-        from fungrasp.formats.numpy_files import read_npz
+        from fungrasp.core.formats.numpy_files import read_npz
         from fungrasp.grasps import load_grasps, load_objects
         from fungrasp.objects import load_object
 

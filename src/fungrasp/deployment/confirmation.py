@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Confirm
 from fungrasp.deployment.phases import Phase
-from fungrasp.errors import FungraspError
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch

@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.version import __version__
 from fungrasp.deployment.deployment import Confirm
 from fungrasp.deployment.deployment_result import (
     LAST_PHASES,
@@ -19,7 +21,6 @@ from fungrasp.deployment.log import DeploymentLog, McapLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
 from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, check_objects
@@ -31,7 +32,6 @@ from fungrasp.robots.cell import check_calibrated, load_cell
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.task import Policy
-from fungrasp.version import __version__
 
 
 def deploy(

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
 from fungrasp.deployment.log import DeploymentLog
@@ -15,7 +16,6 @@ from fungrasp.deployment.looking import look_for_object
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ScriptedMotion
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.next_attempt import make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind

@@ -89,7 +89,7 @@ class GraspChoice:
         return ObjectSource(thing.name, thing.mass, folder, file)
 
     def _of_image(self, folder: str, seed: int) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
-        from fungrasp.errors import FungraspError
+        from fungrasp.core.errors import FungraspError
         from fungrasp.perception.builtin_image import perceive_folder
 
         seen = perceive_folder(folder, self.mesh, self.mass, seed=seed)

@@ -27,7 +27,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation
 

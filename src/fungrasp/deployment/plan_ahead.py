@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deploy import deployment_task, run_task
 from fungrasp.deployment.deployment import Confirm
 from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSpec, Until
@@ -19,7 +20,6 @@ from fungrasp.deployment.saved_plan import (
     check_unchanged,
     digests,
 )
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.stop_switch import StopSwitch

@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
     invert,

@@ -9,12 +9,12 @@ from typing import Self
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.deployment.scripted_motion import ARRIVED
-from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand

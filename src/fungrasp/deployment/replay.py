@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.log import RecordedDeployment
-from fungrasp.errors import FungraspError
 from fungrasp.task import Policy
 
 

@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.json_file import parse_json
+from fungrasp.core.formats.numpy_files import read_npz
+from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.version import __version__
 from fungrasp.deployment.deployment import MOVED
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.deployment.rehearsal import Motion
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, digest
-from fungrasp.formats.guarded import guarded
-from fungrasp.formats.json_file import parse_json
-from fungrasp.formats.numpy_files import read_npz
-from fungrasp.formats.record_json import record_from_json, record_to_json
 from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.grasps.grasp_files import robot_grasp_fields, robot_grasps_from_fields
@@ -29,7 +30,6 @@ from fungrasp.policies.registry import policy_files
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.reach import Reach
 from fungrasp.task import GraspPlan
-from fungrasp.version import __version__
 
 OBJECT_DISTANCE = 0.01
 """An object that is seen farther than this from where the plan has it [m] needs another plan; what is seen is

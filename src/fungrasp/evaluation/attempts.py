@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import RobotGraspSet
@@ -27,7 +28,6 @@ from fungrasp.planning.next_attempt import (
 )
 from fungrasp.planning.withdrawal import Waypoints, way_off, way_round
 from fungrasp.policies.waypoints import WaypointPolicy
-from fungrasp.records import BatchRecord
 from fungrasp.sim2real import random_stream
 from fungrasp.task import Action, Belief, GraspPlan, LiftEnvironment, Outcomes, Policy, PrivilegedPolicy, play
 from fungrasp.task.attempt_judge import AttemptJudge, TrackedFrames

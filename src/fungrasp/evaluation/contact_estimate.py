@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.policies import StudentPolicy
-from fungrasp.records import BatchRecord
 from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation
 from fungrasp.task.features import unscaled_forces
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.version import __version__
 from fungrasp.evaluation.trajectory import Trajectory
-from fungrasp.files import atomic_path
-from fungrasp.version import __version__
 
 TOPIC = "/state"
 """Of the messages of an MCAP file; each is one state."""

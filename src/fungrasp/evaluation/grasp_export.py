@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
 from fungrasp.evaluation.six_directions import squeezed_fingers
 from fungrasp.evaluation.trajectory import Trajectory
-from fungrasp.files import atomic_path
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.hand_export import export_hand

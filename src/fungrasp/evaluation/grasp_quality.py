@@ -8,7 +8,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.text_table import table
 from fungrasp.evaluation.force_closure import closure_epsilon, closure_residual, primitive_wrenches
 from fungrasp.evaluation.penetration import exact_clearance, nearest_surface_points, penetration_depth
 from fungrasp.geometry import SignedDistanceBank
@@ -21,7 +22,6 @@ from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.collision_scene import project_to_surface
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
-from fungrasp.text_table import table
 
 UNITS = ("mm", "deg", "rad")
 """Units at the end of the names of quality numbers."""

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays, PartStore, RayCluster, run_job
 from fungrasp.evaluation.attempts import AttemptRecord
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
@@ -21,7 +22,6 @@ from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.jobs import Arrays, PartStore, RayCluster, run_job
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner
 from fungrasp.sim2real import ProtocolName, Randomization

@@ -11,7 +11,8 @@ from typing import Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays, Job, part_key
 from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
@@ -20,7 +21,6 @@ from fungrasp.evaluation.use_evaluation import UseTest
 from fungrasp.evaluation.use_recording import UseRecorder
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.jobs import Arrays, Job, part_key
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner
 from fungrasp.planning.selection import SearchPlanner, refinement

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import get_args
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import check_attempts
 from fungrasp.sim2real import NOMINAL, ProtocolName, Randomization, protocol_conditions
@@ -16,7 +16,7 @@ from fungrasp.task import LiftProtocol
 
 @dataclass(frozen=True)
 class LiftTestSpec:
-    """What is asked of a lift test. ``fungrasp.formats.record_json`` makes it JSON and reads it back."""
+    """What is asked of a lift test. ``fungrasp.core.formats.record_json`` makes it JSON and reads it back."""
 
     policy: str = "reference"
     """Name or file of what moves the hand (``fungrasp.policies.policy_files``)."""

@@ -8,7 +8,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import PartStore, RayCluster
 from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.result_files import save_result
@@ -16,7 +17,6 @@ from fungrasp.evaluation.result_tables import comparison_table
 from fungrasp.evaluation.results import result_json, result_record, summary
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand, as_hand
-from fungrasp.jobs import PartStore, RayCluster
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import METHODS, method_name, retarget
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import one_line, read_bytes
-from fungrasp.formats.json_file import read_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import one_line, read_bytes
+from fungrasp.core.formats.json_file import read_json
 
 ROW_LISTS = ("trials", "each")
 """Keys of a single JSON file under which its rows are."""

@@ -6,12 +6,12 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from fungrasp.core.text_table import table
 from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.results import result_json, summary
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
-from fungrasp.text_table import table
 
 HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
 

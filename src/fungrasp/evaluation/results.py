@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core.formats.json_file import finite
+from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.provenance import run_record
+from fungrasp.core.version import __version__
 from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
-from fungrasp.formats.json_file import finite
-from fungrasp.formats.record_json import record_to_json
-from fungrasp.provenance import run_record
 from fungrasp.sim2real import protocol_name
 from fungrasp.task import DIVERGED
-from fungrasp.version import __version__
 
 LEGACY_PERIOD = 0.0289
 """Control period of earlier published code, per which it counts the displacement [s]."""

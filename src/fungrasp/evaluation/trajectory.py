@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.sim2real import NOMINAL, Randomization
 from fungrasp.task import LiftTask
@@ -97,7 +97,7 @@ class Trajectory:
 
     @property
     def phases(self) -> list[tuple[float, str]]:
-        """Start [s] and name of each phase, as ``fungrasp.report.film`` takes them."""
+        """Start [s] and name of each phase, as ``fungrasp.media.film`` takes them."""
         starts = np.flatnonzero(np.diff(self.phase, prepend=-1))
         return [(float(self.times[i]), PHASES[int(self.phase[i])]) for i in starts]
 

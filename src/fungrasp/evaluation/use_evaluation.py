@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core.files import digest
 from fungrasp.evaluation.held_parts import held_parts
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.files import digest
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from numba.core import config
 
-from fungrasp.files import cache_folder
+from fungrasp.core.files import cache_folder
 
 SOURCES = (
     "geometry/compiling.py",
@@ -30,7 +30,7 @@ SOURCES = (
     "optimization/*.py",
     "perception/*_loops.py",
     "perception/object_pose/*_loops.py",
-    "rendering/pixel_loops.py",
+    "media/pixel_loops.py",
 )
 """Files that the loops are made from."""
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from fungrasp.files import atomic_path
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.geometry.arrays import is_numpy, rows_like
 from fungrasp.geometry.poses import Array
 from fungrasp.geometry.triangle_mesh import triangle_mesh

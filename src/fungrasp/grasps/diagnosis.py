@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps.anatomy import ADULT_BONES, joint_bends
 from fungrasp.grasps.human_hand import bone_lengths

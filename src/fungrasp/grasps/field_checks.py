@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 QUATERNION_TOLERANCE = 1e-3
 """How far the norm of a quaternion may be from 1: within, it is normalised; beyond, it is an error."""

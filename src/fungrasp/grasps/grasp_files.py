@@ -9,11 +9,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import one_line
-from fungrasp.formats.guarded import guarded
-from fungrasp.formats.numpy_files import npz_names, read_npz
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.numpy_files import npz_names, read_npz
 from fungrasp.grasps.diagnosis import hand_remarks, refuse_or_list, table_remarks
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import HumanGraspSet

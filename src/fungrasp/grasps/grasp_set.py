@@ -8,8 +8,8 @@ from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import digest
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import digest
 from fungrasp.grasps.field_checks import ArrayField, checked_array
 
 Grasp = TypeVar("Grasp")

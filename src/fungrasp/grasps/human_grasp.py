@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.field_checks import ArrayField, check_rows
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_hand import bone_lengths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 
 OPENPOSE = np.array([0, *range(5, 21), *range(1, 5)])
 """Wrist, then thumb, index, middle, ring, little finger, each from its base to its tip: OpenPose, HaMeR,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.field_checks import ArrayField, check_rows, checked_extra
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose
 from fungrasp.hands.hand import Hand
 from fungrasp.hands.self_contained_mjcf import self_contained_xml

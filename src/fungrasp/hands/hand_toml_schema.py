@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fungrasp.formats.toml_file import Schema
+from fungrasp.core.formats.toml_file import Schema
 
 _SERVO = {"kp": float, "kd": float, "force_limit": float}
 

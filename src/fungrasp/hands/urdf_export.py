@@ -9,8 +9,8 @@ from xml.etree import ElementTree as xml
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.hands.hand import Hand
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.objects.object_model import ObjectModel
 

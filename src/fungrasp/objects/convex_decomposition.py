@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from fungrasp.files import atomic_path
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.geometry.triangle_mesh import triangle_mesh
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import hull_solid, solid

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from fungrasp.files import CannotWriteError, cache_folder, cache_path
+from fungrasp.core.files import CannotWriteError, cache_folder, cache_path
 
 T = TypeVar("T")
 

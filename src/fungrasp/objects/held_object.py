@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.mesh_file import is_colorless, read_colored_mesh
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.mesh_file import is_colorless, read_colored_mesh
 from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names

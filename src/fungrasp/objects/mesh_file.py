@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import check_file
-from fungrasp.formats.mesh_file import LARGEST, read_mesh
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import check_file
+from fungrasp.core.formats.mesh_file import LARGEST, read_mesh
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, parted, rebuild, simplify, unite
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import digest
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import digest
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.geometry.triangle_mesh import hull_triangles, triangle_mesh, volume_and_center
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces, mesh_digest

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.objects.builtin_objects import BUILTINS, load_builtin
 from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
 from fungrasp.objects.mirroring import MIRRORED, mirrored_object

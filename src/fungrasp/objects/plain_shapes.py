@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.objects.object_model import ObjectModel
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
 from fungrasp.perception.perceived import Perceived

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE

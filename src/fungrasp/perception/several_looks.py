@@ -8,7 +8,7 @@ from math import exp, log
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.confidence import ACCEPT
 from fungrasp.perception.perceived import Perceived

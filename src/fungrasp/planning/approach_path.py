@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from fungrasp.core.parallel import in_chunks
 from fungrasp.geometry.poses import compose, rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -22,7 +23,6 @@ from fungrasp.optimization import terms
 from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.parallel import in_chunks
 
 RETREATS = (0.015, 0.03, 0.05, 0.08, 0.12)
 """How far the wrist has withdrawn at each waypoint after the first, which is at the grasp [m]. Between

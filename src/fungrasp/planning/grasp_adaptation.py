@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from fungrasp.core.parallel import in_chunks
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -24,7 +25,6 @@ from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
-from fungrasp.parallel import in_chunks
 
 
 @dataclass(frozen=True)

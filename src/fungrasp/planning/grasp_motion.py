@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.files import digest
+from fungrasp.core.files import digest
 from fungrasp.geometry.poses import compose, invert, quaternion_conjugate, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand

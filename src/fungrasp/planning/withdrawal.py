@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.poses import (
     compose,
     quaternion_from_rotation_vector,
@@ -15,7 +16,6 @@ from fungrasp.geometry.poses import (
     rotation_vector,
 )
 from fungrasp.objects import ObjectModel
-from fungrasp.records import BatchRecord
 from fungrasp.task import GraspPlan, Observation
 
 OPENING_STEPS = 10

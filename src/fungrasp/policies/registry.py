@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner

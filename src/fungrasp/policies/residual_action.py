@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import Array, array_namespace, clip, compose, quaternion_from_rotation_vector
 
 WRIST_ACTIONS = 6

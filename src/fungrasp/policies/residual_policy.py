@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.checkpoint.card import PolicyCard

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
     inverse_transform_points,

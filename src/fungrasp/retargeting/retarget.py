@@ -10,17 +10,17 @@ from typing import Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
+from fungrasp.core.parallel import in_chunks
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.parallel import in_chunks
 from fungrasp.retargeting.angle_copy import retarget_by_angle_copy
 from fungrasp.retargeting.contact_optimization import RetargetSettings, retarget_by_contact_optimization
 from fungrasp.retargeting.dexgraspnet import retarget_by_dexgraspnet

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
     invert,

@@ -7,7 +7,7 @@ from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.clock import WallClock

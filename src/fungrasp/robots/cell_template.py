@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.files import atomic_path
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import atomic_path
 
 HAND_DEVICES = {
     "allegro": 'driver = "allegro-can"\naddress = "can0"\n'

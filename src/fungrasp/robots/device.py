@@ -13,7 +13,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 
 class RobotError(FungraspError):

@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import Clock

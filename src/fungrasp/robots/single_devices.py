@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.assembly import (

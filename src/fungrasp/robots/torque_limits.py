@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.robots.assembly import TWIN, hand_driver
 from fungrasp.robots.cell import RobotCell

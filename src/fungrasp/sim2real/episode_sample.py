@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.records import BatchRecord
+from fungrasp.core.records import BatchRecord
 from fungrasp.sim2real.randomization import MeasurementError, Randomization, Range
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.toml_file import read_toml
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.toml_file import read_toml
 from fungrasp.hands import Hand, as_hand
 
 QUANTITIES = ("stiffness", "damping", "friction", "armature")

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.sim2real.randomization import MeasurementError, Randomization, Range
 
 NOMINAL = Randomization()

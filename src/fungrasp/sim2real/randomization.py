@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 Range = tuple[float, float]
 """Smallest and largest value; equal ones are a constant."""

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Literal, get_args
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 
 Device = Literal["cuda", "cpu-warp", "cpu"]
 """A GPU of NVIDIA's by MuJoCo Warp; the same code on the processor, slow, for tests; the processor by

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.simulation.mujoco_engine import MujocoArrays
 from fungrasp.simulation.scene import Scene
 from fungrasp.simulation.world_parameters import FieldChange

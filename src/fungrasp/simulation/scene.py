@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.simulation.devices import BufferSizes, Device

@@ -15,8 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, cache_folder, cache_path
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path, cache_folder, cache_path
 from fungrasp.simulation.devices import Device, cuda_devices, cuda_driver
 
 _log = logging.getLogger(__name__)

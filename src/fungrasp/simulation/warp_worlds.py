@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.arrays import moved_to
 from fungrasp.geometry.poses import Array, rotation_matrix
 from fungrasp.simulation.buffer_sizes import probe_buffer_sizes

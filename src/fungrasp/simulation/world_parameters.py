@@ -12,7 +12,7 @@ from typing import NamedTuple, TypedDict
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.simulation.scene import HAND_PREFIX, Scene
 

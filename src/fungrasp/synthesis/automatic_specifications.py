@@ -15,8 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.json_file import read_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.json_file import read_json
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import settled_up
 from fungrasp.synthesis.grasp_specification import WHOLE, GraspSpecification, Vector3

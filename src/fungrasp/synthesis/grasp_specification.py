@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.objects import ObjectModel

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel

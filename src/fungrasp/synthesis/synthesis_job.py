@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
+from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
-from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.objects import ObjectModel
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, join_candidates
 from fungrasp.synthesis.grasp_specification import GraspSpecification

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.hands import load_hand

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.poses import invert, rotate, transform_points
 from fungrasp.objects import ObjectModel
-from fungrasp.records import BatchRecord
 from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.observation import Observation
 from fungrasp.task.protocol import LiftProtocol

@@ -8,9 +8,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.arrays import is_numpy
 from fungrasp.geometry.poses import clip
-from fungrasp.records import BatchRecord
 
 
 @dataclass(frozen=True, eq=False, repr=False)

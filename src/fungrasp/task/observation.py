@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.records import BatchRecord
+from fungrasp.core.records import BatchRecord
 
 
 @dataclass(frozen=True, eq=False, repr=False)

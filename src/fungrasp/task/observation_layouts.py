@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.geometry.poses import Array
 
 LayoutName = Literal["full", "paper"]

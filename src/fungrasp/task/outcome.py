@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.arrays import at_least, rows_like
 from fungrasp.geometry.poses import Array, array_namespace, compose, invert, stack
-from fungrasp.records import BatchRecord
 from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
 

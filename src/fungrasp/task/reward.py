@@ -14,7 +14,7 @@ from operator import add
 
 from array_api_compat import array_namespace
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import Array
 from fungrasp.simulation.scene import GRAVITY
 

@@ -16,9 +16,9 @@ from typing import Any
 
 import torch
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import read_bytes
 from fungrasp.training.environment import TrainingEnvironment
 
 MAGIC = b"fungrasp checkpoint 2\n"

@@ -13,7 +13,7 @@ import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.training.checkpoint import (
     check_environment,
     environment_state,

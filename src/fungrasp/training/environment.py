@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.arrays import is_numpy
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.hands import Hand

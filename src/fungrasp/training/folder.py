@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import read_bytes
-from fungrasp.formats.json_file import parse_json, read_json
-from fungrasp.formats.numpy_files import read_npz
-from fungrasp.provenance import git_revision, machine
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.json_file import parse_json, read_json
+from fungrasp.core.formats.numpy_files import read_npz
+from fungrasp.core.provenance import git_revision, machine
+from fungrasp.core.version import __version__
 from fungrasp.task import GraspPlan
 from fungrasp.training.plan_library import PlanLibrary
-from fungrasp.version import __version__
 
 _log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_grasps, load_objects
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import read_bytes
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.objects import ObjectModel, with_sizes
-from fungrasp.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_policy import residual_policy
 from fungrasp.sim2real import draw

@@ -17,7 +17,7 @@ from rsl_rl.models import MLPModel
 from rsl_rl.storage import RolloutStorage
 from tensordict import TensorDict
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.policies.residual_action import Base
 from fungrasp.task.environment import report_problems

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 
+from fungrasp.core.jobs import PartStore
+from fungrasp.core.provenance import machine
 from fungrasp.hands import Hand
-from fungrasp.jobs import PartStore
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.provenance import machine
 from fungrasp.task import LiftProtocol
 from fungrasp.training.export import export_predictor, make_card
 from fungrasp.training.settings import PredictorSettings

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.simulation import Device
 
 

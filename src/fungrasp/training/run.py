@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, digest
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.provenance import git_revision, machine
+from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, hand_files
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
@@ -20,7 +22,6 @@ from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, lo
 from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
-from fungrasp.provenance import git_revision, machine
 from fungrasp.simulation import BufferSizes, Device
 from fungrasp.task import GraspPlan
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
@@ -32,7 +33,6 @@ from fungrasp.training.ppo import ALONE, Progress, Trainer
 from fungrasp.training.processes import Processes
 from fungrasp.training.settings import CurveSettings, PpoSettings
 from fungrasp.training.training_sets import TrainingSet, joined_objects, split_sets
-from fungrasp.version import __version__
 
 PLANS = "plans.npz"
 HELD_OUT_PLANS = "held-out-plans.npz"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 Sees = Literal["contacts", "nothing", "history"]
 """What an actor knows of the contacts."""

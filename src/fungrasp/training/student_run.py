@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import digest
-from fungrasp.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import digest
+from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.provenance import git_revision, machine
+from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
-from fungrasp.provenance import git_revision, machine
 from fungrasp.sim2real.joint_dynamics import identified_hand
 from fungrasp.training.distill import DistillProgress, distill
 from fungrasp.training.environment import TrainingEnvironment
@@ -34,7 +35,6 @@ from fungrasp.training.run import (
     keep_beside,
 )
 from fungrasp.training.settings import DistillSettings
-from fungrasp.version import __version__
 
 STUDENT = "student.onnx"
 

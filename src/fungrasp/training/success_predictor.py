@@ -11,11 +11,11 @@ from typing import Self
 import numpy as np
 import torch
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.json_file import parse_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.json_file import parse_json
+from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.success_predictor import plan_features

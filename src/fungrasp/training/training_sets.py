@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import digest
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import digest
 from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
 from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand

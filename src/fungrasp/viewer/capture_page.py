@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, transform_points
+from fungrasp.media.grasp_scenes import CONTACT
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.perceived import Perceived
-from fungrasp.rendering.grasp_scenes import CONTACT
 from fungrasp.viewer.figures import HumanFigure, ObjectFigure
 from fungrasp.viewer.page import BrowserPage, look_at, values_table
 

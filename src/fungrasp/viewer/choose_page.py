@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.evaluation import LiftTestResult, Trajectory, read_result, replay
-from fungrasp.formats.numpy_files import read_npz
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_grasps, load_objects
 from fungrasp.hands import Hand, hand_origin, load_hand
 from fungrasp.hands.hand_registry import hand_files

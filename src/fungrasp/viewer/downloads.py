@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import save_robot_grasps
 from fungrasp.viewer.page import BrowserPage
 from fungrasp.viewer.robot_view import RobotView

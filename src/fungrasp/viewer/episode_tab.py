@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -157,8 +157,8 @@ class EpisodeTab:
             surface.on_drag(pull)
 
     def _save_film(self) -> None:
-        from fungrasp.report.episode_film import episode_film
-        from fungrasp.report.video import write_video
+        from fungrasp.media.episode_film import episode_film
+        from fungrasp.media.video import write_video
 
         episode, end = self._episode, self._end
         if episode is None or end is None:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fungrasp.media.grasp_scenes import CONTACT, SKIN
+from fungrasp.media.hand_mesh import human_hand_mesh
+from fungrasp.media.object_looks import painted_parts
 from fungrasp.objects import ObjectModel
-from fungrasp.rendering.grasp_scenes import CONTACT, SKIN
-from fungrasp.rendering.hand_mesh import human_hand_mesh
-from fungrasp.rendering.object_looks import painted_parts
 from fungrasp.viewer.scene_nodes import Color, color_bytes, creased, move
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class ObjectFigure:
             opacity: None for a solid one.
             color: of the whole surface; that of its materials if None.
         """
-        from fungrasp.rendering.surfaces import corner_normals
+        from fungrasp.media.surfaces import corner_normals
 
         self.handle = scene.add_frame(name, show_axes=False)
         vertices, faces = model.vertices, model.faces

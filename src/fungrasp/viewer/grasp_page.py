@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.hands import load_hand

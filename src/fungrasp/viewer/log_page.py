@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.log import RecordedDeployment
-from fungrasp.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
+from fungrasp.media.deployment_page import deployment_curves, deployment_fault
 from fungrasp.objects import load_object
-from fungrasp.report.deployment_page import deployment_curves, deployment_fault
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     from viser import ClientHandle

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.record_json import record_from_json
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, ResultFile, replay
-from fungrasp.formats.record_json import record_from_json
 from fungrasp.grasps import RobotGraspSet, load_objects, load_robot_grasps
 from fungrasp.objects import ObjectModel
 from fungrasp.viewer.episode_stage import EpisodePlayer

@@ -21,7 +21,7 @@ def creased(
     Args:
         vertices: [m], shape [V, 3].
         faces: shape [T, 3].
-        corner_normals: as of ``fungrasp.rendering.surfaces.corner_normals``, shape [T, 3, 3].
+        corner_normals: as of ``fungrasp.media.surfaces.corner_normals``, shape [T, 3, 3].
     """
     corners = np.column_stack([faces.ravel(), np.round(corner_normals.reshape(-1, 3) * 20)]).astype(int)
     _, first, index = np.unique(corners, axis=0, return_index=True, return_inverse=True)

@@ -15,7 +15,7 @@ from benchmarks.choose.measurement import MeasurementRequest
 from benchmarks.choose.pairing import paired_interval, paired_means, paired_rates
 from benchmarks.choose.variant import Variant
 from benchmarks.grasp_set.parts import OBJECTS, save_set
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.statistics import wilson_interval
 
 

@@ -14,7 +14,7 @@ from benchmark_runs import run_benchmark
 import fungrasp
 from benchmarks.engines.audit import EpisodeBundle, audit, load_bundle, load_bundles, other_engines
 from benchmarks.engines.audit.result_file import KeptEpisodes
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.objects import builtin_object
 

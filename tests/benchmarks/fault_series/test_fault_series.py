@@ -17,8 +17,8 @@ from benchmarks.fault_series.series import BenchFaultSeries, drawn_faults, serie
 from benchmarks.fault_series.trial import Drawn, TruthWatch, judged
 from benchmarks.fault_series.twin_trial import twin_trial
 from benchmarks.fault_series.wire_trial import wire_trial
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.deployment.phases import Phase
-from fungrasp.errors import UnknownNameError
 
 pytest.importorskip("mink")
 

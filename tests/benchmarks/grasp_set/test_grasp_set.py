@@ -16,7 +16,7 @@ from benchmarks.grasp_set.objects import SetObject, builtin_objects, drawn_objec
 from benchmarks.grasp_set.parts import PARTS, load_part, split_objects
 from benchmarks.grasp_set.shapes import DRAWN_KINDS
 from benchmarks.grasp_set.specifications import STRENGTH, set_specifications
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import save_human_grasps
 from fungrasp.objects import load_object
 from fungrasp.objects.mesh_repair import vertex_components

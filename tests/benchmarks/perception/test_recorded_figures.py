@@ -15,7 +15,7 @@ from benchmarks.perception.recorded_figures import (
     smaller_mask,
 )
 from benchmarks.perception.tracking import measure_tracking
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import load_human_grasps
 from fungrasp.objects import load_object
 from fungrasp.perception.hand.detected_hand import DetectedHand

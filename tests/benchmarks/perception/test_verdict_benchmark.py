@@ -8,7 +8,7 @@ import pytest
 from benchmarks.perception.looks import looks_figures
 from benchmarks.perception.verdict import Verdict
 from benchmarks.perception.verdict_trials import VerdictTrial, append_trials
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import read_result
 from fungrasp.perception.object_pose.evidence import PoseEvidence
 

@@ -11,8 +11,8 @@ from benchmarks.perception.recorded_captures import read_recorded
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.render_capture import capture_at, render_capture, render_captures
-from fungrasp.errors import FungraspError
-from fungrasp.formats.mesh_file import read_colored_mesh
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.mesh_file import read_colored_mesh
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps, load_human_grasps
 from fungrasp.objects import builtin_object, load_object

@@ -13,10 +13,10 @@ from benchmarks.synthetic_captures.skin_and_sleeve import (
     painted_hand,
     painted_sleeve,
 )
+from fungrasp.media.ray_tracing import NOTHING, RayTracer
+from fungrasp.media.shading import Look, linear
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Intrinsics
-from fungrasp.rendering.ray_tracing import NOTHING, RayTracer
-from fungrasp.rendering.shading import Look, linear
 
 LENS = Intrinsics(80, 60, 70, 70, 39.5, 29.5)
 AT_ORIGIN = posed_rays(LENS, np.array([0, 0, 0, 1.0, 0, 0, 0]))

@@ -9,7 +9,7 @@ from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_de
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
 from benchmarks.synthetic_captures.render_capture import capture_at
 from benchmarks.synthetic_captures.varied_hand import vary_hand
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.objects import builtin_object

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks.synthetic_captures import perceived_grasps as room
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import PartStore
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.jobs import PartStore
 
 
 def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) -> None:

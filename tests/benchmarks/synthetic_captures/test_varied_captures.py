@@ -14,7 +14,7 @@ from benchmarks.perception.varied import render_varied
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.render_capture import render_capture
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object, mirrored_object

@@ -11,7 +11,7 @@ from played_twins import play_twins
 from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
 from benchmarks.twins.commands import EvaluateOnTwins
 from fungrasp.cli.main import run_command
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.evaluation.result_files import read_result
 
 

@@ -14,12 +14,12 @@ import benchmarks.twins.twin_episode as twin_episode
 from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
 from benchmarks.twins.twin_schedule import KnownGrasps, given_dynamics, placed_grasps, try_on_twins
 from benchmarks.twins.twin_series import VARIANTS
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import PartStore
 from fungrasp.deployment.hand_knowledge import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.errors import FungraspError
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
-from fungrasp.jobs import PartStore
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
 from fungrasp.robots.cell import load_cell

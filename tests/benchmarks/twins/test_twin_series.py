@@ -16,9 +16,9 @@ from benchmarks.twins.twin_series import (
     VariantSummary,
     evaluate_on_twins,
 )
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.record_json import record_from_json, record_to_json
 from fungrasp.evaluation.result_files import read_result
-from fungrasp.formats.record_json import record_from_json, record_to_json
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.retargeting import retarget

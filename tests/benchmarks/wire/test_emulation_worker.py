@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.wire.emulation_worker import EmulationProcess, EmulationTask
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.judge import HoldSample, held_throughout

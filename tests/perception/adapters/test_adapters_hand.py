@@ -13,7 +13,7 @@ from recorded import (
     write_npz,
 )
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
 from fungrasp.grasps.joint_orders import MANO, OPENPOSE
 from fungrasp.perception.adapters import read_hand_estimate

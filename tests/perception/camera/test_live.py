@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.objects import builtin_object
 from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.camera.frames import CameraFrame, FolderCamera

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.render_capture import SyntheticCapture, render_capture
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Intrinsics, ObjectEstimate

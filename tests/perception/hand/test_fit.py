@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hand_scenes import CAMERA, hand_scene
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import load_human_grasps
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.grasps.human_hand import HUMAN_JOINTS

@@ -9,7 +9,7 @@ import zipfile
 import pytest
 
 from fungrasp.cli.main import main
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.hand import mediapipe_models as hand_weights
 from fungrasp.perception.hand.mediapipe_models import WeightFile, fetch_weights, have_weights, load_weights
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
 
 LENS = Intrinsics(64, 48, 60.0, 61.0, 31.0, 24.5)

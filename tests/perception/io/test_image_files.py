@@ -8,7 +8,7 @@ import pytest
 from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
 from PIL import Image
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_alignment, check_hints
 from fungrasp.perception.io.image_files import parse_box, read_capture, read_color, read_mask

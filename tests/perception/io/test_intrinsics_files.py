@@ -4,7 +4,7 @@ import logging
 import pytest
 from capture_files import OURS
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Intrinsics
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 

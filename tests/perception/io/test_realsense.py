@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fake_realsense import FakeRealSense
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings, capture_from_camera
 
 

@@ -5,7 +5,7 @@ import pytest
 from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
 from PIL import Image
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.image_source import ImageSource
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.scene_folders import read_bop, read_dexycb, read_folder, write_folder

@@ -6,7 +6,7 @@ import trimesh
 from object_pose_scenes import CAMERA, HERE, Scene, scene
 from scipy import ndimage
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, transform_points
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.objects.object_variants import scaled_object

@@ -7,7 +7,7 @@ import pytest
 from object_pose_scenes import scene
 from scipy.spatial import KDTree
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import plain_shape
 from fungrasp.perception.object_pose.shape_fit import fit_shape

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from object_pose_scenes import CAMERA
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.objects import load_object
 from fungrasp.perception.object_pose.known_object import MeshRays

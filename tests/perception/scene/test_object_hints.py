@@ -5,7 +5,7 @@ import pytest
 from object_pose_scenes import scene
 from scipy import ndimage
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.objects import load_object
 from fungrasp.perception.object_pose.known_object import known_object
 from fungrasp.perception.object_pose.object_view import cleaned_mask, view_of_object

@@ -9,7 +9,7 @@ import pytest
 from planned_grasps import belief, grasps_and_objects, hand, plan
 
 import fungrasp.planning.selection.search as search
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.planning import ConstrainedPlanner, MotionPlanner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics

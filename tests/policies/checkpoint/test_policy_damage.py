@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 from small_policies import allegro_card, feedforward, model, weights
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.policies.checkpoint import checkpoint_file as policy_file
 from fungrasp.policies.checkpoint.checkpoint_file import (
     load_policy,

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from onnx import helper
 from small_policies import allegro_card, feedforward
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint import checkpoint_file as policy_file
 from fungrasp.policies.checkpoint.card import Budget

@@ -10,7 +10,7 @@ import pytest
 from onnx import helper
 from small_policies import OBSERVATION, STEPS, allegro_card, feedforward, model, recurrent, weights
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.policies.checkpoint.card import ActionPart
 from fungrasp.policies.checkpoint.checkpoint_file import (
     load_policy,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.task.use import load_use_motions, motion_of
 

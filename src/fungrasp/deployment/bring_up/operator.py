@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.confirmation import ask_before_phases
 from fungrasp.deployment.deployment import Confirm
-from fungrasp.errors import FungraspError
 from fungrasp.robots.cell import RobotCell, is_wired
 from fungrasp.robots.stop_switch import StopSwitch
 

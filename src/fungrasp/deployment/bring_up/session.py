@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import digest
 from fungrasp.deployment.bring_up import grasp_steps, steps
 from fungrasp.deployment.bring_up.log import FAILED, SKIPPED, BringUpLog, StepResult
 from fungrasp.deployment.bring_up.operator import BringUpEnded, StepSkipped
 from fungrasp.deployment.bring_up.steps import BringUpStep, BringUpTask
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.files import digest
 from fungrasp.robots.robot_state import SafetyStop
 
 STEPS = (

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.bring_up.log import FAILED, PASSED, SKIPPED, StepResult
 from fungrasp.deployment.bring_up.operator import Operator, StepSkipped
 from fungrasp.deployment.grasp_choice import GraspChoice
 from fungrasp.deployment.saved_plan import SavedPlan
-from fungrasp.errors import FungraspError
 from fungrasp.geometry.poses import rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose

@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.mesh_file import read_mesh
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.numpy_files import read_npz
-from fungrasp.formats.yaml_file import read_yaml
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.numpy_files import read_npz
+from fungrasp.core.formats.yaml_file import read_yaml
 
 TAG = "apriltag"
 

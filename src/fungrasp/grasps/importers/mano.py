@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 MANO_TO_OURS = np.array([0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 7, 8, 9, 13, 14, 15])
 """MANO's 16 joints are wrist, index, middle, little finger, ring, thumb; ours have the ring finger before the

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.guarded import guarded
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.guarded import guarded
 from fungrasp.hands.adding.closed_loops import closed_loops, solve_loops
 from fungrasp.hands.adding.couplings import GivenCoupling, find_couplings
 from fungrasp.hands.adding.finger_chains import find_palm

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands.adding.couplings import Coupling, coupling_matrix
 from fungrasp.hands.checking.finding import Finding, listed, note, warning
 from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, joint_name, subtree

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands.checking.finding import Finding, note, warning
 from fungrasp.hands.checking.kinematic_tree import joint_name
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.checking.finding import listed
 from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, subtree

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands.adding.couplings import Coupling
 from fungrasp.hands.adding.finger_chains import Chain, chain_joints
 from fungrasp.hands.adding.poses import Poses

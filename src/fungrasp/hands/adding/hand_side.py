@@ -6,7 +6,7 @@ import re
 
 import mujoco
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands.checking.finding import Finding, warning
 from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, subtree
 

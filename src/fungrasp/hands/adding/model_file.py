@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 import trimesh
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.file_bytes import one_line
-from fungrasp.formats.mesh_file import read_mesh
-from fungrasp.formats.mujoco_model import check_model_numbers, parse_model
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.mesh_file import read_mesh
+from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model
 from fungrasp.hands.adding.joint_repairs import repair_joints
 from fungrasp.hands.adding.world_palm import wrap_world
 from fungrasp.hands.checking.finding import Finding, listed, note, warning

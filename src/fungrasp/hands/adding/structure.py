@@ -9,7 +9,7 @@ from itertools import combinations
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands.adding.couplings import Coupling, GivenCoupling
 from fungrasp.hands.adding.finger_chains import (
     Chain,

@@ -8,7 +8,7 @@ from typing import Any
 
 import trimesh
 
-from fungrasp.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.capture import Capture

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.formats.json_file import read_json
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.numpy_files import read_npz
 
 VERSION = 1
 """Version of the file format."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.anatomy import bone_ratios, hand_size, joint_bends
 from fungrasp.grasps.joint_orders import ORDERS, joint_order
 from fungrasp.perception.adapters.hand_fields import HandFields

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.guarded import guarded
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.guarded import guarded
 from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
 from fungrasp.perception.adapters.hand_fields import read_fields
 from fungrasp.perception.adapters.hand_file import hands_of, turn_to

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.file_bytes import read_text
-from fungrasp.formats.guarded import guarded
-from fungrasp.formats.json_file import read_json
-from fungrasp.formats.numpy_files import read_npy
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.file_bytes import read_text
+from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.numpy_files import read_npy
 from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import DEPTH_LIMIT
 from fungrasp.perception.object_pose.confidence import ACCEPT

@@ -13,7 +13,7 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.scene_folders import own_files, read_folder
 

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from scipy import ndimage
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.camera.frames import CameraFrame, RgbdCamera
 from fungrasp.perception.camera.readiness import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fungrasp.errors import UnknownNameError
+from fungrasp.core.errors import UnknownNameError
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.estimates import ObjectEstimate

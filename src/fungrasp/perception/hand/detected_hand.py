@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.anatomy import joint_bends
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.estimates import PerceptionWarning, Side

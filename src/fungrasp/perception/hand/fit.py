@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.hand_thickness import FINGER_RADII, WRIST_RADIUS
 from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence

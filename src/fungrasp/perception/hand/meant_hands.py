@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.camera.frames import CameraFrame

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path, cache_folder, cache_path
-from fungrasp.formats.file_bytes import one_line
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path, cache_folder, cache_path
+from fungrasp.core.formats.file_bytes import one_line
 
 DROPPED_PREFIX = b"INFO:"
 """How lines begin that are left out."""

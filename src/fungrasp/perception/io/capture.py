@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.estimates import PerceptionWarning
 
 DEPTH_LIMIT = 20.0

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.guarded import guarded
-from fungrasp.formats.image_file import read_image
-from fungrasp.formats.numpy_files import read_npy
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.image_file import read_image
+from fungrasp.core.formats.numpy_files import read_npy
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
 from fungrasp.perception.io.capture_checks import check_alignment, check_depth_range

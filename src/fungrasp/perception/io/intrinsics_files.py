@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.guarded import guarded
-from fungrasp.formats.json_file import read_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.json_file import read_json
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.capture import Intrinsics
 

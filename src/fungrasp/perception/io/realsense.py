@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.capture_checks import check_depth_range

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.yaml_file import read_yaml
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.yaml_file import read_yaml
 from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color

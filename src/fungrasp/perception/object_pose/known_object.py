@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.numpy_files import read_npz
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.geometry.poses import (
     quaternion_from_rotation_vector,
     quaternion_multiply,

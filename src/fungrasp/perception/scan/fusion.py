@@ -14,7 +14,7 @@ import trimesh
 from scipy import ndimage
 from trimesh.visual import ColorVisuals
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.shell_from_triangles import zero_surface
 from fungrasp.objects.mesh_repair import simplify

@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.scan.fusion import fused_mesh

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.scene.table import largest_plane, world_from_table

@@ -9,11 +9,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning.approach_path import BLOCKED
 from fungrasp.planning.selection.candidates import Candidates
-from fungrasp.records import BatchRecord
 from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
 from fungrasp.simulation import BufferSizes, Device, Scene, SceneSettings, build_scene
 from fungrasp.task import DIVERGED, Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play

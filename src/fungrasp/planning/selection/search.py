@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from fungrasp.files import digest
+from fungrasp.core.files import digest
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
 from fungrasp.planning.selection.variations import VariationSpread
 from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName

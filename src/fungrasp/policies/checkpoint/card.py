@@ -9,8 +9,8 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from datetime import datetime
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from fungrasp.errors import FungraspError
-from fungrasp.formats.json_file import parse_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.json_file import parse_json
 from fungrasp.task.observation_layouts import LayoutName, check_layout
 
 FORMAT_VERSION = 1

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.files import atomic_path
-from fungrasp.formats.file_bytes import read_bytes
-from fungrasp.formats.guarded import guarded
-from fungrasp.formats.mujoco_model import read_model_text
-from fungrasp.formats.onnx_file import LARGEST, check_harmless, metadata, try_network
-from fungrasp.formats.toml_file import read_toml
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.mujoco_model import read_model_text
+from fungrasp.core.formats.onnx_file import LARGEST, check_harmless, metadata, try_network
+from fungrasp.core.formats.toml_file import read_toml
 from fungrasp.hands import Hand
 from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
 from fungrasp.policies.checkpoint.network import PolicyNetwork

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.policies.checkpoint.card import PolicyCard
 
 OBSERVATION, ACTION = "observation", "action"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.arms.ur import BASE
 from fungrasp.robots.codecs.ur_primary import decode_kinematics

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.optional_packages import import_client
 
 

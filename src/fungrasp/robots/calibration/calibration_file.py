@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fungrasp.files import atomic_path
+from fungrasp.core.files import atomic_path
 from fungrasp.robots.calibration.hand_eye import CameraCalibration
 
 

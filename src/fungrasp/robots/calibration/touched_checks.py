@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
-from fungrasp.files import atomic_path
-from fungrasp.formats.json_file import read_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.json_file import read_json
 
 POSTURES = {"flange": "joints", "hand": "hand_joints"}
 """Name of the postures in which something touched points."""

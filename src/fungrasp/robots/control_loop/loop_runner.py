@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.control_loop.device_lock import DeviceLock
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.mailbox import Mailbox

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 

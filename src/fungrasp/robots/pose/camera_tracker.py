@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.object_pose.estimate import estimate_object_pose

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Capture
 from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
 from fungrasp.robots.device import RobotError

@@ -6,7 +6,7 @@ import threading
 from contextlib import ExitStack
 from typing import Any, Self
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.cell import ArmSettings, DeviceSettings, RobotCell
 from fungrasp.robots.emulators.emulator import Emulator
 from fungrasp.robots.emulators.plant import PlantCommand, PlantState

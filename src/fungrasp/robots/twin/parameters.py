@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 
 REST = 0.5
 """Before and after each finger's motion [s]: it begins and ends at rest."""

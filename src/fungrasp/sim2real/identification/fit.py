@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mujoco import minimize
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.sim2real.identification.finger_chains import chain_of, place_in_finger
 from fungrasp.sim2real.identification.joint_samples import joint_samples

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from fungrasp.errors import FungraspError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.sim2real.identification.excitation import Excitation, ExcitationMotion, excitation_motion
 from fungrasp.sim2real.identification.finger_chains import chain_of

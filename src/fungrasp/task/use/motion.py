@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fungrasp.errors import FungraspError, UnknownNameError
-from fungrasp.formats.toml_file import read_toml, type_faults
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.toml_file import read_toml, type_faults
 from fungrasp.hands import FINGERS
 
 USE_MOTIONS = Path(__file__).with_name("motions.toml")

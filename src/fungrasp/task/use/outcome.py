@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.poses import quaternion_conjugate, quaternion_multiply, rotation_vector
-from fungrasp.records import BatchRecord
 
 LARGEST_SHIFT = 0.01
 """Largest displacement of the object's center of mass in the palm [m]."""

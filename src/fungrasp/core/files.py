@@ -1,0 +1,166 @@
+"""Writing files whole or not at all, the folder where computed things are kept, and digests that name
+them."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import hashlib
+import os
+import platform
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fungrasp.core.errors import FungraspError
+
+MOVE_CACHE = "set FUNGRASP_CACHE to a folder that can be written to"
+
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+"""Tells processes of this machine from those of others that share a folder."""
+
+
+class CannotWriteError(FungraspError):
+    """A file or folder that can't be made or written to, or a disk that is full."""
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside ``path``; on a clean exit it replaces ``path``, else it is removed.
+
+    The temporary name ends in the same suffix, so that libraries which choose a format by suffix agree.
+
+    Raises:
+        CannotWriteError: the folder can't be written to, or the disk is full.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(path)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}.{_HOST}-{os.getpid()}-", suffix=path.suffix, dir=path.parent
+        )
+        os.close(handle)
+    except OSError as error:
+        raise CannotWriteError(f"cannot write {path}: {error.strerror or error}") from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise CannotWriteError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_writable(paths: Mapping[str, str | Path]) -> None:
+    """Complain before the work is done about files that can't be written after it. Nothing is made.
+
+    Args:
+        paths: what is to be written, by the name of its option.
+
+    Raises:
+        FungraspError: a path is a folder, lies below a file or in a folder that can't be written to, or two
+            are the same.
+    """
+    names: dict[Path, str] = {}
+    for name, path in paths.items():
+        whole = Path(path).absolute()
+        if whole in names:
+            raise FungraspError(f"{names[whole]} and {name} are the same file, {path}")
+        names[whole] = name
+        if whole.is_dir():
+            raise FungraspError(f"cannot write {path} ({name}): it is a folder: add a file's name")
+        above = next(folder for folder in whole.parents if folder.exists())
+        if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+            problem = "can't be written to" if above.is_dir() else "is a file"
+            raise FungraspError(f"cannot write {path} ({name}): {above} {problem}")
+
+
+def remove_leftovers(path: str | Path) -> None:
+    """Delete what processes of this machine that were killed left while they wrote ``path``."""
+    path = Path(path)
+    for left in path.parent.glob(f".{glob.escape(path.stem)}.{_HOST}-*{glob.escape(path.suffix)}"):
+        owner = left.name.removeprefix(f".{path.stem}.{_HOST}-").partition("-")[0]
+        if owner.isdigit() and not _alive(int(owner)):
+            with contextlib.suppress(OSError):
+                left.unlink()
+
+
+def cache_path(kind: str) -> Path:
+    """Where computed things of one ``kind`` ("convex_pieces", ...) are kept, whether it exists or not.
+
+    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``; a folder that
+    can't be made where there is no home.
+    """
+    root = os.environ.get("FUNGRASP_CACHE")
+    if root is None:
+        with contextlib.suppress(RuntimeError):
+            root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fungrasp"
+    return Path(os.devnull if root is None else root) / kind
+
+
+def cache_folder(kind: str) -> Path:
+    """``cache_path`` for writing: the folder is made if missing.
+
+    Raises:
+        CannotWriteError: it can't be made or written to; the message names the variable that moves it.
+    """
+    folder = cache_path(kind)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise CannotWriteError(f"cannot make the cache folder {folder}: {reason}; {MOVE_CACHE}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise CannotWriteError(f"cannot write to the cache folder {folder}; {MOVE_CACHE}")
+    return folder
+
+
+def digest(*things: Any) -> str:
+    """SHA-256 of arrays, bytes, mappings, lists, what has a ``digest`` of its own, and whatever ``repr``
+    describes."""
+    result = hashlib.sha256()
+
+    def add(thing: Any) -> None:
+        own = getattr(thing, "digest", None)
+        if isinstance(own, str):
+            result.update(own.encode())
+        elif isinstance(thing, Mapping):
+            for key in sorted(thing):
+                result.update(f"{key}:".encode())
+                add(thing[key])
+        elif isinstance(thing, list | tuple):
+            result.update(f"{len(thing)}:".encode())
+            for item in thing:
+                add(item)
+        elif isinstance(thing, np.ndarray):
+            result.update(f"{thing.dtype}{thing.shape}".encode())
+            result.update(np.ascontiguousarray(thing).tobytes())
+        else:
+            result.update(thing if isinstance(thing, bytes) else repr(thing).encode())
+        result.update(b";")
+
+    for thing in things:
+        add(thing)
+    return result.hexdigest()
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,133 @@
+"""MJCF and URDF files, tried in a child process with limits before MuJoCo reads them here."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.file_bytes import cannot_read, one_line, read_text
+from fungrasp.core.formats.sandbox import run_limited
+from fungrasp.core.formats.xml_file import check_entities
+
+LARGEST = 20_000_000
+"""Bytes of the largest file that is read, those of its meshes not counted."""
+
+LARGEST_SIZE = 100_000
+"""Largest of the sizes that a model may declare: user data, constraints, contacts, keyframes."""
+
+SIZES = ("njmax", "nconmax", "nuserdata", "nkey", "nuser_body", "nuser_geom", "nuser_jnt", "nuser_site")
+
+NUMBERS = {
+    "body": ("pos", "quat", "ipos", "iquat", "mass", "inertia"),
+    "jnt": ("pos", "axis", "range", "stiffness"),
+    "geom": ("pos", "quat", "size"),
+    "site": ("pos", "quat"),
+    "eq": ("data",),
+}
+"""Fields of a compiled model that ``check_model_numbers`` looks at, by kind of element."""
+
+LENGTHS = ("pos", "ipos", "size")
+"""Those of them that are lengths [m]."""
+
+_PACKAGE = Path(__file__).parents[2]
+
+
+def read_model_text(path: str | Path, what: str = "hand's model") -> str:
+    """The XML text of a model file, without entities of its own.
+
+    Raises:
+        FungraspError: it can't be read or declares entities.
+    """
+    text = read_text(path, what, LARGEST)
+    check_entities(text, f"the {what} {one_line(path)}")
+    return text
+
+
+def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
+    """A model for editing and compiling.
+
+    Args:
+        path: an MJCF or URDF file.
+        what: it is, for messages.
+
+    Raises:
+        FungraspError: it can't be read, or takes too much time or memory.
+    """
+    path = Path(path)
+    if not path.resolve().is_relative_to(_PACKAGE):
+        read_model_text(path, what)
+        fault = _fault(path.absolute(), path.stat().st_mtime_ns)
+        if fault:
+            raise FungraspError(fault)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise FungraspError(f"cannot read the {what} {one_line(path)}: {one_line(error)}") from error
+    _check_sizes(spec, f"the {what} {one_line(path)}")
+    return spec
+
+
+def parse_model(text: str, where: str) -> mujoco.MjSpec:
+    """A model for editing and compiling, from XML text; files that it names are not looked for.
+
+    Args:
+        text: MJCF or URDF.
+        where: begins the messages.
+
+    Raises:
+        ValueError: MuJoCo does not understand it.
+        FungraspError: it takes too much time or memory.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.xml"
+        path.write_text(text, encoding="utf-8")
+        run_limited("model", path, "", len(text), where)
+    spec = mujoco.MjSpec.from_string(text)
+    _check_sizes(spec, where)
+    return spec
+
+
+def check_model_numbers(model: mujoco.MjModel, where: str, longest: float = 1000.0) -> None:
+    """Refuse a model in which a place, direction, size, mass or limit is not finite, or a place or size is
+    beyond ``longest`` [m]: what samples surfaces takes time and memory in proportion.
+
+    Raises:
+        FungraspError: the message begins with ``where`` and names the first.
+    """
+    for kind, fields in NUMBERS.items():
+        for name in fields:
+            values = np.asarray(getattr(model, f"{kind}_{name}"))
+            largest = longest if name in LENGTHS else np.finfo(float).max
+            bad = ~(np.abs(values) <= largest).all(axis=tuple(range(1, values.ndim)))
+            if bad.any():
+                i = int(np.argmax(bad))
+                title = {"jnt": "joint", "eq": "equality"}.get(kind, kind)
+                raise FungraspError(
+                    f"{where}: {name} of {title} '{one_line(getattr(model, title)(i).name or i, 60)}' is "
+                    f"not finite{'' if name not in LENGTHS else f', or beyond {longest:g} m'}"
+                )
+
+
+def _check_sizes(spec: mujoco.MjSpec, where: str) -> None:
+    for name in SIZES:
+        value = getattr(spec, name)
+        if value > LARGEST_SIZE:
+            raise FungraspError(f"{where} declares {name} = {value}; at most {LARGEST_SIZE} is taken")
+
+
+@functools.lru_cache(maxsize=256)
+def _fault(path: Path, stamp: int) -> str | None:
+    """Why a model is not read here, if so; kept while the file is the same."""
+    try:
+        size = sum(file.stat().st_size for file in path.parent.iterdir() if file.is_file())
+        run_limited("model", path, "model", min(size, 100_000_000))
+    except OSError as error:
+        return str(cannot_read(path.parent, error))
+    except FungraspError as error:
+        return str(error)
+    return None

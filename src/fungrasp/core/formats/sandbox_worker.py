@@ -1,0 +1,234 @@
+"""What runs in the child process of ``sandbox``: requests come in on stdin, a fork answers each."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import os
+import signal
+import struct
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+HEAD = struct.Struct("<BQ")
+"""Of an answer: its status, and how many bytes follow."""
+
+DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
+"""Status of an answer."""
+
+LONGEST_REASON = 300
+
+SPARED = ("networkx", "scipy")
+"""What trimesh works without; to import them takes longer than all else that reads a mesh."""
+
+
+def read_triangles(path: str) -> bytes:
+    """Vertices [V, 3] and faces [F, 3] of a mesh file, as an ``.npz`` file."""
+    import numpy as np
+
+    mesh = _load_mesh(path, skip_materials=True)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise ValueError("a face has a corner that does not exist")
+    result = io.BytesIO()
+    np.savez(result, vertices=vertices, faces=faces.astype(np.int32))
+    return result.getvalue()
+
+
+def read_colored_triangles(path: str) -> bytes:
+    """The same with "vertex_colors" [V, 3] or "face_colors" [F, 3], or with "uv" [V, 2] and "texture"
+    [H, W, 3], where the file has colors; these are uint8."""
+    import numpy as np
+
+    mesh = _load_mesh(path)
+    arrays = {"vertices": np.asarray(mesh.vertices, np.float64), "faces": np.asarray(mesh.faces, np.int32)}
+    visual = mesh.visual
+    if visual.kind == "face":
+        arrays["face_colors"] = np.asarray(visual.face_colors)[:, :3]
+    elif visual.kind == "vertex":
+        arrays["vertex_colors"] = np.asarray(visual.vertex_colors)[:, :3]
+    elif visual.kind == "texture" and visual.uv is not None:
+        material = visual.material
+        image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        if image is None:
+            arrays["vertex_colors"] = np.asarray(visual.to_color().vertex_colors)[:, :3]
+        else:
+            arrays["uv"] = np.asarray(visual.uv, np.float64)
+            arrays["texture"] = np.asarray(image.convert("RGB"))
+    vertices, faces = len(arrays["vertices"]), len(arrays["faces"])
+    wanted = {"vertex_colors": (vertices, 3), "face_colors": (faces, 3), "uv": (vertices, 2)}
+    if any(name in arrays and arrays[name].shape != shape for name, shape in wanted.items()):
+        raise ValueError("its colors are not as many as its vertices or faces")
+    corners = arrays["faces"]
+    if faces and not 0 <= corners.min() <= corners.max() < vertices:
+        raise ValueError("a face has a corner that does not exist")
+    result = io.BytesIO()
+    np.savez(result, **arrays)  # pyright: ignore[reportArgumentType]
+    return result.getvalue()
+
+
+def _load_mesh(path: str, **options: bool) -> Any:
+    """What trimesh reads of a mesh file; without ``SPARED`` first, if it was imported so: files that are in
+    order hardly ever need them."""
+    try:
+        return _trimesh_load(path, **options)
+    except Exception:
+        if "trimesh" not in _lighter:
+            raise
+    for name in [name for name in sys.modules if name.split(".")[0] == "trimesh"]:
+        del sys.modules[name]
+    return _trimesh_load(path, **options)
+
+
+def _trimesh_load(path: str, **options: bool) -> Any:
+    """What trimesh reads of a mesh file; of a binary PLY whose faces have different numbers of corners, which
+    it reads as text only, too."""
+    import trimesh
+
+    from fungrasp.core.formats.binary_ply import as_text
+
+    load: Any = trimesh.load
+    try:
+        return load(path, force="mesh", process=False, **options)
+    except ValueError as error:
+        if "PLY is unexpected length" not in str(error):
+            raise
+        text = io.BytesIO(as_text(Path(path).read_bytes()))
+        return load(text, file_type="ply", force="mesh", process=False, **options)
+
+
+def compile_model(path: str) -> bytes:
+    """Nothing, if MuJoCo parses and compiles a model file in the time and memory there is."""
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        spec = mujoco.MjSpec.from_file(path)
+    except ValueError:
+        return b""  # The caller meets the same error, and can say more about it.
+    try:
+        mujoco.MjData(spec.compile())
+    except ValueError:
+        # The caller may go on without the meshes.
+        for geom in list(spec.geoms):
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+                spec.delete(geom)
+        for mesh in list(spec.meshes):
+            spec.delete(mesh)
+        with suppress(ValueError):
+            mujoco.MjData(spec.compile())
+    return b""
+
+
+def run_network(path: str) -> bytes:
+    """Nothing, if ONNX Runtime runs a network for two worlds in the time and memory there is."""
+    import numpy as np
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(int64)": np.int64}
+    kinds |= {"tensor(int32)": np.int32, "tensor(bool)": np.bool_}
+    feed = {
+        put.name: np.zeros([size if isinstance(size, int) else 2 for size in put.shape], kinds[put.type])
+        for put in session.get_inputs()
+        if put.type in kinds
+    }
+    session.run(None, feed)
+    return b""
+
+
+JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
+    "triangles": (read_triangles, ("numpy", "trimesh")),
+    "colored triangles": (read_colored_triangles, ("numpy", "trimesh")),
+    "model": (compile_model, ("mujoco",)),
+    "network": (run_network, ("numpy", "onnxruntime")),
+}
+"""By name: the job and the modules that are imported once, before the fork."""
+
+_lighter: set[str] = set()
+"""Modules of this process that were imported without ``SPARED``."""
+
+
+def work(job: str, path: str) -> tuple[int, bytes]:
+    """Status and answer of a job."""
+    try:
+        return DONE, JOBS[job][0](path)
+    except MemoryError:
+        return LARGE, b""
+    except Exception as error:
+        if "bad_alloc" in str(error) or "bad allocation" in str(error) or "llocate memory" in str(error):
+            return LARGE, b""
+        reason = " ".join(str(error).split()) or type(error).__name__
+        return REFUSED, reason[:LONGEST_REASON].encode(errors="backslashreplace")
+
+
+def serve() -> None:
+    """Answer requests until stdin ends."""
+    answers = os.dup(1)
+    os.dup2(2, 1)
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        import_for(request["job"])
+        _send(answers, *_forked(request))
+
+
+def import_for(job: str) -> None:
+    """Import what a job needs; trimesh without ``SPARED``, where they are not imported yet."""
+    missing: Any = None
+    for module in JOBS[job][1]:
+        spared = () if module != "trimesh" or module in sys.modules else set(SPARED) - set(sys.modules)
+        sys.modules.update(dict.fromkeys(spared, missing))
+        importlib.import_module(module)
+        for name in spared:
+            del sys.modules[name]
+            _lighter.add(module)
+
+
+def _forked(request: dict[str, Any]) -> tuple[int, bytes]:
+    here, there = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(here)
+        _limit(request["seconds"], request["memory"])
+        _send(there, *work(request["job"], request["path"]))
+        os._exit(0)
+    os.close(there)
+    with os.fdopen(here, "rb") as stream:
+        answer = stream.read()
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code == 0 and len(answer) >= HEAD.size:
+        return answer[0], answer[HEAD.size :]
+    if code in (-signal.SIGXCPU, -signal.SIGALRM, -signal.SIGKILL):
+        return SLOW, b""
+    return CRASHED, (signal.Signals(-code).name if code < 0 else f"exit status {code}").encode()
+
+
+def _limit(seconds: float, memory: int) -> None:
+    import resource
+
+    signal.setitimer(signal.ITIMER_REAL, 1.6 * seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
+    for name in ("RLIMIT_DATA", "RLIMIT_AS"):
+        with suppress(ValueError, OSError):
+            size = memory if name == "RLIMIT_DATA" else 2 * memory
+            resource.setrlimit(getattr(resource, name), (size, size))
+    for name in ("RLIMIT_FSIZE", "RLIMIT_CORE"):
+        resource.setrlimit(getattr(resource, name), (0, 0))
+
+
+def _send(to: int, status: int, answer: bytes) -> None:
+    with os.fdopen(os.dup(to), "wb") as stream:
+        stream.write(HEAD.pack(status, len(answer)))
+        stream.write(answer)
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,35 @@
+"""Batched work in chunks on a few threads; the result does not depend on their number."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+
+from fungrasp.core.errors import FungraspError
+
+Result = TypeVar("Result")
+
+
+def in_chunks(
+    work: Callable[[np.ndarray], Result], count: int, threads: int = 0, chunk: int = 64
+) -> list[Result]:
+    """``work`` on the row numbers of each chunk, in order.
+
+    Args:
+        work: given row numbers, shape [<= chunk]; mostly NumPy or MuJoCo, which let other threads run.
+        count: number of rows.
+        threads: 0 means all processors.
+        chunk: rows worked on together.
+
+    Raises:
+        FungraspError: a negative number of threads.
+    """
+    if threads < 0:
+        raise FungraspError(f"the number of threads must be 0 (all processors) or more, not {threads}")
+    rows = [np.arange(start, min(start + chunk, count)) for start in range(0, count, chunk)]
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        return list(pool.map(work, rows))

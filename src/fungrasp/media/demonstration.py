@@ -1,0 +1,206 @@
+"""Grasps from the human hand to the lift and the use, with a film and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+
+from fungrasp.core.provenance import page_provenance
+from fungrasp.evaluation import LiftTestSpec, Trajectory, evaluate, replay, static_quality
+from fungrasp.grasps import HumanGrasp, HumanGraspSet
+from fungrasp.hands import Hand
+from fungrasp.media import grasp_scene, look_at_grasp, render
+from fungrasp.media.episode_film import episode_film, film_frames
+from fungrasp.media.grasp_demo import grasp_report, grasp_title
+from fungrasp.media.page import GraspReport, Page, write_page
+from fungrasp.media.video import write_video
+from fungrasp.objects import ObjectModel
+from fungrasp.planning import MotionSettings
+from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.refinement import refine_grasps
+from fungrasp.policies import OpenLoopPolicy, make_planner
+from fungrasp.policies.registry import REFERENCE
+from fungrasp.retargeting import retarget
+
+FPS, SPEED = 12.0, 2.0
+"""Frames per second of the film, and how much faster than the simulation it runs."""
+
+WIDTH, HEIGHT = 1280, 720
+"""Size of the film's picture [pixels]."""
+
+INSET = 0.24
+"""Width of the picture of the person's grasp in the film's corner, in widths of the film."""
+
+TITLE = "Human grasps, taken over by a robot hand"
+
+INTRODUCTION = (
+    "On the left of each pair, how a person holds the object for the task; on the right, the grasp that "
+    "the robot hand makes of it. The film is the episode in simulation: reach for the object on the table, "
+    "close, lift by 15 cm and hold for 3 s. Where the task has a motion, a second film shows what follows: "
+    "the wrist pours, strikes or strokes, a finger presses the trigger, or somebody pulls, and the object is "
+    f"to stay in the hand. The films run {SPEED:g} times as fast."
+)
+
+Stages = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
+"""Begins a stage: its name and how much there is to do; gives what is called with how much is done."""
+
+
+@contextmanager
+def no_stages(name: str, total: float) -> Iterator[Callable[[float], None]]:
+    """Says nothing of a stage."""
+    yield lambda done: None
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What a page says before the grasps."""
+
+    title: str = TITLE
+    """Of the page."""
+    introduction: str = INTRODUCTION
+    """Under it."""
+    source: Mapping[str, str] | None = None
+    """Where the grasps come from, by what kind of thing that is."""
+    parts: Sequence[str] = ()
+    """HTML that follows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Demonstration:
+    """What was made."""
+
+    film: Path
+    """Of all episodes."""
+    page: Path
+    """Of everything."""
+    grasps: list[GraspReport]
+    """What the page says of each grasp."""
+
+
+def demonstrate(
+    human: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    policy: str,
+    out: Path,
+    *,
+    opening: Opening | None = None,
+    refine: int = 0,
+    seed: int = 0,
+    threads: int = 0,
+    stages: Stages = no_stages,
+) -> Demonstration:
+    """Retarget grasps, try and use them, and show it.
+
+    Args:
+        human: grasps.
+        objects: theirs, by name.
+        hand: the robot hand.
+        policy: name or file of what moves it.
+        out: folder for ``film.mp4`` and ``index.html``; nothing is in it until they are whole.
+        opening: of the page; the usual one if None.
+        refine: under the reference policy, try this many variations of a grasp until one holds.
+        seed: of the variations.
+        threads: 0 means all processors.
+        stages: told what is being done.
+
+    Raises:
+        FungraspError: of the verbs, or a file can't be written.
+    """
+    start, opening = perf_counter(), opening or Opening()
+    out.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".demo.", dir=out) as name:
+        folder = Path(name)
+        with stages("measuring the objects", len(objects)) as show:
+            for done, model in enumerate(objects.values()):
+                _ = model.signed_distance
+                show(done + 1)
+        with stages(f"retargeting to {hand.name}", 1.0) as show:
+            robot = retarget(human, objects, hand, threads=threads, progress=show)
+        quality = static_quality(robot, human, objects, hand)
+        refined = bool(refine) and policy == REFERENCE
+        if refined:
+            with stages("trying variations", len(robot)) as show:
+                player = OpenLoopPolicy()
+                robot = refine_grasps(
+                    robot, objects, hand, player, tries=refine, seed=seed, threads=threads, progress=show
+                )
+        # Refined grasps are played as they were tried: with the squeeze for the lift alone.
+        motions = MotionSettings(for_use=not refined)
+        selection = SelectionSettings.for_protocol("nominal", for_use=True)
+        with stages("lifting and using", 1.0) as show:
+            result = evaluate(
+                robot,
+                objects,
+                policy,
+                spec=LiftTestSpec(use=True),
+                human=human,
+                planner=make_planner(policy, hand, objects, selection, threads=threads, motions=motions),
+                threads=threads,
+                record=folder,
+                progress=show,
+            )
+        episodes = sorted(map(replay, folder.glob("*.npz")), key=lambda each: (each.index, each.is_use_test))
+        film, clips = _film(episodes, human, objects, hand, folder, out / "film.mp4", threads, stages)
+        with stages("drawing", len(human)) as show:
+            reports = []
+            for episode in episodes:
+                if episode.is_use_test:
+                    continue
+                row = episode.index
+                clip, use_clip = clips[row, False], clips.get((row, True))
+                obj = objects[episode.object_name]
+                reports.append(
+                    grasp_report(
+                        human[row], robot[row], hand, obj, episode, quality, result, row, clip, use_clip
+                    )
+                )
+                show(len(reports))
+        made = page_provenance(opening.source or {}, seed, perf_counter() - start)
+        page = Page(opening.title, reports, hand.title, opening.introduction, made)
+        return Demonstration(film, write_page(out / "index.html", page, opening.parts), reports)
+
+
+def _film(
+    episodes: Sequence[Trajectory],
+    human: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    folder: Path,
+    out: Path,
+    threads: int,
+    stages: Stages,
+) -> tuple[Path, dict[tuple[int, bool], Path]]:
+    """The whole film, and its parts by row of the grasp and whether it is the use."""
+    clips: dict[tuple[int, bool], Path] = {}
+
+    def frames() -> Iterator[np.ndarray]:
+        done = 0
+        for each in episodes:
+            obj, clip, grasp = objects[each.object_name], [], human[each.index]
+            options = {"fps": FPS, "speed": SPEED, "width": WIDTH, "height": HEIGHT, "threads": threads}
+            inset = _person(grasp, obj)
+            for frame in episode_film(each, hand, obj, title=grasp_title(grasp), inset=inset, **options):
+                clip.append(frame)
+                yield frame
+                done += 1
+                show(done)
+            file = folder / f"{each.index}{'-use' if each.is_use_test else ''}.mp4"
+            clips[each.index, each.is_use_test] = write_video(file, clip, FPS)
+
+    with stages("filming", sum(film_frames(each, FPS, SPEED) for each in episodes)) as show:
+        return write_video(out, frames(), FPS), clips
+
+
+def _person(grasp: HumanGrasp, obj: ObjectModel) -> np.ndarray:
+    """The person's grasp, for the film's corner."""
+    model, qpos = grasp_scene(grasp, obj)
+    width = round(INSET * WIDTH)
+    height = round(0.75 * width)
+    return render(model, qpos, look_at_grasp(model, width=width, height=height))[0]

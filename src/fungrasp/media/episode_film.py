@@ -1,0 +1,187 @@
+"""A recorded episode as a film: the object's own mesh, links that light up, a camera that draws nearer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from fungrasp.evaluation import Trajectory
+from fungrasp.hands import Hand
+from fungrasp.media.camera import Camera
+from fungrasp.media.film import frame_times, interpolate
+from fungrasp.media.grasp_scenes import robot_grasp_scene, robot_scene_colors, robot_scene_states
+from fungrasp.media.pictures import captioned
+from fungrasp.media.render import Renderer
+from fungrasp.media.viewpoints import frame_geoms, look_at_grasp
+from fungrasp.objects import ObjectModel
+
+CAPTION_MARGIN = 1.18
+"""How much larger than its contents a film's picture is: there is a bar of words."""
+
+VERDICT_TIME = 1.0
+"""Time for which the last picture stays, with words on how the episode ended [s]."""
+
+FARTHEST = 0.4
+"""An object that has travelled further is out of the film's picture [m]."""
+
+STILL = 1e-3
+"""What moves less than this is not drawn again [m]."""
+
+FRAME = 3
+"""Width of the frame about an inset [pixels]."""
+
+STEADY = 0.1
+"""Half of the time over which contacts are averaged, so that links don't flicker [s]."""
+
+
+def episode_film(
+    trajectory: Trajectory,
+    hand: Hand,
+    thing: ObjectModel,
+    *,
+    fps: float = 15.0,
+    speed: float = 1.5,
+    width: int = 432,
+    height: int = 324,
+    title: str = "",
+    inset: np.ndarray | None = None,
+    threads: int = 0,
+) -> Iterator[np.ndarray]:
+    """A recorded episode, with the object's own mesh; links light up while they touch.
+
+    The camera draws nearer while the hand approaches. Where nothing moves, as in most of the hold, a frame is
+    drawn once. An episode whose simulation diverged is shown until then.
+
+    Args:
+        trajectory: of ``hand`` and ``thing``.
+        fps: frames per second.
+        speed: seconds of the episode in a second of the film.
+        width: [pixels].
+        height: [pixels].
+        title: words before the phase.
+        inset: picture in the upper left corner, as of the person's grasp: sRGB, shape [h, w, 3] uint8.
+        threads: 0 means all CPUs; the film does not depend on it.
+
+    Yields:
+        sRGB, shape [height, width, 3] uint8.
+    """
+    trajectory = _finite_part(trajectory)
+    wrist, joints, things = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
+    recorded = robot_scene_states(model, hand, wrist, joints, things)
+    times = trajectory.times.astype(float)
+    at = frame_times(times, fps, speed)
+    states = interpolate(model, recorded, times, at)
+    holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0], holding)
+    cameras = _cameras(judged, recorded, trajectory, at, width, height)
+    colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
+    drawn = _moving(model, states)
+    drawn[1:] |= [a != b for a, b in pairwise(cameras)]
+    drawn[1:] |= np.any(colors[1:] != colors[:-1], axis=(1, 2))
+    which = np.flatnonzero(drawn)
+    pictures = Renderer(model, threads=threads).stream(
+        states[which], [cameras[i] for i in which], geom_rgba=colors[which]
+    )
+    picture, clock = np.empty(0), ""
+    for fresh, time in zip(drawn, at, strict=True):
+        picture = next(pictures) if fresh else picture
+        phase = [name for start, name in episode_phases(trajectory) if start <= time][-1]
+        clock = f"{time - at[0]:.1f} s"
+        yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, phase))), clock)
+    done = "used" if trajectory.is_use_test else "lifted and held"
+    verdict = done if trajectory.success else f"failed: {trajectory.reason}"
+    for _ in range(round(VERDICT_TIME * fps)):
+        yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, verdict))), clock)
+
+
+def _with_inset(picture: np.ndarray, inset: np.ndarray | None) -> np.ndarray:
+    """A picture with a smaller one in its upper left corner, framed."""
+    if inset is None:
+        return picture
+    height, width = (n + 2 * FRAME for n in inset.shape[:2])
+    whole = picture.copy()
+    whole[:height, :width] = 255
+    whole[FRAME : height - FRAME, FRAME : width - FRAME] = inset
+    return whole
+
+
+def film_frames(trajectory: Trajectory, fps: float = 15.0, speed: float = 1.5) -> int:
+    """Number of frames of ``episode_film``."""
+    times = _finite_part(trajectory).times.astype(float)
+    return len(frame_times(times, fps, speed)) + round(VERDICT_TIME * fps)
+
+
+def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
+    """Start [s] and name of each phase: as recorded, and "close" between the first touch and the lift."""
+    touch = _first_touch(trajectory)
+    if trajectory.phase[touch] > 0 or not trajectory.link_contacts[touch].any():
+        return trajectory.phases
+    return sorted([*trajectory.phases, (float(trajectory.times[touch]), "close")])
+
+
+def view_angles(camera: Camera) -> tuple[float, float]:
+    """Azimuth and elevation of a camera, seen from its target [degrees]."""
+    x, y, z = np.subtract(camera.position, camera.target)
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+
+
+def _cameras(
+    model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
+) -> list[Camera]:
+    """Cameras of the frames, from all of the motion to that from the first touch on; an object that gets away
+    is not followed. The model's links that touch during the hold are colored, to be seen well."""
+    touch = _first_touch(trajectory)
+    travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
+    close = travel < FARTHEST
+    close[touch] = True
+    size = {"width": width, "height": height, "margin": CAPTION_MARGIN}
+    near = look_at_grasp(model, states[touch:][close[touch:]], **size)
+    wide = frame_geoms(model, states[close], *view_angles(near), **size)
+    share = np.clip((at - at[0]) / max(trajectory.times[touch] - at[0], 1e-9), 0.0, 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    return [_between(wide, near, s) for s in share]
+
+
+def _steady(contacts: np.ndarray, times: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Which links touch most of the time around each frame; contacts: shape [T, L] bool. Returns [F, L]."""
+    first, last = (np.searchsorted(times, at + side * STEADY) for side in (-1, 1))
+    spans = zip(first.tolist(), last.tolist(), strict=True)
+    return np.array([contacts[a : max(b, a + 1)].mean(axis=0) > 0.5 for a, b in spans])
+
+
+def _moving(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
+    """Whether anything has moved by ``STILL`` since the last state in which it had; shape [F] bool."""
+    data = mujoco.MjData(model)
+    moving, before = np.zeros(len(states), dtype=bool), np.full((model.ngeom, 12), np.inf)
+    for i, state in enumerate(states):
+        data.qpos[:] = state
+        mujoco.mj_kinematics(model, data)
+        now = np.concatenate([data.geom_xpos, model.geom_rbound[:, None] * data.geom_xmat], axis=1)
+        moving[i] = np.abs(now - before).max() > STILL
+        before = now if moving[i] else before
+    return moving
+
+
+def _between(a: Camera, b: Camera, share: float) -> Camera:
+    px, py, pz = ((1.0 - share) * np.array(a.position) + share * np.array(b.position)).tolist()
+    tx, ty, tz = ((1.0 - share) * np.array(a.target) + share * np.array(b.target)).tolist()
+    return replace(b, position=(px, py, pz), target=(tx, ty, tz))
+
+
+def _first_touch(trajectory: Trajectory) -> int:
+    """Index of the first state in which the hand touches the object, else of the last before the lift."""
+    touching = np.flatnonzero(trajectory.link_contacts.any(axis=1))
+    return int(touching[0]) if len(touching) else int(np.flatnonzero(trajectory.phase == 0)[-1])
+
+
+def _finite_part(trajectory: Trajectory) -> Trajectory:
+    finite = np.isfinite(np.concatenate([trajectory.palm_pose, trajectory.object_pose], axis=1)).all(axis=1)
+    finite &= np.isfinite(trajectory.joint_positions).all(axis=1)
+    count = int(np.argmin(np.append(finite, False)))
+    names = ("times", "qpos", "object_pose", "palm_pose", "joint_positions", "link_contacts", "phase")
+    return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name in names})

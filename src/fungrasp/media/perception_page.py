@@ -1,0 +1,252 @@
+"""One self-contained HTML page about a grasp perceived in an image: what was seen, how good it is, what is
+uncertain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fungrasp.grasps import HUMAN_LINKS
+from fungrasp.grasps.human_hand import HUMAN_FINGERS
+from fungrasp.media.page import Page, write_page
+from fungrasp.media.page_parts import Quantity, figure, quality_card
+from fungrasp.media.perception_alternatives import alternatives
+from fungrasp.media.perception_pictures import (
+    FINGER_COLORS,
+    close_up,
+    drawn_over,
+    false_colors,
+    grasp_from_four_sides,
+    whole_image,
+)
+from fungrasp.objects import MIRRORED, ObjectModel
+from fungrasp.perception import Capture
+from fungrasp.perception.builtin_image import BuiltinTruth
+from fungrasp.perception.hand.joint_confidence import SURE, WITHIN
+from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.pose_error import add, rotation_error
+from fungrasp.perception.perceived import Perceived
+from fungrasp.perception.verdict import PerceptionVerdict
+
+if TYPE_CHECKING:
+    from fungrasp.media.demonstration import Opening
+
+INTRODUCTION = (
+    "One color image with depth, and a mesh of the object, become a human grasp; the robot hand takes it "
+    "over and tries it in simulation."
+)
+
+RENDERED = " The image is no photograph: it was rendered, which is why the truth is known."
+
+SIDES = ("From the camera's side", "From the right of that", "From behind", "From the left")
+"""Captions of the four pictures of the grasp."""
+
+WIDEST_SHARE = 4.0
+"""A share of the logarithm of the odds that fills its bar."""
+
+
+def write_perception_page(path: str | Path, perceived: Perceived, provenance: Mapping[str, str]) -> Path:
+    """Write a page that needs no other file and no network.
+
+    Args:
+        path: of the HTML file.
+        perceived: what was made of an image.
+        provenance: where it came from: version, command, machine, ..., in the order given.
+
+    Raises:
+        FungraspError: the page can't be written.
+    """
+    facts = f"{side_words(perceived)} · {1000 * perceived.object_model.mass:.0f} g"
+    if perceived.mass_range is not None:
+        low, high = perceived.mass_range
+        facts += f", guessed: {1000 * low:.0f} to {1000 * high:.0f} g"
+    page = Page(perception_title(perceived), (), facts, provenance=provenance)
+    return write_page(path, page, perception_parts(perceived))
+
+
+def perceived_opening(
+    perceived: Perceived, source: Mapping[str, str], truth: Sequence[Quantity] = ()
+) -> Opening:
+    """What a demonstration from an image says before the grasp.
+
+    Args:
+        perceived: what was made of the image.
+        source: where it came from.
+        truth: errors, where the truth is known, as in a rendered image.
+    """
+    # A page about an image alone needs nothing of what simulates and evaluates: its import takes a second.
+    from fungrasp.media.demonstration import Opening
+
+    return Opening(
+        f"{perception_title(perceived)}, taken over by a robot hand",
+        INTRODUCTION + (RENDERED if truth else ""),
+        source,
+        perception_parts(perceived, truth),
+    )
+
+
+def perception_title(perceived: Perceived) -> str:
+    """ "Spray bottle, to spray: seen in one image"."""
+    name = perceived.grasp.object_name.removesuffix(MIRRORED).replace("_", " ")
+    name = "unknown object" if perceived.fitted is not None else name
+    task = f", to {perceived.grasp.task}" if perceived.grasp.task else ""
+    looks = perceived.verdict.looks
+    where = "one image" if looks == 1 else f"the surest of {looks} images"
+    return f"{name[:1].upper()}{name[1:]}{task}: seen in {where}"
+
+
+def side_words(perceived: Perceived) -> str:
+    """ "Right hand"."""
+    return f"{perceived.hand.side} hand".capitalize()
+
+
+def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> list[str]:
+    """HTML: the verdict, what was seen, the grasp in 3D, the figures, what is uncertain.
+
+    truth: errors, where the truth about the image is known.
+    """
+    capture, model = perceived.capture, perceived.object_model
+    return [
+        _verdict(perceived),
+        _seen(capture, model, perceived),
+        _in_space(model, perceived),
+        _figures(perceived.verdict, truth),
+        _uncertain(capture, model, perceived),
+    ]
+
+
+def true_errors(truth: BuiltinTruth, perceived: Perceived) -> list[Quantity]:
+    """How far what was perceived is from the truth."""
+    joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
+    pose = perceived.object.pose_camera_object
+    points = known_object(perceived.object_model).surface.samples
+    apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
+    turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
+    return [
+        Quantity("Error of the joints", float(joints.mean()), "mm", "Mean of the 21 joints.", 12.0),
+        Quantity("Error of the worst joint", float(joints.max()), "mm", "Usually one that is hidden."),
+        Quantity("Error of the object", apart, "mm", "Mean distance of its points from the true ones.", 10.0),
+        Quantity("Turn of the object", turned, "°", "Between its pose and the true one.", 10.0),
+    ]
+
+
+def contact_words(link_contacts: np.ndarray) -> str:
+    """ "palm; index: distal; thumb: middle, distal". link_contacts: shape [16] bool."""
+    touching = [name for name, touches in zip(HUMAN_LINKS, link_contacts, strict=True) if touches]
+    words = ["palm"] * ("palm" in touching)
+    for finger in HUMAN_FINGERS:
+        links = [name.removeprefix(f"{finger}_") for name in touching if name.startswith(f"{finger}_")]
+        words += [f"{finger}: {', '.join(links)}"] * bool(links)
+    return "; ".join(words) or "nothing"
+
+
+def _verdict(perceived: Perceived) -> str:
+    verdict = perceived.verdict
+    kind, mark = ("good", "✓") if verdict.sure else ("bad", "?")
+    warnings = "".join(f"<li>{escape(_sentence(str(one)))}</li>" for one in perceived.warnings)
+    helps = "".join(f"<li>{escape(_sentence(one))}</li>" for one in verdict.help)
+    return (
+        f'<section class="verdict {kind}" aria-label="Verdict">'
+        f"<p><strong>{mark} {escape(_sentence(verdict.words))}</strong></p>"
+        + (f"<ul>{warnings}</ul>" if warnings else "")
+        + (f"<p>What would help:</p><ul>{helps}</ul>" if helps else "")
+        + "</section>"
+    )
+
+
+def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
+    hand, pose = perceived.hand, perceived.object.pose_camera_object
+    over = drawn_over(capture, hand, model, pose, perceived.object.accepted)
+    view = close_up(capture, hand, model, pose)
+    legend = "".join(
+        f'<li><i style="background:rgb{FINGER_COLORS[finger]}"></i>{finger}</li>' for finger in HUMAN_FINGERS
+    )
+    words = (
+        "The hand's skeleton, a color for each finger, and the outline of the object's mesh, hidden parts "
+        "included. The pale disc round a joint is its standard deviation; a joint with a dark middle has "
+        "low confidence."
+    )
+    small = figure(
+        whole_image(capture, view), "The whole image; the frame is what is enlarged.", photograph=True
+    )
+    small += figure(
+        false_colors(capture, hand, model, pose, perceived.object.accepted),
+        "The depth: near is yellow, far is violet, black was not measured. The same outline.",
+    )
+    return (
+        '<article id="seen" aria-labelledby="seen-title"><h2 id="seen-title">In the image</h2>'
+        f'<div class="wide">{figure(over, words, photograph=True)}</div>'
+        f'<ul class="legend">{legend}</ul><div class="pictures">{small}</div></article>'
+    )
+
+
+def _in_space(model: ObjectModel, perceived: Perceived) -> str:
+    mirrored = perceived.hand.side == "left"
+    views = grasp_from_four_sides(perceived.grasp, model, perceived.pose_world_camera, mirrored)
+    pictures = "".join(figure(view, side) for view, side in zip(views, SIDES, strict=False))
+    lines = [f"Touching the object, orange: {contact_words(perceived.grasp.link_contacts)}."]
+    if not perceived.object.accepted:
+        lines.append("The object's pose is not sure, so what touches it is uncertain.")
+    if mirrored:
+        lines.append("The image shows a left hand: what is drawn, and kept, is its reflection.")
+    if not perceived.table_found:
+        lines.append("No table was seen: the one drawn is a guess.")
+    if not views:
+        lines.append("The joints are no hand that can be drawn.")
+    words = "".join(f'<p class="outcome">{escape(line)}</p>' for line in lines)
+    return (
+        '<article id="grasp" aria-labelledby="grasp-title"><h2 id="grasp-title">From four sides</h2>'
+        f'{words}<div class="pictures four">{pictures}</div></article>'
+    )
+
+
+def _figures(verdict: PerceptionVerdict, truth: Sequence[Quantity]) -> str:
+    head, *rows = verdict.rows()
+    columns = "".join(f'<th scope="col">{escape(one)}</th>' for one in head)
+    lines = []
+    for row, meter in zip(rows, verdict.evidence, strict=True):
+        first, *others = row
+        # The bar's length is the logarithm of the odds, to the right what speaks for the answer.
+        part = 50.0 * min(abs(meter.share) / WIDEST_SHARE, 1.0)
+        side = "left:50%" if meter.share >= 0 else "right:50%"
+        kind = "for" if meter.share >= 0 else "against"
+        bar = f'<span class="share {kind}" aria-hidden="true"><i style="{side};width:{part:.1f}%"></i></span>'
+        cells = "".join(f'<td class="number">{escape(cell)}</td>' for cell in others)
+        lines.append(f'<tr><th scope="row">{escape(first)}</th>{cells}<td>{bar}</td></tr>')
+    words = (
+        "For or against: by how much each number makes the answer more probable than a usual right one, "
+        "logarithm of the odds."
+    )
+    table = (
+        f'<section class="card"><h3>What the verdict rests on</h3><p>{words}</p><table class="quality '
+        f'evidence"><thead><tr>{columns}<td></td></tr></thead><tbody>{"".join(lines)}</tbody></table>'
+        "</section>"
+    )
+    cards = table + quality_card(truth, "How far it is from the truth")
+    return (
+        '<article id="figures" aria-labelledby="figures-title"><h2 id="figures-title">In figures</h2>'
+        f'<div class="tables">{cards}</div></article>'
+    )
+
+
+def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
+    """Joints that are not trusted, and the object's other poses."""
+    confidence = perceived.hand.confidence
+    joints = (
+        f"{int((confidence >= SURE).sum())} of the hand's 21 joints are sure "
+        f"(within {1000 * WITHIN:.0f} mm); {float(confidence.sum()):.0f} are expected to be so near."
+    )
+    return (
+        '<article id="uncertain" aria-labelledby="uncertain-title">'
+        '<h2 id="uncertain-title">What is uncertain</h2>'
+        f'<p class="outcome">{joints}</p>{alternatives(capture, model, perceived)}</article>'
+    )
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}{'' if words.endswith('?') else '.'}"

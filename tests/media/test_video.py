@@ -1,0 +1,100 @@
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.media import video
+from fungrasp.media.video import write_video
+
+
+def _frames(count, height=48, width=64):
+    for i in range(count):
+        frame = np.zeros((height, width, 3), np.uint8)
+        frame[:, : 4 + 5 * i] = (200, 120, 40)
+        yield frame
+
+
+def _decode(path):
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        return frames, stream.average_rate, stream.codec_context.pix_fmt
+
+
+def test_an_mp4_holds_every_frame(tmp_path):
+    path = write_video(tmp_path / "film.mp4", _frames(9), 25)
+    frames, rate, pixel_format = _decode(path)
+    assert len(frames) == 9
+    assert rate == 25
+    assert pixel_format == "yuv420p"
+    for decoded, given in zip(frames, _frames(9), strict=True):
+        assert np.abs(decoded.astype(int) - given).mean() < 6
+
+
+def test_the_index_comes_first_so_that_a_browser_can_start_at_once(tmp_path):
+    data = write_video(tmp_path / "film.mp4", _frames(3), 25).read_bytes()
+    assert 0 < data.find(b"moov") < data.find(b"mdat")
+
+
+def test_odd_sizes_are_made_even(tmp_path):
+    frames, _, _ = _decode(write_video(tmp_path / "film.mp4", _frames(2, 47, 63), 10))
+    assert frames[0].shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+def test_animated_pictures(tmp_path, suffix):
+    path = write_video(tmp_path / f"film{suffix}", _frames(4), 20)
+    with Image.open(path) as image:
+        assert image.n_frames == 4
+
+
+def test_without_h264_the_film_becomes_webp(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "_has_h264", lambda: False)
+    path = write_video(tmp_path / "film.mp4", _frames(3), 20)
+    assert path == tmp_path / "film.webp"
+    assert [p.name for p in tmp_path.iterdir()] == ["film.webp"]
+
+
+def test_frames_are_taken_one_by_one(tmp_path):
+    alive = []
+
+    def frames():
+        for frame in _frames(40):
+            alive.append(len(alive))
+            yield frame
+
+    write_video(tmp_path / "film.mp4", frames(), 25)
+    assert len(alive) == 40
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "fps", "words"),
+    [
+        ("film.avi", list(_frames(2)), 25, "film.avi"),
+        ("film.mp4", [], 25, "at least one frame"),
+        ("film.mp4", list(_frames(2)), 0, "frames per second"),
+        ("film.mp4", [*_frames(1), *_frames(1, 32)], 25, "frame 1"),
+        ("film.mp4", [np.zeros((4, 4, 3))], 25, "frame 0"),
+    ],
+)
+def test_bad_films_are_refused_and_leave_nothing(tmp_path, name, frames, fps, words):
+    with pytest.raises(FungraspError, match=words):
+        write_video(tmp_path / name, iter(frames), fps)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_film_that_breaks_off_leaves_nothing(tmp_path):
+    def frames():
+        yield from _frames(3)
+        raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError):
+        write_video(tmp_path / "film.mp4", frames(), 25)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unwritable_place_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FungraspError, match="cannot write"):
+        write_video(tmp_path / "file" / "film.mp4", _frames(2), 25)
