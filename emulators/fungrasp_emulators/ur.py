@@ -15,16 +15,14 @@ from enum import IntEnum
 
 import numpy as np
 
-from fungrasp.robots.codecs import rtde as codec
-from fungrasp.robots.codecs.ur_primary import encode_kinematics
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.kinematics.dh_parameters import DHParameters
+from fungrasp_emulators import rtde as codec
 from fungrasp_emulators.emulator import Emulator, Fault, Plant
 from fungrasp_emulators.ur_connections import URClient, URConnections
 from fungrasp_emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp_emulators.ur_program import ServoProgram
 
-RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT = 30004, 29999, 30003, 30001
+RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
 STATE = "output_int_register_0"
 STOPPED, PLAYING = 1, 2
 CLOCK_JUMP = 3600.0
@@ -75,7 +73,6 @@ class URControllerEmulator(Emulator):
         seed: int = 0,
         release_time: float = RELEASE_TIME,
         tool: tuple[float, ...] = (0.0,) * 6,
-        kinematics: DHParameters | None = None,
     ):
         """
         Args:
@@ -88,7 +85,6 @@ class URControllerEmulator(Emulator):
             seed: of the packages that faults take.
             release_time: a protective stop can't be unlocked before [s].
             tool: the tool center point on the flange, position [m] and rotation vector [rad].
-            kinematics: as the maker has calibrated this arm; those of its type if None.
         """
         super().__init__()
         self.plant = plant
@@ -98,12 +94,10 @@ class URControllerEmulator(Emulator):
         self._version, self._model, self._serial = version, model, serial
         self._period = 0.008 if version[0] < 5 else 0.002
         self._tool = np.array(tool)
-        self._kinematics = kinematics or (UR5 if version[0] < 5 else UR5E)
+        self._kinematics = UR5 if version[0] < 5 else UR5E
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
-        self._net = URConnections(
-            address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT), self._greet
-        )
+        self._net = URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
         self._other_program = False
         self._program = ServoProgram(plant, self._tool)
         self._stop_began = 0.0
@@ -194,8 +188,6 @@ class URControllerEmulator(Emulator):
     def _greet(self, client: URClient) -> None:
         if client.kind == DASHBOARD_PORT:
             self._net.send(client, b"Connected: Universal Robots Dashboard Server\n")
-        elif client.kind == PRIMARY_PORT:
-            self._net.send(client, encode_kinematics(self._kinematics))
 
     def _take(self, client: URClient) -> None:
         if client.kind == RTDE_PORT:

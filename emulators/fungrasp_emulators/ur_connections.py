@@ -9,7 +9,7 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from fungrasp.robots.codecs import rtde as codec
+from fungrasp_emulators import rtde as codec
 
 
 @dataclass(eq=False)

@@ -44,7 +44,7 @@ def test_shipped_cells_load(name: str) -> None:
             GOOD + "[tracker]\ncalibration_residual = 0.5\n",
             "is 500.0 mm, more than 5 mm",
         ),
-        (GOOD + "[limits]\narm_torque = 300\n", "'arm_torque' may be at most 150, not 300"),
+        (GOOD + "[limits]\nsetpoint_lead = 0.5\n", "'setpoint_lead' may be at most 0.35, not 0.5"),
         (GOOD + "guard = 'no'\n", '\'guard\' must be "on" or "off"'),
         (GOOD + "[[obstacles]]\ncenter = [0, 0, 0]\n", "the field 'obstacles.size' is missing"),
         (GOOD + "[[obstacles]]\ncenter = [0, 0, 0]\nsize = [1, 1, 0]\n", "a size of 3 positive ones"),
@@ -113,3 +113,9 @@ def test_a_wired_cell_that_says_how_its_hand_is_mounted(tmp_path: Path) -> None:
     mount = "[mount]\npose_flange_hand = [0, 0, 0.156, 0.7071, 0, 0, 0.7071]\n"
     path.write_text(GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n" + mount)
     assert load_cell(path).mount.pose_flange_hand[2] == 0.156
+
+
+def test_a_cell_of_before_may_say_limits_that_nothing_measures(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(GOOD + "[limits]\narm_torque = 100\n[arm]\noptions = { torque_limits = [1, 2] }\n")
+    assert load_cell(path).arm.options == {}

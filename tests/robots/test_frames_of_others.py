@@ -19,10 +19,10 @@ from driver_contract import wait_for
 
 from fungrasp.hands import load_hand
 from fungrasp.robots.arms.ur import URSettings, ur_driver
-from fungrasp.robots.codecs import dynamixel, inspire, rtde
+from fungrasp.robots.codecs import dynamixel, inspire
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 from fungrasp_emulators import dynamixel_packets as wire
-from fungrasp_emulators import modbus
+from fungrasp_emulators import modbus, rtde
 from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.plants import ServoPlant
 from fungrasp_emulators.ur import URControllerEmulator

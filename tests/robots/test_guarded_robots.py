@@ -13,15 +13,15 @@ from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
-from fungrasp.robots import assembly
-from fungrasp.robots.assembly import guarded_hand, wired_robot
+from fungrasp.robots import single_devices
+from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.single_devices import GuardedDriver, guarded_driver
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import draw_twin
@@ -100,10 +100,10 @@ def test_without_a_guard_only_by_a_word_that_every_start_says(caplog: pytest.Log
 def test_a_wired_robot_has_the_cells_guard_and_switch(tmp_path: Path) -> None:
     cell = replace(load_cell("ur5e-inspire-emulated"), stop_file=str(tmp_path / "stop"))
     hand = load_hand(cell.hand)
-    for made in (wired_robot(cell, hand), guarded_hand(cell, hand)):
+    for made in (wired_robot(cell, hand), guarded_driver("hand", cell, hand)):
         assert made.switch.reason == ""
     (tmp_path / "stop").touch()
-    for made in (wired_robot(cell, hand), guarded_hand(cell, hand)):
+    for made in (wired_robot(cell, hand), guarded_driver("hand", cell, hand)):
         assert "stop file" in made.switch.reason
 
 
@@ -111,7 +111,7 @@ def hand_alone(cell: RobotCell | None = None) -> tuple[GuardedDriver, TwinHand, 
     cell = cell or cell_and_hand()[0]
     robot, world = twin(cell)
     assert isinstance(robot.hand_driver, TwinHand)
-    guarded = GuardedDriver(robot.hand_driver, cell, "hand", clock=robot.clock, clear=lambda q: "")
+    guarded = GuardedDriver(robot.hand_driver, cell, "hand", clock=robot.clock)
     guarded.connect()
     return guarded, robot.hand_driver, world
 
@@ -164,9 +164,8 @@ def test_boxes_of_the_cell_are_kept_clear_of() -> None:
 def test_an_arm_alone_keeps_off_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     cell, hand = cell_and_hand()
     robot, world = twin(cell)
-    monkeypatch.setattr(assembly, "arm_driver", lambda cell: robot.arm)
-    guarded = assembly.guarded_arm(cell, hand)
-    guarded._clock = robot.clock
+    monkeypatch.setattr(single_devices, "arm_driver", lambda cell: robot.arm)
+    guarded = guarded_driver("arm", cell, hand, clock=robot.clock)
     guarded.connect()
     goal = robot.arm.read().positions.copy()
     with pytest.raises(SafetyStop, match=r"table|workspace"):

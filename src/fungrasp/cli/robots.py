@@ -56,30 +56,6 @@ class New(Answering):
 
 
 @dataclass(frozen=True)
-class ArmModel(Answering):
-    """Write the model of a UR arm with the kinematics that its maker has calibrated.
-
-    Its controller tells them, which is only listened to. Name the file as `model` under [arm] of the cell."""
-
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
-    """The cell, with the arm's address and the model of its type."""
-    file: Annotated[Path, tyro.conf.Positional]
-    """Model to write (.xml)."""
-
-    def run(self) -> Answer:
-        from fungrasp.core.errors import FungraspError
-        from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
-        from fungrasp.robots.cell import load_cell
-
-        cell = load_cell(self.cell)
-        if cell.arm.driver != "ur-rtde":
-            raise FungraspError(f"cell '{cell.name}': the driver '{cell.arm.driver}' tells no kinematics")
-        change = write_arm_model(self.file, cell.arm.model, read_kinematics(cell.arm.address))
-        text = f"{self.file}: the flange is up to {1e3 * change:.1f} mm from that of the model before"
-        return Answer({"model": self.file, "change": change}, text)
-
-
-@dataclass(frozen=True)
 class Check(Answering):
     """Check a robot cell's file. Nothing is connected."""
 
@@ -290,7 +266,6 @@ COMMAND = {
     "calibrate": "fungrasp.cli.calibrate:Calibrate",
     "list": ListCells,
     "new": New,
-    "arm-model": ArmModel,
     "check": Check,
     "doctor": "fungrasp.cli.bring_up:Doctor",
     "read": "fungrasp.cli.bring_up:Read",

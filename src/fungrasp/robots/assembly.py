@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
@@ -13,11 +13,10 @@ from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import JointDriver, PoseSource
 from fungrasp.robots.driver_registry import DriverRegistry
-from fungrasp.robots.guarded_driver import GuardedDriver
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.safety import check_posture
 from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp.robots.twin.parameters import twin_torque_limits
+from fungrasp.sim2real.joint_dynamics import JointDynamics
 
 TWIN = "twin"
 """Driver of a device of a twin in the same process."""
@@ -60,7 +59,7 @@ def arm_driver(cell: RobotCell) -> JointDriver:
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
     """The driver of a cell's hand, without a guard: to look at. What moves is ``wired_robot``'s or
-    ``guarded_hand``'s.
+    ``guarded_driver``'s.
 
     Args:
         cell: the robot.
@@ -86,6 +85,50 @@ def pose_source(cell: RobotCell) -> PoseSource:
         FungraspError: no such driver, or bad options.
     """
     return TRACKERS.make(cell.tracker.driver, cell)
+
+
+def driver_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
+    """Largest torques that a cell's driver asks of its hand's servos [N m], shape [U]; infinite where it
+    leaves that to the hand. Nothing is connected.
+
+    Args:
+        cell: the robot.
+        hand: the model of its hand.
+
+    Raises:
+        FungraspError: the cell's driver of the hand, or its options, can't be.
+    """
+    if cell.hand_device.driver == TWIN:
+        return twin_torque_limits(cell, hand)
+    return hand_driver(cell, hand).limits.torque
+
+
+def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = None) -> Hand:
+    """The hand as a planner has to know it: no servo makes more torque than its model says, or the file of
+    identified dynamics where that says it, nor more than the cell's driver sends.
+
+    Args:
+        cell: the robot.
+        hand: the model of its hand.
+        dynamics: identified; their torque limits replace the model's, where they have some.
+
+    Raises:
+        FungraspError: as ``driver_torque_limits``, or no torque is left to a servo.
+    """
+    limits = driver_torque_limits(cell, hand)
+    servos = {}
+    for i, (name, servo) in enumerate(hand.actuators.items()):
+        own = servo.force_limit
+        if dynamics is not None and dynamics.torque_limit is not None and name in dynamics.joints:
+            own = float(dynamics.torque_limit[dynamics.joints.index(name)])
+        largest = min(own, float(limits[i]))
+        if not largest > 0:
+            raise FungraspError(
+                f"cell '{cell.name}': no torque is left to '{name}': look at the options of the hand's "
+                "driver and at the file of its dynamics"
+            )
+        servos[name] = replace(servo, force_limit=largest)
+    return replace(hand, actuators=servos)
 
 
 def wired_robot(
@@ -122,41 +165,6 @@ def wired_robot(
         dry_run=dry_run,
         switch=switch,
     )
-
-
-def guarded_hand(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -> GuardedDriver:
-    """The hand of a cell alone, not connected; the arm may be off.
-
-    Args:
-        cell: the robot; no twin.
-        hand: the model of its hand.
-        switch: stops the hand; that of the cell's stop file if None.
-
-    Raises:
-        FungraspError: an unknown driver, bad options, or another hand.
-    """
-    return GuardedDriver(hand_driver(cell, hand), cell, "hand", switch=switch)
-
-
-def guarded_arm(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -> GuardedDriver:
-    """The arm of a cell alone, not connected; the hand on it may be off, and counts as open.
-
-    Args:
-        cell: the robot; no twin.
-        hand: the model of its hand.
-        switch: stops the arm; that of the cell's stop file if None.
-
-    Raises:
-        FungraspError: an unknown driver or bad options.
-    """
-    kinematics, clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
-    fingers = hand.open_joints
-
-    def wrong(joints: np.ndarray) -> str:
-        gap = clearance.measure(joints, fingers)
-        return check_posture(kinematics.palm_pose(joints), gap, cell.workspace)
-
-    return GuardedDriver(arm_driver(cell), cell, "arm", clear=wrong, switch=switch)
 
 
 def _ur(cell: RobotCell) -> JointDriver:

@@ -22,6 +22,9 @@ SHIPPED = Path(__file__).parent / "cells"
 """Folder of the cells that come with the package."""
 
 
+RETIRED = ("limits.arm_torque", "arm.options.torque_limits")
+"""What cells of before may say and nothing measures: no driver of an arm reads its torques."""
+
 LARGEST_RESIDUAL = 0.005
 """A camera's calibration that misses by more is refused [m]."""
 
@@ -47,7 +50,7 @@ class ArmSettings(DeviceSettings):
     """The arm."""
 
     model: str = "ur5e"
-    """Name of the arm's model, or an MJCF file, relative to the cell's (``fungrasp robots arm-model``)."""
+    """Name of the arm's model, or an MJCF file, relative to the cell's."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0. The base is
     ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
@@ -118,8 +121,6 @@ class MotionLimits:
     without a ramp; the driver smooths them within the arm's own limits."""
     hand_speed: float = 6.0
     """Largest speed of a hand joint's setpoint [rad/s]."""
-    arm_torque: float = 150.0
-    """Largest measured torque of an arm joint [N m]."""
     hand_torque: float = 3.0
     """Largest measured torque of a hand joint [N m]."""
     goal_distance: float = 0.3
@@ -270,7 +271,6 @@ def cell_faults(cell: RobotCell) -> list[str]:
         "palm_acceleration": 0.3,
         "palm_rotation_speed": 1.0,
         "arm_speed": 3.14,
-        "arm_torque": 150.0,
         "setpoint_acceleration": 400.0,
         "setpoint_lead": 0.35,
     }
@@ -346,6 +346,8 @@ def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
     values: dict[str, Any] = {}
     for key, value in tree.items():
         name = f"{where}{key}"
+        if name in RETIRED:
+            continue
         if key not in hints:
             raise FungraspError(f"{path}: {UnknownNameError('field', name, (where + k for k in hints))}")
         hint = hints[key]
@@ -370,7 +372,7 @@ def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
         else:
             if not isinstance(value, Mapping):
                 raise FungraspError(f"{path}: '{name}' must be a table, not {value!r}")
-            values[key] = dict(value)
+            values[key] = {k: v for k, v in value.items() if f"{name}.{k}" not in RETIRED}
     for f in fields(kind):
         if f.default is MISSING and f.default_factory is MISSING and f.name not in values:
             raise FungraspError(f"{path}: the field '{where}{f.name}' is missing")

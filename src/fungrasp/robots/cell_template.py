@@ -24,7 +24,7 @@ hand = "{hand}"
 stop_file = "stop" # the robot stops as soon as it exists
 
 [arm]
-model = "ur5e" # or "ur5", with a CB3 controller; then the file of 'fungrasp robots arm-model'
+model = "ur5e" # or "ur5", with a CB3 controller
 driver = "ur-rtde"
 address = "" # of the controller
 options = {{ velocity = 0.3, acceleration = 1.0, jerk = 20.0 }} # [rad/s], [rad/s^2], [rad/s^3]

@@ -91,8 +91,7 @@ class Robot:
         """Stops the robot."""
         self.guard = SafetyGuard(
             cell,
-            arm.limits,
-            hand_driver.limits,
+            {"arm": arm.limits, "hand": hand_driver.limits},
             ClearanceModel(cell, hand).measure,
             self.setpoints.period,
             moving=not dry_run,

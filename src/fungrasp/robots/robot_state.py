@@ -40,7 +40,7 @@ class RobotCommand:
 class SafetyStop(RobotError):
     """The robot was stopped by its guard."""
 
-    def __init__(self, reason: str, kind: StopKind):
+    def __init__(self, reason: str, kind: StopKind = StopKind.HOLD):
         """
         Args:
             reason: what was wrong, as a phrase.

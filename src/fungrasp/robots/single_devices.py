@@ -4,26 +4,23 @@ it holds where it is, whether a joint moves as asked."""
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
-from fungrasp.robots.assembly import (
-    arm_driver,
-    guarded_arm,
-    guarded_hand,
-    hand_driver,
-    is_twin,
-    pose_source,
-)
+from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import Clock, WallClock
-from fungrasp.robots.device import DeviceStatus, JointDriver, JointState, RobotError
-from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.device import DeviceStatus, JointDriver, JointState, RobotError, StopKind
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.safety import SafetyGuard, check_posture, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
 
 PARTS = ("arm", "hand")
@@ -67,9 +64,123 @@ def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
     return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
 
 
-def guarded_driver(part: str, cell: RobotCell, hand: Hand, switch: StopSwitch) -> GuardedDriver:
-    """The driver of an arm or a hand behind guard and switch, to move. part: one of ``PARTS``."""
-    return (guarded_arm if part == "arm" else guarded_hand)(cell, hand, switch)
+class GuardedDriver:
+    """A ``JointDriver`` around that of an arm or a hand, to move it alone: what it is told passes the stop
+    switch and the guard. Whatever is wrong stops the device."""
+
+    def __init__(
+        self,
+        driver: JointDriver,
+        cell: RobotCell,
+        part: str,
+        *,
+        clearance: Callable[[np.ndarray], str] = lambda joints: "",
+        clock: Clock | None = None,
+        switch: StopSwitch | None = None,
+    ):
+        """
+        Args:
+            driver: of the device.
+            cell: limits and watchdog.
+            part: one of ``PARTS``.
+            clearance: what is wrong with a posture [rad], shape [U], as a phrase; "" for nothing.
+            clock: of the device; that of the wall if None.
+            switch: stops the device; that of the cell's stop file if None.
+        """
+        self.name, self.limits, self.takes_feedforward = driver.name, driver.limits, driver.takes_feedforward
+        self.lets_go = driver.lets_go
+        self.switch = StopSwitch(cell.stop_file) if switch is None else switch
+        """Stops the device."""
+        self._driver, self._cell, self._part, self._clear = driver, cell, part, clearance
+        self._clock = clock or WallClock()
+        self._guard = SafetyGuard(cell, {part: driver.limits})
+
+    def connect(self) -> None:
+        """See ``JointDriver.connect``. A cell without a guard is warned of."""
+        warn_unguarded(self._cell)
+        self._driver.connect()
+        self._guard.reset()
+
+    def take_control(self) -> None:
+        """See ``JointDriver.take_control``."""
+        self._driver.take_control()
+
+    def read(self) -> JointState:
+        """See ``JointDriver.read``."""
+        return self._driver.read()
+
+    def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
+        """See ``JointDriver.command``.
+
+        Raises:
+            SafetyStop: the guard or the switch stopped the device.
+            RobotError: the device follows no more, or a value is not finite.
+        """
+        goal = np.asarray(positions, dtype=float)
+        try:
+            if self.switch.reason:
+                raise SafetyStop(self.switch.reason)
+            if self._cell.guard != "off" and np.isfinite(goal).all():
+                goal = self._guard.joints(self._part, self._driver.read(), goal, self._clock.now())
+                problem = self._clear(goal)
+                if problem:
+                    raise SafetyStop(problem)
+            return self._driver.command(goal, feedforward)
+        except RobotError as error:
+            self.stop(error.kind if isinstance(error, SafetyStop) else StopKind.HOLD)
+            raise
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        """See ``JointDriver.stop``."""
+        self._driver.stop(kind)
+
+    def close(self) -> None:
+        """See ``JointDriver.close``."""
+        self._driver.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self.close()
+
+
+def guarded_driver(
+    part: str,
+    cell: RobotCell,
+    hand: Hand,
+    switch: StopSwitch | None = None,
+    torque_limit: float = 1.0,
+    clock: Clock | None = None,
+) -> GuardedDriver:
+    """The driver of an arm or a hand of a cell behind guard and switch, not connected; the other one may be
+    off, and the hand on an arm counts as open.
+
+    Args:
+        part: one of ``PARTS``.
+        cell: the robot; no twin.
+        hand: the model of its hand.
+        switch: stops the device; that of the cell's stop file if None.
+        torque_limit: a hand is told to make no more than this share of the torque that the cell says.
+        clock: of the device; that of the wall if None.
+
+    Raises:
+        FungraspError: an unknown driver, bad options, or another hand.
+    """
+    driver = bare_driver(part, cell, hand)
+    if part == "hand":
+        if isinstance(driver, LoopDriver):
+            driver.torque_limit(torque_limit)
+        return GuardedDriver(driver, cell, part, clock=clock, switch=switch)
+    kinematics, clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
+
+    def wrong(joints: np.ndarray) -> str:
+        gap = clearance.measure(joints, hand.open_joints)
+        return check_posture(kinematics.palm_pose(joints), gap, cell.workspace)
+
+    return GuardedDriver(driver, cell, part, clearance=wrong, clock=clock, switch=switch)
 
 
 def joint_names(part: str, cell: RobotCell, hand: Hand) -> list[str]:

@@ -22,11 +22,11 @@ from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
 from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
 from fungrasp.robots.cell import RobotCell, is_wired
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.single_devices import (
     GOAL_PERIOD,
     JOG_SPEED,
+    GuardedDriver,
     bare_driver,
     examine_devices,
     guarded_driver,

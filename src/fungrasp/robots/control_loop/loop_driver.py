@@ -78,6 +78,23 @@ class LoopDriver:
         self._controls = self._was_taken = False
         self._rescued = False
 
+    def torque_limit(self, share: float) -> None:
+        """Tell the device to make no more than a share of its torque, before it is connected. A loop without
+        a method of this name, which returns such a loop, stays as it is.
+
+        Args:
+            share: above 0, at most 1.
+
+        Raises:
+            RobotError: the share is none.
+        """
+        if not 0 < share <= 1:
+            raise RobotError(f"a share of the torque is above 0 and at most 1, not {share:g}")
+        limited = getattr(self._loop, "torque_limit", None)
+        if limited is not None and share < 1:
+            self._loop = limited(share)
+            self.limits = self._loop.limits
+
     def connect(self) -> None:
         """See ``JointDriver.connect``. On a connected device it acknowledges a stop."""
         with self._lock:

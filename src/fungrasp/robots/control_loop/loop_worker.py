@@ -6,6 +6,7 @@ and the device is halted at once.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import signal
@@ -17,7 +18,6 @@ from pathlib import Path
 from fungrasp.robots.control_loop.loop_runner import run_device_loop
 from fungrasp.robots.control_loop.mailbox import Mailbox, mailbox_size, map_shared_memory
 from fungrasp.robots.control_loop.records import goal_kind, state_kind
-from fungrasp.robots.process_priority import raise_priority
 
 LENGTH = struct.Struct("<I")
 
@@ -29,8 +29,11 @@ def run_worker() -> None:
     # From the process that started this one, through its own pipe.
     loop, path, driver_timeout = pickle.loads(source.read(size))
     orphaned = threading.Event()
-    # Client libraries start threads of their own, which inherit it.
-    raise_priority()
+    # Ahead of planning and all other work, client libraries' threads as well; systems allow it to
+    # administrators. Linux shares the processors by sessions (autogroup of sched(7)), and this is one.
+    with contextlib.suppress(OSError, AttributeError):
+        os.setpriority(os.PRIO_PROCESS, 0, -5)
+        Path("/proc/self/autogroup").write_text("-5")
 
     def watch() -> None:
         source.read()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -130,6 +130,10 @@ class AllegroLoop:
         self._info_due, self._others = 0.0, -np.inf
         self._servos_on = False
         self._taken = self._periodic = False
+
+    def torque_limit(self, share: float) -> AllegroLoop:
+        """See ``LoopDriver.torque_limit``: the same hand, not opened."""
+        return AllegroLoop(replace(self.settings, torque_share=share * self.settings.torque_share))
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: the hand must name the generation and side that are expected."""

@@ -80,11 +80,11 @@ class ArmKinematics:
 class Clearance:
     """Distances [m]: at most ``MARGIN``; negative where things overlap."""
 
-    table: float
+    table: float = MARGIN
     """From the arm to the table."""
-    hand: float
+    hand: float = MARGIN
     """From the hand to the table."""
-    itself: float
+    itself: float = MARGIN
     """From the arm to itself and to the hand."""
     obstacle: float = MARGIN
     """From arm and hand to the nearest of the cell's obstacles."""
@@ -147,7 +147,7 @@ class ClearanceModel:
         mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
         if not d.ncon:
-            return Clearance(MARGIN, MARGIN, MARGIN)
+            return Clearance()
         distance = d.contact.dist
         low, high = np.sort(self._kind[d.contact.geom], axis=1).T
 
