@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.can_bus import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.hands.allegro import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp.robots.optional_packages import import_client
 from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
 

@@ -18,17 +18,18 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.hands import load_hand
 from fungrasp.perception import Intrinsics
-from fungrasp.robots.calibration.board_images import Board, find_corners
-from fungrasp.robots.calibration.calibration_file import save_calibration
-from fungrasp.robots.calibration.hand_eye import (
+from fungrasp.robots.calibration.camera import (
+    Board,
     BoardView,
     board_pose,
     calibrate_from_board,
+    calibrate_from_points,
+    find_corners,
+    save_calibration,
 )
-from fungrasp.robots.calibration.touched_points import calibrate_from_points
 from fungrasp.robots.cell import check_calibrated, load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
-from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
+from fungrasp.robots.kinematics.inverse import arm_postures, random_starts
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 

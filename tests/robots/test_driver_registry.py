@@ -27,8 +27,7 @@ from fungrasp.robots.assembly import (
     wired_robot,
 )
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.device import DeviceStatus
-from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.device import DeviceStatus, SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_emulators.emulator import PlantCommand
 from fungrasp_emulators.plants import ServoPlant

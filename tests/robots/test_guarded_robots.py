@@ -16,11 +16,10 @@ from fungrasp.hands import load_hand
 from fungrasp.robots import single_devices
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
-from fungrasp.robots.device import DeviceStatus, RobotError
+from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.single_devices import GuardedDriver, guarded_driver
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker

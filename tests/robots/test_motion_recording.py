@@ -15,9 +15,8 @@ from fungrasp.hands import load_hand
 from fungrasp.robots.assembly import hand_driver
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.device import DeviceStatus, RobotError
+from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
 from fungrasp.robots.motion_recording import record_motion
-from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.single_devices import GuardedDriver
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import TwinClock

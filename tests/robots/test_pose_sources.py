@@ -16,9 +16,8 @@ from driver_contract import wait_for
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import RobotCell, TrackerSettings
-from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-from fungrasp.robots.pose.stream import PosePublisher, PoseStream
+from fungrasp.robots.pose.stream import PoseMessage, PosePublisher, PoseStream, message_entries, read_message
 from fungrasp.robots.safety import check_pose
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.tracker import TrackerEmulator, TrackerErrors

@@ -13,12 +13,14 @@ from fungrasp.robots.device import (
     DeviceStatus,
     JointLimits,
     JointState,
+    RobotCommand,
+    RobotState,
+    SafetyStop,
     StopKind,
     TrackedPose,
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import Clearance
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.robots.safety import (
     TOLERANCE,
     SafetyContext,

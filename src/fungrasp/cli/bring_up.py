@@ -86,8 +86,7 @@ class Touch(Answering):
         import numpy as np
 
         from fungrasp.core.errors import FungraspError
-        from fungrasp.robots.calibration.touched_checks import touched_point
-        from fungrasp.robots.calibration.touched_file import add_touched
+        from fungrasp.robots.calibration.touched import add_touched, touched_point
         from fungrasp.robots.single_devices import arm_at_rest
 
         cell, hand = _wired(self.cell)

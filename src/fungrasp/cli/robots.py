@@ -73,7 +73,7 @@ class Check(Answering):
         from fungrasp.deployment.hand_knowledge import hand_knowledge
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
-        from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
+        from fungrasp.robots.calibration.touched import check_touched_base, check_touched_mount
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Confirm
 from fungrasp.deployment.phases import Phase
-from fungrasp.robots.device import StopKind
-from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.device import SafetyStop, StopKind
 from fungrasp.robots.stop_switch import StopSwitch
 
 YES = "yes"

@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
-from fungrasp.robots.robot_state import RobotState
+from fungrasp.robots.device import RobotState
 
 Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
 """Where a deployment ends."""

@@ -28,7 +28,7 @@ from typing import Any, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.robots.robot_state import RobotCommand, RobotState
+from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation
 
 _log = logging.getLogger(__name__)

@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.robots.device import DeviceStatus, RobotError, TrackedPose
+from fungrasp.robots.device import DeviceStatus, RobotError, RobotState, TrackedPose
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotState
 from fungrasp.robots.safety import check_pose
 from fungrasp.task.attempt_judge import average_pose
 

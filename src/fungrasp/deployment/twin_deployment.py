@@ -27,9 +27,8 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import broad_settled_up
 from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import Clock, WallClock
+from fungrasp.robots.device import Clock, RobotCommand, WallClock
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker

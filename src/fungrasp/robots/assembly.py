@@ -10,8 +10,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
-from fungrasp.robots.clock import WallClock
-from fungrasp.robots.device import JointDriver, PoseSource
+from fungrasp.robots.device import JointDriver, PoseSource, WallClock
 from fungrasp.robots.driver_registry import DriverRegistry
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch

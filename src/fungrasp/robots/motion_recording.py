@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fungrasp.robots.clock import Clock, WallClock
-from fungrasp.robots.device import DeviceStatus, JointDriver, RobotError
+from fungrasp.robots.device import Clock, DeviceStatus, JointDriver, RobotError, WallClock
 from fungrasp.sim2real.identification.excitation import ExcitationMotion
 from fungrasp.sim2real.identification.motion_log import (
     MotionHeader,

@@ -13,19 +13,21 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import Clock
 from fungrasp.robots.device import (
+    Clock,
     DeviceStatus,
     JointDriver,
     PoseSource,
+    RobotCommand,
     RobotError,
+    RobotState,
+    SafetyStop,
     StopKind,
     TrackedPose,
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.differential import PalmFollower
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.kinematics.inverse import PalmFollower
 from fungrasp.robots.safety import SafetyGuard, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset

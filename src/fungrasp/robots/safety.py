@@ -34,9 +34,17 @@ import numpy as np
 
 from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.robots.cell import RobotCell, Workspace
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, StopKind, TrackedPose
+from fungrasp.robots.device import (
+    DeviceStatus,
+    JointLimits,
+    JointState,
+    RobotCommand,
+    RobotState,
+    SafetyStop,
+    StopKind,
+    TrackedPose,
+)
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.task import Action
 from fungrasp.task.setpoints import SETPOINT_PERIOD
 

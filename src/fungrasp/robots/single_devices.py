@@ -15,11 +15,18 @@ from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import Clock, WallClock
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.device import DeviceStatus, JointDriver, JointState, RobotError, StopKind
+from fungrasp.robots.device import (
+    Clock,
+    DeviceStatus,
+    JointDriver,
+    JointState,
+    RobotError,
+    SafetyStop,
+    StopKind,
+    WallClock,
+)
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.safety import SafetyGuard, check_posture, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
 

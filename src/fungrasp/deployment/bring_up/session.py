@@ -10,7 +10,7 @@ from fungrasp.deployment.bring_up import grasp_steps, steps
 from fungrasp.deployment.bring_up.log import FAILED, SKIPPED, BringUpLog, StepResult
 from fungrasp.deployment.bring_up.operator import BringUpEnded, StepSkipped
 from fungrasp.deployment.bring_up.steps import BringUpStep, BringUpTask
-from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.device import SafetyStop
 
 STEPS = (
     BringUpStep("doctor", "Every device answers; nothing moves.", steps.examine),

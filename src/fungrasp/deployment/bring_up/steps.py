@@ -19,10 +19,9 @@ from fungrasp.deployment.saved_plan import SavedPlan
 from fungrasp.geometry.poses import rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
-from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
+from fungrasp.robots.calibration.touched import check_touched_base, check_touched_mount
 from fungrasp.robots.cell import RobotCell, is_wired
-from fungrasp.robots.device import RobotError
-from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.device import RobotError, SafetyStop
 from fungrasp.robots.single_devices import (
     GOAL_PERIOD,
     JOG_SPEED,

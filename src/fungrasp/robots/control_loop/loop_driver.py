@@ -13,8 +13,8 @@ import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
 from fungrasp.robots.control_loop.loop_host import LoopProcess, LoopThread
-from fungrasp.robots.control_loop.loop_runner import FOLLOWING
-from fungrasp.robots.control_loop.records import (
+from fungrasp.robots.control_loop.loop_worker import FOLLOWING
+from fungrasp.robots.control_loop.mailbox import (
     ENDED,
     STARTING,
     goal_kind,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import pickle
 import subprocess
 import sys
@@ -11,11 +12,25 @@ import threading
 import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import DeviceLoop
-from fungrasp.robots.control_loop.loop_runner import run_device_loop
-from fungrasp.robots.control_loop.loop_worker import LENGTH
-from fungrasp.robots.control_loop.mailbox import Mailbox, SharedMemoryFile, mailbox_size
-from fungrasp.robots.control_loop.records import goal_kind, state_kind
-from fungrasp.robots.worker_environment import worker_environment
+from fungrasp.robots.control_loop.loop_worker import LENGTH, run_device_loop
+from fungrasp.robots.control_loop.mailbox import (
+    Mailbox,
+    SharedMemoryFile,
+    goal_kind,
+    mailbox_size,
+    state_kind,
+)
+
+
+def worker_environment() -> dict[str, str]:
+    """Those of this process, so that a Python process finds the packages that this one finds, and computes in
+    one thread: more would take the time of others."""
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
 
 
 class LoopThread:

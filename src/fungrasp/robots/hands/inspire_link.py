@@ -1,5 +1,6 @@
 """Ways to the registers of an Inspire RH56 hand: Modbus over TCP or a serial line, or the maker's own
-protocol on a serial line. All carry the same registers (``fungrasp.robots.codecs.inspire``)."""
+protocol on a serial line. All carry the same registers (``fungrasp.robots.codecs.inspire``).
+"""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fungrasp.robots.cell import MotionLimits, Workspace
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.solutions import random_starts
+from fungrasp.robots.kinematics.inverse import random_starts
 
 TRIES = 5000
 """Random postures that the trees of a path grow towards, at most. Most ways are straight; those that need a

@@ -9,9 +9,8 @@ import numpy as np
 
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.differential import PalmFollower
+from fungrasp.robots.kinematics.inverse import PalmFollower, arm_postures, random_starts
 from fungrasp.robots.kinematics.joint_path import CLEAR
-from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
 
 STARTS = 48
 """Random postures from which the solutions of a pose are sought; 32 find all eight of a UR5e."""
