@@ -8,7 +8,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from benchmarks.fault_series.moments import LOOK, PreparerOf, Scene
-from benchmarks.faults.control_session import driver_process
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
@@ -45,7 +44,8 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
     raise_priority()
     try:
         with McapLog(session.log) as log, wired_robot(session.cell, scene.hand) as robot:
-            pipe.send(("drivers", (driver_process(robot.arm), driver_process(robot.hand_driver))))
+            drivers = robot.arm, robot.hand_driver
+            pipe.send(("drivers", tuple(getattr(driver, "process_id", None) for driver in drivers)))
             deployment = Deployment(
                 robot,
                 OpenLoopPolicy(),

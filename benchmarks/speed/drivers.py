@@ -22,14 +22,15 @@ class BenchRobot:
 
     def run(self) -> None:
         from benchmarks.speed.driver_throughput import driver_speed
+        from benchmarks.speed.emulated_devices import EMULATED, emulated_device
         from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.robots.process_priority import raise_priority
-        from fungrasp_emulators.devices import EMULATED, known_devices
 
         # Real devices don't wait for a computer's other work.
         raise_priority()
-        speeds = [driver_speed(EMULATED[name](20.0), self.seconds) for name in known_devices(self.devices)]
+        names = self.devices or tuple(EMULATED)
+        speeds = [driver_speed(emulated_device(name, 20.0), self.seconds) for name in names]
         if self.json is not None:
             write_result(self.json, run_record(0), [asdict(speed) for speed in speeds])
         head = (

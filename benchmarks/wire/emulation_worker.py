@@ -23,7 +23,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.control_loop.loop_host import worker_environment
+from fungrasp.robots.control_loop.loop_driver import worker_environment
 from fungrasp.robots.process_priority import raise_priority
 from fungrasp.robots.twin.judge import HoldSample, hold_sample
 from fungrasp.robots.twin.parameters import cell_twin

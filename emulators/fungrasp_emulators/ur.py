@@ -17,8 +17,7 @@ import numpy as np
 
 from fungrasp.robots.device import RobotError
 from fungrasp_emulators import rtde as codec
-from fungrasp_emulators.emulator import Emulator, Fault, Plant
-from fungrasp_emulators.ur_connections import URClient, URConnections
+from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant
 from fungrasp_emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp_emulators.ur_program import ServoProgram
 
@@ -45,23 +44,16 @@ class SafetyBit(IntEnum):
 class URControllerEmulator(Emulator):
     """A controller with a program of ur_rtde; ``servoj`` goes to the plant as it comes."""
 
-    supported = frozenset(
-        {
-            Fault.KILLED,
-            Fault.STALLED,
-            Fault.RESET,
-            Fault.LOST,
-            Fault.DOUBLED,
-            Fault.LATE,
-            Fault.CORRUPT,
-            Fault.PROTECTIVE_STOP,
-            Fault.EMERGENCY_STOP,
-            Fault.SAFEGUARD_STOP,
-            Fault.WRONG_DEVICE,
-            Fault.FROZEN,
-            Fault.CLOCK_JUMP,
-        }
-    )
+    supported = COMMON | {
+        Fault.KILLED,
+        Fault.RESET,
+        Fault.DOUBLED,
+        Fault.PROTECTIVE_STOP,
+        Fault.EMERGENCY_STOP,
+        Fault.SAFEGUARD_STOP,
+        Fault.FROZEN,
+        Fault.CLOCK_JUMP,
+    }
 
     def __init__(
         self,
@@ -76,12 +68,9 @@ class URControllerEmulator(Emulator):
     ):
         """
         Args:
-            plant: six joints.
-            address: of the loopback.
             version: of the controller's software; 3 is a CB3 controller (125 Hz) with a UR5, 5 an e-Series
                 (500 Hz) with a UR5e.
             model: "UR3", "UR5", "UR10", ...
-            serial: number of the robot.
             seed: of the packages that faults take.
             release_time: a protective stop can't be unlocked before [s].
             tool: the tool center point on the flange, position [m] and rotation vector [rad].
@@ -97,7 +86,7 @@ class URControllerEmulator(Emulator):
         self._kinematics = UR5 if version[0] < 5 else UR5E
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
-        self._net = URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
+        self._net = codec.URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
         self._other_program = False
         self._program = ServoProgram(plant, self._tool)
         self._stop_began = 0.0
@@ -185,11 +174,11 @@ class URControllerEmulator(Emulator):
         else:
             self._program.paused = False
 
-    def _greet(self, client: URClient) -> None:
+    def _greet(self, client: codec.URClient) -> None:
         if client.kind == DASHBOARD_PORT:
             self._net.send(client, b"Connected: Universal Robots Dashboard Server\n")
 
-    def _take(self, client: URClient) -> None:
+    def _take(self, client: codec.URClient) -> None:
         if client.kind == RTDE_PORT:
             packages, client.received = codec.split_packages(client.received)
             for kind, content in packages:
@@ -207,7 +196,7 @@ class URControllerEmulator(Emulator):
             client.received = b""
             self._start_program()
 
-    def _take_package(self, client: URClient, kind: bytes, content: bytes) -> None:
+    def _take_package(self, client: codec.URClient, kind: bytes, content: bytes) -> None:
         if kind == codec.DATA:
             recipe = client.inputs[content[0] - 1]
             self._program.take(codec.decode_values(recipe, content[1:]))
@@ -285,7 +274,7 @@ class URControllerEmulator(Emulator):
             bits = {SafetyBit.ROBOT_EMERGENCY_STOP, SafetyBit.EMERGENCY_STOP, SafetyBit.STOPPED}
         return sum(1 << bit for bit in bits)
 
-    def _disturbed(self, client: URClient, data: bytes) -> bytes:
+    def _disturbed(self, client: codec.URClient, data: bytes) -> bytes:
         chosen = self._rng.random() < 0.1
         if chosen and self.shows(Fault.LOST):
             return b""

@@ -44,7 +44,6 @@ def tool_pose(parameters: DHParameters, joints: np.ndarray, tool: np.ndarray) ->
     """What a controller calls its TCP pose: position [m] and rotation vector [rad] in its Base, shape [6].
 
     Args:
-        parameters: of the arm.
         joints: [rad], shape [6].
         tool: the tool center point on the flange, position and rotation vector, shape [6].
     """

@@ -19,8 +19,7 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.process_priority import NICENESS, at_priority, present_priority, raise_priority
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Belief, GraspPlan, Observation

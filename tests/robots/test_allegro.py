@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -81,19 +82,6 @@ def test_frames_of_periods_and_information():
     info = codec.decode_info(bytes.fromhex("0004010001230300"))
     assert info.hardware >> 8 == 4 and info.left and info.temperature == 0x23
     assert info.servos_on and info.overheated and not info.communication_fault
-    assert codec.decode_info(codec.encode_info(info)) == info
-
-
-@pytest.mark.parametrize("generation", [codec.ALLEGRO_V4, codec.ALLEGRO_V5, codec.ALLEGRO_V5_GEARED])
-def test_frames_keep_what_they_carry(generation: codec.AllegroGeneration):
-    rng = np.random.default_rng(0)
-    positions = rng.uniform(-1.5, 1.5, 16)
-    back = codec.decode_positions(generation, codec.encode_positions(generation, positions))
-    assert np.abs(back - positions).max() <= generation.radians_per_count / 2 + 1e-12
-    torques = 0.9 * generation.torque_limits * rng.uniform(-1, 1, 16)
-    for finger, data in enumerate(codec.encode_torques(generation, torques)):
-        back = codec.decode_finger_torques(generation, finger, data)
-        assert np.abs(back - torques[4 * finger : 4 * finger + 4]).max() < 1e-3
 
 
 @pytest.mark.parametrize("generation", [4, 5])
@@ -321,8 +309,8 @@ while True:
 
 def test_positions_that_no_hand_has_are_not_believed_after_a_silence():
     loop = AllegroLoop(AllegroSettings("virtual", "none"))
-    for finger, data in enumerate(codec.encode_positions(codec.ALLEGRO_V4, np.full(16, 0.4))):
-        loop._frames[finger] = data
+    count = round(0.4 / codec.ALLEGRO_V4.radians_per_count)
+    loop._frames.update(dict.fromkeys(range(4), struct.pack("<4h", *[count] * 4)))
     loop._take_positions(10.0)
     good = loop._state
     # A second of silence would explain a jump of 20 rad.

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from fake_realsense import FakeRealSense
+from recorded_frames import RecordedFrames
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
@@ -17,8 +18,7 @@ from fungrasp.perception.object_pose.known_object import MeshRays
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import TrackerSettings, load_cell
 from fungrasp.robots.device import RobotError, TrackingStatus
-from fungrasp.robots.pose.camera_tracker import LOST_FRAMES, CameraTracker
-from fungrasp.robots.pose.frames import RealSenseFrames, RecordedFrames
+from fungrasp.robots.pose.camera import LOST_FRAMES, CameraTracker, RealSenseFrames
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 # 0.65 m away from the middle of the table, looking down at 50 degrees.

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.robots.cell import RobotCell, cell_files, load_cell
-from fungrasp.robots.cell_template import write_cell_template
+from fungrasp.robots.cell import RobotCell, cell_files, load_cell, write_new_cell
 from fungrasp.robots.kinematics.arm_model import Clearance
 from fungrasp.robots.safety import check_posture
 
@@ -67,9 +66,9 @@ def test_bad_cells_are_refused_in_one_line(tmp_path: Path, text: str, said: str)
 @pytest.mark.parametrize("hand", ["allegro", "inspire", "leap"])
 def test_a_new_cell_is_slow_and_refused_until_it_is_filled_in(tmp_path: Path, hand: str) -> None:
     path = tmp_path / "mine.toml"
-    write_cell_template(path, hand)
+    write_new_cell(path, hand)
     with pytest.raises(FungraspError, match="exists already"):
-        write_cell_template(path, hand)
+        write_new_cell(path, hand)
     text = path.read_text()
     filled = {
         'address = ""': 'address = "192.168.0.10"',

@@ -21,7 +21,7 @@ from fungrasp.hands import load_hand
 from fungrasp.robots.arms.ur import URSettings, ur_driver
 from fungrasp.robots.codecs import dynamixel, inspire
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
-from fungrasp_emulators import dynamixel_packets as wire
+from fungrasp_emulators import leap as wire
 from fungrasp_emulators import modbus, rtde
 from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.plants import ServoPlant

@@ -21,8 +21,7 @@ from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, Clearanc
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.single_devices import GuardedDriver, guarded_driver
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp_emulators.inspire import InspireEmulator

@@ -89,7 +89,7 @@ def test_angles():
     assert np.allclose(codec.decode_angles(angles, lower, upper), positions, atol=1e-3)
     assert codec.encode_angles(np.full(6, 9.0), lower, upper) == [0] * 6
     assert np.allclose(codec.decode_angles([65526] * 6, lower, upper), upper * 1.01)
-    assert codec.unpack_bytes(codec.pack_bytes([1, 2, 3, 4, 5, 6])) == [1, 2, 3, 4, 5, 6]
+    assert codec.unpack_bytes([0x0201, 0x0403, 0x0605]) == [1, 2, 3, 4, 5, 6]
     assert codec.closing_speed(375) == pytest.approx((706 + 1449) / 2)
 
 

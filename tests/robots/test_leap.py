@@ -16,7 +16,7 @@ from fungrasp.hands import load_hand
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
-from fungrasp_emulators import dynamixel_packets as wire
+from fungrasp_emulators import leap as wire
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.plants import ServoPlant

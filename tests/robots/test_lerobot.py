@@ -14,8 +14,7 @@ from robot_cells import cell_and_hand, grasp_and_object, placed
 
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 

@@ -16,11 +16,9 @@ from fungrasp.robots.assembly import hand_driver
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
-from fungrasp.robots.motion_recording import record_motion
-from fungrasp.robots.single_devices import GuardedDriver
+from fungrasp.robots.single_devices import GuardedDriver, record_motion
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinHand
+from fungrasp.robots.twin.devices import TwinClock, TwinHand
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.sim2real.identification.excitation import Excitation

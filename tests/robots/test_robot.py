@@ -13,8 +13,7 @@ from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import TwinSpread, cell_twin, draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action

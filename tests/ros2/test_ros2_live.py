@@ -29,8 +29,7 @@ from fungrasp.deployment.wired_deployment import deploy_on_robot
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.control_loop.loop_host import worker_environment
+from fungrasp.robots.control_loop.loop_driver import LoopDriver, worker_environment
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 from fungrasp_emulators.plants import ServoPlant
 

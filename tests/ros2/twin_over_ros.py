@@ -15,7 +15,7 @@ from ros_joints import RosJoints
 
 from fungrasp.hands import load_hand
 from fungrasp.robots.process_priority import raise_priority
-from fungrasp.robots.twin.clocks import RealTimeTwin
+from fungrasp.robots.twin.devices import RealTimeTwin
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol

@@ -55,8 +55,7 @@ class Collect(Answering):
         from fungrasp.deployment.confirmation import ask_before_motion
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import is_wired, load_cell
-        from fungrasp.robots.motion_recording import record_motion
-        from fungrasp.robots.single_devices import guarded_driver
+        from fungrasp.robots.single_devices import guarded_driver, record_motion
         from fungrasp.robots.stop_switch import StopSwitch
         from fungrasp.sim2real.identification.motion_log import MotionLogWriter
         from fungrasp.sim2real.identification.safe_motion import safe_motion

@@ -48,9 +48,9 @@ class New(Answering):
     """The hand on the arm."""
 
     def run(self) -> Answer:
-        from fungrasp.robots.cell_template import write_cell_template
+        from fungrasp.robots.cell import write_new_cell
 
-        write_cell_template(self.file, self.hand)
+        write_new_cell(self.file, self.hand)
         text = f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'"
         return Answer({"cell": self.file}, text)
 

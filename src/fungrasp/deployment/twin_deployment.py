@@ -30,8 +30,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import Clock, RobotCommand, WallClock
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import RealTimeTwin, TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics

@@ -1,8 +1,11 @@
-"""A robot from its cell file: which driver stands for which name."""
+"""A robot from its cell file. Drivers have names: this package's own, and those that other installed packages
+bring by entry points."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
@@ -11,11 +14,90 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.device import JointDriver, PoseSource, WallClock
-from fungrasp.robots.driver_registry import DriverRegistry
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.sim2real.joint_dynamics import JointDynamics
+
+OWN = "fungrasp"
+"""Name of the distribution that this package's own drivers come from."""
+
+
+@dataclass(frozen=True)
+class DriverRegistry:
+    """Drivers of one kind of device. A driver is a callable that makes a device from a cell."""
+
+    what: str
+    """The device, as in a cell's file: "arm", "hand_device" or "tracker"."""
+    group: str
+    """Group of the entry points."""
+    own: Mapping[str, Callable[[RobotCell], Any]]
+    """This package's, by name."""
+    twin: str
+    """Name that stands for a device of a twin, which nobody else's may have."""
+    protocol: type
+    """What a driver makes: ``JointDriver`` or ``PoseSource``."""
+
+    def known(self) -> dict[str, str]:
+        """Distribution of each driver by name; several, with commas, where their names clash."""
+        found = dict.fromkeys((*self.own, self.twin), OWN)
+        for entry in entry_points(group=self.group):
+            origin = _distribution(entry)
+            found[entry.name] = f"{found[entry.name]}, {origin}" if entry.name in found else origin
+        return dict(sorted(found.items()))
+
+    def make(self, name: str, cell: RobotCell) -> Any:
+        """The device of a cell.
+
+        Raises:
+            FungraspError: no driver has this name, several have, or it can't be loaded or used; the message
+                names the distribution.
+        """
+        entries = [entry for entry in entry_points(group=self.group) if entry.name == name]
+        if len(entries) + (name in (*self.own, self.twin)) > 1:
+            raise FungraspError(
+                f"'{self.what}.driver': '{name}' is brought by several packages, {self.known()[name]}: "
+                "uninstall all but one"
+            )
+        if name not in self.own and not entries:
+            error = UnknownNameError("driver", name, self.known())
+            raise FungraspError(f"'{self.what}.driver': {error}")
+        try:
+            return self.own[name](cell) if name in self.own else self._make_of_others(entries[0], cell)
+        except FungraspError as error:
+            raise FungraspError(f"[{self.what}] {error}") from error
+
+    def _make_of_others(self, entry: EntryPoint, cell: RobotCell) -> Any:
+        origin = f"the driver '{entry.name}' of the package {_distribution(entry)}"
+        try:
+            driver = entry.load()
+        except Exception as error:
+            # Whatever a module of others does when it is imported.
+            raise FungraspError(f"{origin} can't be loaded: {_line(error)}") from error
+        try:
+            device = driver(cell)
+        except FungraspError:
+            raise
+        except Exception as error:
+            raise FungraspError(f"{origin} can't be made from cell '{cell.name}': {_line(error)}") from error
+        missing = [name for name in _members(self.protocol) if not hasattr(device, name)]
+        if missing:
+            raise FungraspError(f"{origin} is no {self.protocol.__name__}: it has no '{missing[0]}'")
+        return device
+
+
+def _members(protocol: type) -> list[str]:
+    names = [name for name in vars(protocol) if not name.startswith("_")]
+    return [*protocol.__annotations__, *names]
+
+
+def _distribution(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.value
+
+
+def _line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
 
 TWIN = "twin"
 """Driver of a device of a twin in the same process."""
@@ -60,10 +142,6 @@ def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
     """The driver of a cell's hand, without a guard: to look at. What moves is ``wired_robot``'s or
     ``guarded_driver``'s.
 
-    Args:
-        cell: the robot.
-        hand: the model of its hand.
-
     Raises:
         FungraspError: no such driver, bad options, or a driver of another hand.
     """
@@ -90,10 +168,6 @@ def driver_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
     """Largest torques that a cell's driver asks of its hand's servos [N m], shape [U]; infinite where it
     leaves that to the hand. Nothing is connected.
 
-    Args:
-        cell: the robot.
-        hand: the model of its hand.
-
     Raises:
         FungraspError: the cell's driver of the hand, or its options, can't be.
     """
@@ -107,8 +181,6 @@ def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = N
     identified dynamics where that says it, nor more than the cell's driver sends.
 
     Args:
-        cell: the robot.
-        hand: the model of its hand.
         dynamics: identified; their torque limits replace the model's, where they have some.
 
     Raises:
@@ -143,7 +215,6 @@ def wired_robot(
 
     Args:
         cell: the robot; no twin.
-        hand: the model of its hand.
         stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
         compensate: whether the hand's own weight is carried.
         dry_run: read everything, send nothing.
@@ -193,8 +264,7 @@ def _leap(cell: RobotCell) -> JointDriver:
 def _camera(cell: RobotCell) -> PoseSource:
     """Our own tracker on a RealSense camera: options ``object`` and, for a mesh, ``mass`` and ``folder``."""
     from fungrasp.objects import load_object
-    from fungrasp.robots.pose.camera_tracker import CameraTracker
-    from fungrasp.robots.pose.frames import RealSenseFrames
+    from fungrasp.robots.pose.camera import CameraTracker, RealSenseFrames
 
     check_calibrated(cell)
     options = dict(cell.tracker.options)
@@ -238,9 +308,6 @@ def _settings(kind: type, device: DeviceSettings, address: str = "address", **mo
     """Settings of a driver from the address and the options of a cell.
 
     Args:
-        kind: of the settings.
-        device: of the cell.
-        address: name of the address's field.
         more: values that the cell says elsewhere; options may say another one.
     """
     given: dict[str, Any] = {address: device.address, **more, **device.options}

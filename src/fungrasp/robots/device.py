@@ -230,7 +230,6 @@ class SafetyStop(RobotError):
         """
         Args:
             reason: what was wrong, as a phrase.
-            kind: how motion ended.
         """
         super().__init__(f"the robot was stopped ({kind}): {reason}")
         self.reason, self.kind = reason, kind

@@ -64,12 +64,6 @@ class Robot:
     ):
         """
         Args:
-            cell: limits, and what stands where.
-            hand: the model of the hand.
-            arm: driver of the arm.
-            hand_driver: driver of the hand.
-            tracker: source of the object's pose.
-            clock: of the devices.
             stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
             compensate: whether the hand's own weight is carried.
             dry_run: read everything, send nothing.
@@ -176,7 +170,6 @@ class Robot:
         """Begin a plan where the robot stands: its clock is zero from now on.
 
         Args:
-            state: as it is now.
             lift_height: by how much the palm's goal rises once an action lifts [m].
         """
         self._began = state.time

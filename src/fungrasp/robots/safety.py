@@ -84,8 +84,6 @@ def check_setpoint(
     """What may be sent of a setpoint: within the limits of position and speed. A pure function.
 
     Args:
-        state: what the devices say.
-        command: the setpoint.
         context: limits and the setpoints before.
         clearance: of the robot with the arm as commanded and the fingers as measured.
 
@@ -122,9 +120,7 @@ def check_reading(part: str, state: JointState, silence: float, cell: RobotCell)
 
     Args:
         part: "arm" or "hand".
-        state: what it says.
         silence: for how long its time stamp has stood still [s].
-        cell: with limits and watchdog.
 
     Raises:
         SafetyStop: a value is not finite or beyond its limit, or the device is silent.
@@ -150,8 +146,6 @@ def within_speed(
         goal: [rad], shape [U].
         last: [rad], shape [U].
         elapsed: since the last one [s].
-        limits: of the driver.
-        cell: with its own.
     """
     most = cell.limits.arm_speed if part == "arm" else cell.limits.hand_speed
     reach = TOLERANCE * np.minimum(limits.velocity, most) * elapsed
@@ -163,8 +157,6 @@ def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str
 
     Args:
         palm: world frame, shape [7].
-        clearance: of the robot there.
-        box: where it may be.
     """
     if (palm[:3] < box.lower).any() or (palm[:3] > box.upper).any():
         return "the palm would leave the workspace box"
@@ -203,7 +195,6 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
         tracked: the last pose; None where there was none.
         reference: where the object is taken to be, world frame, shape [7].
         time: of the robot's clock [s].
-        cell: with the watchdog.
     """
     if tracked is None:
         return "the tracker has not seen the object"
@@ -228,9 +219,7 @@ def check_action(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     ``check_setpoint``.
 
     Args:
-        action: of one robot.
         palm: where it is measured, world frame, shape [7].
-        cell: with the limits.
     """
     far = float(np.linalg.norm(action.palm_goal[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
@@ -271,11 +260,9 @@ class SafetyGuard:
     ):
         """
         Args:
-            cell: limits, workspace and watchdog.
             limits: what the drivers of "arm" and "hand" accept, or that of one alone.
             clearance: of a posture: joints of the arm [A] and of the hand [U].
             period: time between setpoints [s].
-            moving: whether setpoints really are sent.
         """
         self._cell, self._limits, self._clearance = cell, limits, clearance
         self._period, self._moving = period, moving
@@ -313,7 +300,6 @@ class SafetyGuard:
 
         Args:
             part: "arm" or "hand".
-            state: what it says.
             goal: finite [rad], shape [U].
             now: time of the robot's clock [s].
 

@@ -1,5 +1,5 @@
 """Devices of a cell one by one, before anything is grasped: whether each answers, what it measures, whether
-it holds where it is, whether a joint moves as asked."""
+it holds where it is, whether a joint moves as asked; an excitation of a hand for identification."""
 
 from __future__ import annotations
 
@@ -29,6 +29,13 @@ from fungrasp.robots.device import (
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.safety import SafetyGuard, check_posture, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp.sim2real.identification.excitation import ExcitationMotion
+from fungrasp.sim2real.identification.motion_log import (
+    MotionHeader,
+    MotionLog,
+    MotionSample,
+    motion_log,
+)
 
 PARTS = ("arm", "hand")
 """Devices of a cell that move."""
@@ -87,8 +94,6 @@ class GuardedDriver:
     ):
         """
         Args:
-            driver: of the device.
-            cell: limits and watchdog.
             part: one of ``PARTS``.
             clearance: what is wrong with a posture [rad], shape [U], as a phrase; "" for nothing.
             clock: of the device; that of the wall if None.
@@ -168,7 +173,6 @@ def guarded_driver(
     Args:
         part: one of ``PARTS``.
         cell: the robot; no twin.
-        hand: the model of its hand.
         switch: stops the device; that of the cell's stop file if None.
         torque_limit: a hand is told to make no more than this share of the torque that the cell says.
         clock: of the device; that of the wall if None.
@@ -202,7 +206,6 @@ def examine_devices(cell: RobotCell, hand: Hand) -> Iterator[DeviceReport]:
 
     Args:
         cell: the robot; no twin.
-        hand: on its arm.
     """
     for part in PARTS:
         try:
@@ -238,7 +241,6 @@ def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
 
     Args:
         cell: the robot; no twin.
-        hand: on its arm.
 
     Raises:
         FungraspError: no arm answers, or it moves.
@@ -273,7 +275,6 @@ def jog(
 
     Args:
         driver: connected.
-        joint: its number.
         by: angle [rad].
         clock: of the device; that of the wall if None.
 
@@ -320,3 +321,56 @@ def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None)
     if state.status is not DeviceStatus.READY:
         raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
     return state
+
+
+def record_motion(
+    driver: JointDriver,
+    joints: tuple[str, ...],
+    motion: ExcitationMotion,
+    rate: float,
+    gravity: np.ndarray,
+    clock: Clock | None = None,
+    weight: float = 0.0,
+    keep: Callable[[MotionHeader, MotionSample], None] = lambda header, sample: None,
+) -> MotionLog:
+    """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong. In
+    the end, however it comes, the device is told to hold.
+
+    Args:
+        driver: connected.
+        joints: names of its joints, length U.
+        rate: [Hz].
+        gravity: in the palm's frame [m/s^2], shape [3].
+        clock: of the device; that of the wall if None.
+        weight: mass that is fixed to each fingertip [kg].
+        keep: called with each row at once.
+
+    Raises:
+        RobotError: the device stopped.
+    """
+    clock = clock or WallClock()
+    header, samples = MotionHeader(joints, gravity, weight, driver.limits.velocity), []
+    try:
+        # A device that must be made ready first is not waited for while it moves.
+        driver.take_control()
+        began = clock.now()
+        for row, goal in enumerate(motion.commands):
+            clock.sleep_until(began + row / rate)
+            now = clock.now()
+            sent = driver.command(goal)
+            state = driver.read()
+            if state.status is not DeviceStatus.READY:
+                raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
+            sample = MotionSample(
+                now - began,
+                state.device_time,
+                state.received - began,
+                tuple(np.flatnonzero(motion.moving[row]).tolist()),
+                sent,
+                state.positions,
+            )
+            keep(header, sample)
+            samples.append(sample)
+    finally:
+        driver.stop()
+    return motion_log(header, samples)

@@ -106,7 +106,6 @@ def find_corners(color: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarra
 
     Args:
         color: RGB, uint8, shape [H, W, 3].
-        board: what to look for.
 
     Returns:
         corners, board frame [m], shape [K, 3], and where they are [pixels], shape [K, 2]; K = 0 where the
@@ -229,8 +228,6 @@ def save_calibration(path: str | Path, found: CameraCalibration, source: str) ->
     """Write a calibration as TOML, which a cell names as ``tracker.calibration``.
 
     Args:
-        path: the file.
-        found: where the camera is.
         source: how it was found, for people.
     """
     pose = ", ".join(f"{value:.7g}" for value in found.pose_world_camera)

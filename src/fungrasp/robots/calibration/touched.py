@@ -56,11 +56,6 @@ class TouchCheck:
 def check_touched_base(path: str | Path, cell: RobotCell, hand: Hand) -> TouchCheck:
     """Compare where the flange was with where the cell has it.
 
-    Args:
-        path: of the touched points.
-        cell: the robot.
-        hand: on its arm.
-
     Raises:
         FungraspError: the file can't be read, or has too few points.
     """
@@ -104,11 +99,6 @@ def check_base(computed: np.ndarray, touched: np.ndarray) -> TouchCheck:
 def check_touched_mount(path: str | Path, cell: RobotCell, hand: Hand) -> TouchCheck | None:
     """Compare where a point of the hand was with where the cell has it; None if the hand touched nothing.
 
-    Args:
-        path: of the touched points.
-        cell: the robot.
-        hand: on its arm.
-
     Raises:
         FungraspError: the file can't be read, or has too few points.
     """
@@ -140,8 +130,6 @@ def touched_point(
     Args:
         joints: of the arm [rad], shape [A].
         hand_point: of the hand, in the mount's frame [m], shape [3]; None for the middle of the flange.
-        cell: the robot.
-        hand: on its arm.
     """
     kinematics = ArmKinematics(cell, hand)
     if hand_point is None:
@@ -167,9 +155,7 @@ def load_touched(path: str | Path, what: str, count: int) -> tuple[np.ndarray, n
     shape [K, 3]; none where ``what`` has touched nothing.
 
     Args:
-        path: the file.
         what: touched them: "flange" or "hand".
-        count: of the arm's joints, M.
 
     Raises:
         FungraspError: the file is none of these.
@@ -211,7 +197,6 @@ def add_touched(
     """Add a point to the file, or begin one; how many its list has then.
 
     Args:
-        path: the file.
         joints: posture of the arm [rad], shape [M].
         point: that was touched, world frame [m], shape [3].
         hand_point: the point of the hand that touched it, in the mount's frame [m], shape [3]; None for the

@@ -93,7 +93,6 @@ def run_device_loop(
     """Open a device, step it until its driver closes it or goes away, then halt and close it.
 
     Args:
-        loop: the device.
         goals: what the driver tells, records of ``goal_kind``.
         states: what the device answers, records of ``state_kind``.
         driver_timeout: the device holds its position when the driver was not heard of for so long [s].

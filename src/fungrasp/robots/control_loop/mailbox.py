@@ -29,7 +29,6 @@ class Mailbox:
         """
         Args:
             buffer: memory that both sides see, ``mailbox_size(kind)`` bytes.
-            kind: structured type of the record.
         """
         self._kind = kind
         self._record = np.frombuffer(buffer, dtype=np.uint8, count=kind.itemsize, offset=CHECKSUM.itemsize)

@@ -97,7 +97,6 @@ class ClearanceModel:
         """
         Args:
             cell: with the arm and its base.
-            hand: on the arm.
             thing: what the robot may keep clear of; nothing if None.
         """
         spec = mount(hand, cell.arm.model, cell.mount)

@@ -28,7 +28,6 @@ def arm_postures(
     """Postures with the palm at a pose, by damped least squares from each start.
 
     Args:
-        kinematics: of the arm.
         pose: of the palm, world frame, shape [7].
         starts: joints to start from [rad], shape [S, M].
         tolerance: largest error [m, rad].
@@ -89,7 +88,6 @@ class PalmFollower:
     def __init__(self, kinematics: ArmKinematics, speed: float):
         """
         Args:
-            kinematics: of the arm.
             speed: largest speed of a joint [rad/s].
 
         Raises:

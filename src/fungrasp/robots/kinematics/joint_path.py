@@ -40,8 +40,6 @@ def timed_leg(
     Args:
         start: joints [rad], shape [M].
         end: joints [rad], shape [M].
-        kinematics: of the arm.
-        limits: of joints and palm.
         period: time between two setpoints [s].
         speed: share of that speed, above 0.
 
@@ -81,12 +79,6 @@ class FreePath:
     of random postures that grow towards each other (RRT-Connect, Kuffner and LaValle, ICRA 2000)."""
 
     def __init__(self, kinematics: ArmKinematics, clearance: ClearanceModel, workspace: Workspace):
-        """
-        Args:
-            kinematics: of the arm.
-            clearance: of the whole robot.
-            workspace: that the palm stays in.
-        """
         self._kinematics, self._clearance, self._workspace = kinematics, clearance, workspace
 
     def clear(self, arm: np.ndarray, fingers: np.ndarray, keep: float | None = None) -> bool:
@@ -122,7 +114,6 @@ class FreePath:
             fingers: independent joints [rad], shape [U].
             object_pose: of the clearance model's object, world frame, shape [7]; None for no object.
             rng: of the postures that are tried.
-            tries: how many.
         """
         keep = None if object_pose is None else self._distance_kept([start, end], fingers, object_pose)
 

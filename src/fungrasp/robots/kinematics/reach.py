@@ -61,9 +61,6 @@ class ReachChecker:
     ):
         """
         Args:
-            cell: with workspace and limits.
-            kinematics: of the arm.
-            clearance: of the whole robot.
             rng: of the postures that solutions are sought from.
         """
         self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
@@ -74,7 +71,6 @@ class ReachChecker:
         "" if it can be followed from some posture. Quicker than ``best``.
 
         Args:
-            path: of the palm.
             home: a posture that solutions are sought from beside random ones [rad], shape [M].
         """
         outside = self._outside(path.palm)
@@ -94,7 +90,6 @@ class ReachChecker:
         """The postures from which the path can be followed, the best first.
 
         Args:
-            path: of the palm.
             home: where the arm is now [rad], shape [M]; of two that do as well, the nearer is better.
 
         Returns:
@@ -119,7 +114,6 @@ class ReachChecker:
         posture.
 
         Args:
-            paths: of the palm.
             home: where the arm is now [rad], shape [M].
         """
         starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
@@ -140,7 +134,6 @@ class ReachChecker:
         """Follow a path from a posture.
 
         Args:
-            path: of the palm.
             posture: at its beginning [rad], shape [M].
             hand_matters: whether the hand must not press into the table.
         """

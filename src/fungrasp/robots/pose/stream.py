@@ -231,8 +231,6 @@ class PosePublisher:
         """
         Args:
             address: to publish on, "tcp://127.0.0.1:5556".
-            object_name: of the object.
-            frame: that poses are in.
 
         Raises:
             RobotError: the address is in use or is none.

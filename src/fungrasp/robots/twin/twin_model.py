@@ -66,7 +66,6 @@ def twin_model(
 
     Args:
         cell: with the arm and its base.
-        hand: mounted on the arm.
         thing: the object as it is believed.
         truth: what is true of hand, object and table.
         physics: the default if None.
