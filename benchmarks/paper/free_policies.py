@@ -6,8 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from fungrasp.cli.console import progress_bar
 from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
+
+from fungrasp.cli.console import progress_bar
 from fungrasp.core.files import atomic_path
 from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
@@ -76,6 +77,7 @@ class FreePolicies:
         from fungrasp.training.predictor_run import train_predictor
         from fungrasp.training.run import POLICY, RunSettings, train
         from fungrasp.training.student_run import STUDENT, train_student
+
         from fungrasp.training.training_sets import BUILTIN_TERMS, load_training_sets
 
         terms = (BUILTIN_TERMS, *(SYNTHESIZED_TERMS for _ in files))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
 
 from fungrasp.cli.console import progress_bar, table
-from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.provenance import run_record
 from fungrasp.policies.residual_action import ResidualSettings
@@ -183,6 +183,7 @@ class TableOptions:
     def _taught(self, name: str, variant: Variant, hand: Hand, seed: int) -> Path:
         """The policy file of a training by PPO: of a variant, or of its teacher. name: of its folder."""
         from fungrasp.training.run import POLICY, RunSettings, train
+
         from fungrasp.training.training_sets import load_training_sets
 
         folder = self._folder(variant, seed)

@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from fungrasp.training.run import RunSettings
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
@@ -14,7 +15,6 @@ from fungrasp.retargeting import retarget
 from fungrasp.simulation import Device
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
-from fungrasp.training.run import RunSettings
 from fungrasp.training.settings import PpoSettings
 from fungrasp.training.training_sets import TrainingSet
 

@@ -29,6 +29,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 import numpy as np
 import torch
+from fungrasp.training.run import POLICY, train
+from fungrasp.training.student_run import STUDENT, train_student
 from small_parts import parts_of
 from small_training import BATCH, WORLDS, hand, run_settings, training_set
 
@@ -45,9 +47,7 @@ from fungrasp.policies import make_planner
 from fungrasp.retargeting import retarget
 from fungrasp.task import LiftProtocol
 from fungrasp.training.learning_curve import CURVE, read_curve
-from fungrasp.training.run import POLICY, train
 from fungrasp.training.settings import CurveSettings, DistillSettings
-from fungrasp.training.student_run import STUDENT, train_student
 
 UPDATES, ROUNDS = 42, 25
 DISTILL = DistillSettings(steps=2, teacher_rounds=1, updates=2, minibatch=16, kept_rounds=12)

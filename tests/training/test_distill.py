@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 import pytest
+from fungrasp.training.run import train
+from fungrasp.training.student_run import STUDENT, read_teacher, train_student
 from small_training import BATCH, WORLDS, hand, run_settings, training_set
 
-from fungrasp.training.run import train
 from fungrasp.training.settings import DistillSettings
-from fungrasp.training.student_run import STUDENT, read_teacher, train_student
 
 SMALL = DistillSettings(steps=2, teacher_rounds=1, updates=1, minibatch=8)
 ROUND = WORLDS * SMALL.steps

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.checkpoint import read_checkpoint
+from fungrasp.training.run import POLICY, train
+from fungrasp.training.student_run import STUDENT, train_student
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
 from fungrasp.core.errors import FungraspError
@@ -19,12 +22,9 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.policies.success_predictor import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
-from fungrasp.training.checkpoint import read_checkpoint
 from fungrasp.training.export import export_predictor, make_card
 from fungrasp.training.plan_library import Variety, build_plan_library
-from fungrasp.training.run import POLICY, train
 from fungrasp.training.settings import DistillSettings, PredictorSettings
-from fungrasp.training.student_run import STUDENT, train_student
 from fungrasp.training.success_predictor import PlanOutcomes, fit_predictor, try_plans
 
 SMALL = PredictorSettings(attempts=2, networks=1, hidden=(16, 8), epochs=100, dropout=0.0, hold_time=0.3)

@@ -9,13 +9,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.checkpoint import read_checkpoint
+from fungrasp.training.run import HELD_OUT_PLANS, train
 from small_training import BATCH, environment, hand, library, run_settings, training_set
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.training import learning_curve
-from fungrasp.training.checkpoint import read_checkpoint
 from fungrasp.training.learning_curve import CURVE, DRAWING, LearningCurve, draw_curves, read_curve
-from fungrasp.training.run import HELD_OUT_PLANS, train
 from fungrasp.training.settings import CurveSettings
 from fungrasp.training.training_sets import split_sets
 

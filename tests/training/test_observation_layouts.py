@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.run import POLICY, RunSettings, train
+from fungrasp.training.student_run import STUDENT, train_student
 from small_training import BATCH, WORLDS, environment, hand, library, run_settings, training_set
 
 from fungrasp.core.errors import FungraspError
@@ -18,9 +20,7 @@ from fungrasp.sim2real import NOMINAL
 from fungrasp.task import Action
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.networks import make_networks, tensors
-from fungrasp.training.run import POLICY, RunSettings, train
 from fungrasp.training.settings import DistillSettings
-from fungrasp.training.student_run import STUDENT, train_student
 
 INPUTS = {
     ("full", "contacts"): 334 + 3 * 13,

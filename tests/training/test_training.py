@@ -16,6 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
+from fungrasp.training.history import HISTORY
+from fungrasp.training.run import train
+from fungrasp.training.student import StudentGraph
 from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
 
 from fungrasp.core.errors import FungraspError
@@ -26,16 +30,12 @@ from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.task.features import INPUT_LIMIT
-from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
 from fungrasp.training.distill import make_student
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
-from fungrasp.training.history import HISTORY
 from fungrasp.training.networks import ColoredGaussian, tensors
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import train
 from fungrasp.training.settings import PpoSettings
-from fungrasp.training.student import StudentGraph
 from fungrasp.training.training_sets import TrainingSet
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from fungrasp.training.run import train
 from small_training import BATCH, PPO, WORLDS, environment, hand, run_settings, training_set
 from tensor_engine import meta, tensor, tensor_worlds
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -23,7 +24,6 @@ from fungrasp.sim2real import MODERATE, REALITY, WIDE, Randomization
 from fungrasp.simulation import make_engine
 from fungrasp.training.environment import EndedEpisodes, TrainingEnvironment
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import train
 
 KINDS: dict[str, dict[str, Any]] = {
     "plan": {"randomization": MODERATE, "history": True, "early": (-9, -5)},
