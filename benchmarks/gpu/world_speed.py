@@ -88,10 +88,10 @@ def world_speed(
         timed(environment, "step", _wait(engine)) as stepping,
     ):
         trainer = Trainer(environment, PpoSettings(steps=steps, warm_up=0))
-        trainer.learn(1)
+        trainer.learn_until(1)
         inside[0] = stepping[0] = 0.0
         start = perf_counter()
-        trainer.learn(trainer.steps + steps * worlds)
+        trainer.learn_until(trainer.steps + steps * worlds)
         whole = perf_counter() - start
     return WorldSpeed(
         device=device,

@@ -74,9 +74,9 @@ class FreePolicies:
 
     def _train(self, hand: Hand, files: list[Path]) -> None:
         """Train and keep what a hand lacks."""
-        from fungrasp.training.predictor_run import train_predictor
-        from fungrasp.training.run import POLICY, RunSettings, train
-        from fungrasp.training.student_run import STUDENT, train_student
+        from fungrasp.training.success_predictor import train_predictor
+        from fungrasp.training.train import POLICY, RunSettings, train
+        from fungrasp.training.distill import STUDENT, train_student
 
         from fungrasp.training.training_sets import BUILTIN_TERMS, load_training_sets
 

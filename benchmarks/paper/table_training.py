@@ -182,7 +182,7 @@ class TableOptions:
 
     def _taught(self, name: str, variant: Variant, hand: Hand, seed: int) -> Path:
         """The policy file of a training by PPO: of a variant, or of its teacher. name: of its folder."""
-        from fungrasp.training.run import POLICY, RunSettings, train
+        from fungrasp.training.train import POLICY, RunSettings, train
 
         from fungrasp.training.training_sets import load_training_sets
 
@@ -208,7 +208,7 @@ class TableOptions:
 
     def _distilled(self, variant: Variant, hand: Hand, seed: int) -> Path:
         """The policy file of a student."""
-        from fungrasp.training.student_run import STUDENT, train_student
+        from fungrasp.training.distill import STUDENT, train_student
 
         teacher = self._taught("teacher", variant, hand, seed).parent
         folder = self._folder(variant, seed) / variant.name

@@ -22,7 +22,7 @@ from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.simulation import MujocoCpuEngine, build_scene
 from fungrasp.task import Action, LiftEnvironment
 from fungrasp.task.setpoints import SetpointSequence
-from fungrasp.training.distill import make_student
+from fungrasp.training.networks import make_student
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.plan_library import PlanLibrary
@@ -130,9 +130,9 @@ def environment_speed(
 def update_speed(environment: TrainingEnvironment, settings: PpoSettings, updates: int = 2) -> UpdateSpeed:
     """Collect and learn for a few updates, after a first one that does not count."""
     trainer = Trainer(environment, settings)
-    trainer.learn(1)
+    trainer.learn_until(1)
     seconds = {"environment": 0.0, "learning": 0.0}
-    step, update = environment.step, trainer.algorithm.update
+    step, update = environment.step, trainer.alg.update
 
     def timed(name: str, work: Callable) -> Callable:
         def run(*arguments: object) -> object:
@@ -143,11 +143,11 @@ def update_speed(environment: TrainingEnvironment, settings: PpoSettings, update
 
         return run
 
-    environment.step, trainer.algorithm.update = timed("environment", step), timed("learning", update)
+    environment.step, trainer.alg.update = timed("environment", step), timed("learning", update)
     first, start = trainer.steps, perf_counter()
-    trainer.learn(first + updates * settings.steps * environment.settings.worlds)
+    trainer.learn_until(first + updates * settings.steps * environment.settings.worlds)
     whole = perf_counter() - start
-    environment.step, trainer.algorithm.update = step, update
+    environment.step, trainer.alg.update = step, update
     return UpdateSpeed(
         (trainer.steps - first) / whole, seconds["environment"] / whole, seconds["learning"] / whole
     )

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from fungrasp.training.run import RunSettings
+from fungrasp.training.train import RunSettings
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand

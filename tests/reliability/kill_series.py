@@ -29,8 +29,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 
 import numpy as np
 import torch
-from fungrasp.training.run import POLICY, train
-from fungrasp.training.student_run import STUDENT, train_student
+from fungrasp.training.train import POLICY, train
+from fungrasp.training.distill import STUDENT, train_student
 from small_parts import parts_of
 from small_training import BATCH, WORLDS, hand, run_settings, training_set
 

@@ -7,7 +7,7 @@ import resource
 
 import pytest
 import torch
-from fungrasp.training.checkpoint import read_checkpoint, write_checkpoint
+from fungrasp.training.folder import read_checkpoint, write_checkpoint
 
 from fungrasp.core.errors import FungraspError
 

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from fungrasp.training.run import train
-from fungrasp.training.student_run import STUDENT, read_teacher, train_student
+from fungrasp.training.train import train
+from fungrasp.training.distill import STUDENT, read_teacher, train_student
 from small_training import BATCH, WORLDS, hand, run_settings, training_set
 
 from fungrasp.training.settings import DistillSettings

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fungrasp.training.checkpoint import read_checkpoint
-from fungrasp.training.run import POLICY, train
-from fungrasp.training.student_run import STUDENT, train_student
+from fungrasp.training.folder import read_checkpoint
+from fungrasp.training.train import POLICY, train
+from fungrasp.training.distill import STUDENT, train_student
 from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
 
 from fungrasp.core.errors import FungraspError

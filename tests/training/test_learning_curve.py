@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import torch
-from fungrasp.training.checkpoint import read_checkpoint
-from fungrasp.training.run import HELD_OUT_PLANS, train
+from fungrasp.training.folder import read_checkpoint
+from fungrasp.training.train import HELD_OUT_PLANS, train
 from small_training import BATCH, environment, hand, library, run_settings, training_set
 
 from fungrasp.core.errors import FungraspError

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from fungrasp.training.run import POLICY, RunSettings, train
-from fungrasp.training.student_run import STUDENT, train_student
+from fungrasp.training.train import POLICY, RunSettings, train
+from fungrasp.training.distill import STUDENT, train_student
 from small_training import BATCH, WORLDS, environment, hand, library, run_settings, training_set
 
 from fungrasp.core.errors import FungraspError

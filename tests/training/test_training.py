@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
-from fungrasp.training.history import HISTORY
-from fungrasp.training.run import train
-from fungrasp.training.student import StudentGraph
+from fungrasp.training.folder import check_environment, environment_state, read_checkpoint
+from fungrasp.training.environment import HISTORY
+from fungrasp.training.train import train
+from fungrasp.training.networks import StudentGraph
 from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
 
 from fungrasp.core.errors import FungraspError
@@ -30,7 +30,7 @@ from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.task.features import INPUT_LIMIT
-from fungrasp.training.distill import make_student
+from fungrasp.training.networks import make_student
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.networks import ColoredGaussian, tensors
@@ -243,7 +243,7 @@ def test_ppo_moves_towards_what_is_paid_for():
     worlds.step = paid
     trainer = Trainer(worlds, PPO)
     rewards = []
-    trainer.learn(25 * BATCH, lambda p: rewards.append(p.reward))
+    trainer.learn_until(25 * BATCH, lambda p: rewards.append(p.reward))
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.3
 
 
@@ -285,7 +285,7 @@ def test_grasps_without_use_are_named(tmp_path):
 def test_a_killed_run_goes_on_where_its_checkpoint_is(tmp_path):
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path; import small_training as t;"
-        "from fungrasp.training.run import train;"
+        "from fungrasp.training.train import train;"
         "train(Path(sys.argv[2]), [t.training_set()], t.hand(), t.run_settings(), 10**9, threads=1)"
     )
     process = subprocess.Popen(

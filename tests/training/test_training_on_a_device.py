@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from fungrasp.training.run import train
+from fungrasp.training.train import train
 from small_training import BATCH, PPO, WORLDS, environment, hand, run_settings, training_set
 from tensor_engine import meta, tensor, tensor_worlds
 from torch.utils._python_dispatch import TorchDispatchMode
@@ -122,7 +122,7 @@ def test_ppo_learns_on_tensors_and_goes_on_from_a_checkpoint(monkeypatch, tmp_pa
         trainer = Trainer(on_tensors(monkeypatch, tensor), PPO, seed=1)
         for path in after:
             trainer.load(path)
-        trainer.learn(steps, checkpoint=tmp_path / "kept", every=1)
+        trainer.learn_until(steps, checkpoint=tmp_path / "kept", every=1)
         return trainer
 
     whole = trained(3 * BATCH)

@@ -139,7 +139,7 @@ class TrainPredictor(TrainingGrasps, Answering):
 
     out: Path
     """The predictor's file (.onnx)."""
-    spec: PredictorSpec = field(default_factory=PredictorSpec)
+    spec: Annotated[PredictorSpec, tyro.conf.arg(name="")] = field(default_factory=PredictorSpec)
     """How."""
 
     def run(self) -> Answer:
