@@ -6,10 +6,9 @@ import sys
 from pathlib import Path
 
 import torch
-from fungrasp.training.ppo import Processes, joined
 from small_training import BATCH, PPO, environment
 
-from fungrasp.training.ppo import Trainer
+from fungrasp.training.ppo import Processes, Trainer, joined
 
 
 def trained(processes: Processes, steps: int, checkpoint: Path) -> tuple[torch.Tensor, torch.Tensor]:

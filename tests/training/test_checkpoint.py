@@ -7,9 +7,9 @@ import resource
 
 import pytest
 import torch
-from fungrasp.training.folder import read_checkpoint, write_checkpoint
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.training.folder import read_checkpoint, write_checkpoint
 
 
 @pytest.fixture
