@@ -49,6 +49,14 @@ def test_conditions_are_results_of_their_own(good, things, monkeypatch):
     assert result.table().splitlines()[0].split()[0] == "condition"
 
 
+def test_what_earlier_versions_asked_is_read():
+    asked = {"policy": "reference", "seeds": [3], "static": True}
+    assert LiftTestSpec.read({**asked, "refine": 0}, "r.json") == LiftTestSpec(seeds=(3,), static=True)
+    assert LiftTestSpec.read({**asked, "refine": 8}, "r.json") is None
+    with pytest.raises(FungraspError, match="no field 'refines'"):
+        LiftTestSpec.read({"refines": 8}, "r.json")
+
+
 @pytest.mark.parametrize(
     ("asked", "words"),
     [

@@ -33,8 +33,6 @@ class Evaluate:
     policy: str = "reference"
     """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
     student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
-    refine: int = 0
-    """First try this many variations of each grasp in simulation, and keep the best."""
     method: tuple[str, ...] = ("contact",)
     """How human grasps are retargeted: contact, angle-copy, dexgraspnet; several are compared, with and
     without adaptation of the grasps to the settled object."""
@@ -170,7 +168,6 @@ class Evaluate:
             physics=SceneSettings(noslip_iterations=self.noslip, device=device, buffers=buffers),
             adapt=self.adapt,
             rollouts=self.rollouts,
-            refine=self.refine,
             attempts=self.attempts,
             use=self.use,
             static=self.static,

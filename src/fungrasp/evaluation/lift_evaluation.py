@@ -50,9 +50,6 @@ class LiftTestResult:
     """What each grasp is for, shape [N] str."""
     outcomes: Outcomes
     """Outcomes of the N episodes."""
-    refined_tries: np.ndarray
-    """Episodes that refining the grasp took, 1 if it was not refined, negative where none succeeded;
-    shape [N]."""
     rollouts: np.ndarray
     """Episodes that were simulated to plan each grasp, shape [N] int."""
     contact_estimates: ContactEstimates
@@ -224,7 +221,6 @@ def _result(job: LiftTest, condition: str, parts: list[tuple[Episodes, Arrays]])
         object_name=grasps.object_name[index],
         task=grasps.task[index],
         outcomes=Outcomes.from_arrays(merged),
-        refined_tries=merged["refined_tries"],
         rollouts=merged["rollouts"],
         contact_estimates=ContactEstimates.from_arrays(merged),
         use=UseOutcomes.from_arrays(_without(merged, USE_PREFIX)) if spec.use else None,

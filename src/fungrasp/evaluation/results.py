@@ -81,7 +81,6 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "task": str(result.task[i]),
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
-            "refined_tries": int(result.refined_tries[i]),
             **{name: values[i] for name, values in attempt_columns.items()},
             **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
