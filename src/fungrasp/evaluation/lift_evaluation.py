@@ -19,7 +19,6 @@ from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test_job import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
-from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, check_objects
@@ -58,8 +57,6 @@ class LiftTestResult:
     """Outcomes of the use tests that followed; None if there were none."""
     attempts: AttemptRecord | None = None
     """What became of the attempts; None if there was one only."""
-    six_directions: StaticResult | None = None
-    """Of the grasps, if it was asked for."""
     quality: StaticQuality | None = None
     """Of the grasps, if it was asked for and the human grasps are known."""
     conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
@@ -197,10 +194,8 @@ def evaluate(
         for name in spec.conditions
     }
     result = next(iter(results.values()))
-    if spec.static:
-        six = six_direction_test(robot, objects, job.hand, threads=threads)
-        quality = None if human is None else static_quality(robot, human, objects, job.hand)
-        result = replace(result, six_directions=six, quality=quality)
+    if spec.static and human is not None:
+        result = replace(result, quality=static_quality(robot, human, objects, job.hand))
     conditions = results if len(results) > 1 else {}
     seconds = perf_counter() - start
     return replace(result, conditions=conditions, grasps=robot, objects=objects, seconds=seconds)

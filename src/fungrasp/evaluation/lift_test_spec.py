@@ -45,7 +45,7 @@ class LiftTestSpec:
     use: bool = False
     """Whether the use test of the grasp's task follows every lift test that is passed."""
     static: bool = False
-    """Whether the six-direction test and the static quality are measured too."""
+    """Whether the static quality is measured too, where the human grasps are known."""
 
     def __post_init__(self) -> None:
         """
@@ -66,8 +66,8 @@ class LiftTestSpec:
 
     @classmethod
     def read(cls, data: Any, where: str) -> LiftTestSpec | None:
-        """What ``record_to_json`` has written, of earlier versions too; None where it can't be asked again, as
-        grasps were varied in the test's own world first.
+        """What ``record_to_json`` has written, of earlier versions too. None where it can't be asked again:
+        its grasps were varied in the test's own world first.
 
         Args:
             data: as read.
