@@ -1,5 +1,5 @@
-"""``python -m benchmarks.gpu``: physics and control steps per second over the number of worlds, on each device,
-and the memory that a world takes."""
+"""``python -m benchmarks.gpu``: physics and control steps per second over the number of worlds, on each
+device, and the memory that a world takes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """``python -m benchmarks.speed``: how long the package takes for what it does most.
 
-Retargeting, planning, training, one robot's control step, and the start of the program. With ``PYTHONPATH`` at
-another checkout the same measures that one: pairs of runs on one machine compare two versions.
+Retargeting, planning, training, one robot's control step, and the start of the program. Pairs of runs on one
+machine, each from its own clone, compare two versions.
 """
 
 from __future__ import annotations

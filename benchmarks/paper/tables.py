@@ -70,10 +70,10 @@ class PaperTable:
     option_prefixes: ClassVar[bool] = True
 
     table: Annotated[Literal["hands", "retargeting", "privileged"], tyro.conf.Positional]
-    """hands (Table III): a student of Shadow, Faive P0 and Allegro each, on the same human grasps; retargeting
-    (Table IV): a teacher for each method, trained and tested on its grasps; privileged (Table V): what is
-    known of the contacts: nothing, what an encoder learns along the way, the truth, and what a student has
-    learned from a teacher."""
+    """hands (Table III): a student of Shadow, Faive P0 and Allegro each, on the same human grasps;
+    retargeting (Table IV): a teacher for each method, trained and tested on its grasps; privileged
+    (Table V): what is known of the contacts: nothing, what an encoder learns along the way, the truth, and
+    what a student has learned from a teacher."""
     grasps: tuple[str, ...]
     """Files of grasps to train on, or "builtin"; human ones where retargeting or hands are compared."""
     test: str
