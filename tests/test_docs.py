@@ -35,12 +35,8 @@ from fungrasp.objects import builtin_object
 from fungrasp.task import Outcomes
 
 ROOT = Path(__file__).parents[1]
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").rglob("*.md")),
-    *sorted((ROOT / "lab").glob("*.md")),
-]
+MANUAL = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [*MANUAL, *sorted((ROOT / "lab").glob("*.md"))]
 """With the records of the lab, whose commands and names are those of their time."""
 BLOCK = re.compile(
     r"^(?P<fence>`{3,})(?P<language>\w*) *(?:title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^(?P=fence)$",
