@@ -32,7 +32,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
     "view": ("fungrasp.cli.view", "look at grasps, episodes, results, logs, captures and hands in a browser"),
-    "export": ("fungrasp.cli.export", "write episodes and grasps for LeRobot, MCAP, URDF, DexGraspBench"),
+    "export": ("fungrasp.cli.export", "write recorded episodes for LeRobot or as MCAP files"),
     "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
