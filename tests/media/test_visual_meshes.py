@@ -9,7 +9,7 @@ import trimesh
 
 from fungrasp.hands import load_hand
 from fungrasp.hands.hand import read_hand_toml
-from fungrasp.media.model_surfaces import drawn_geoms
+from fungrasp.media.surfaces import drawn_geoms
 from fungrasp.media.visual_meshes import dressed_model, dressed_spec
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.media.ray_tracing import Look
 from fungrasp.media.render import Renderer
-from fungrasp.media.shading import Look
 from fungrasp.media.viewpoints import frame_geoms
 
 INK = (38, 42, 48)

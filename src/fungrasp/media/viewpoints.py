@@ -10,9 +10,8 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.media.camera import Camera, fit_camera
 from fungrasp.media.grasp_scenes import CONTACT, OBJECT_BODY
-from fungrasp.media.model_surfaces import VISIBLE_GROUPS
 from fungrasp.media.render import Renderer, Views
-from fungrasp.media.shading import model_materials
+from fungrasp.media.surfaces import VISIBLE_GROUPS, model_materials
 
 _LARGEST = 0.6
 _BEST_ELEVATION = 26.0
