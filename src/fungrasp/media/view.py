@@ -11,11 +11,9 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.plots import RateBars, rates_svg
 from fungrasp.core.provenance import page_provenance
-from fungrasp.deployment.log import read_log
 from fungrasp.evaluation import LiftTestResult
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGraspSet, load_objects
-from fungrasp.media.deployment_page import write_deployment_page
 from fungrasp.media.grasp_demo import grasp_title, outcome_words
 from fungrasp.media.grasp_pictures import DRAWN_GRASPS, spread_rows
 from fungrasp.media.grasp_scenes import grasp_scene
@@ -32,11 +30,11 @@ WIDTH, HEIGHT = 560, 420
 
 
 def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | Path) -> Path:
-    """Write a page about grasps, the result of a lift test, what was perceived, or a deployment.
+    """Write a page about grasps, the result of a lift test, or what was perceived.
 
     Args:
         what: human or robot grasps, of which a few of different objects are drawn; a result, of which some
-            episodes of either outcome are; what ``perceive`` returned; or the path of a deployment's log.
+            episodes of either outcome are; or what ``perceive`` returned.
         objects: those of grasps, by name; built-in objects if None. A result has its own.
         out: HTML file to write; it needs no other file and no network.
 
@@ -49,8 +47,6 @@ def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | 
     path = Path(out)
     if isinstance(what, Perceived):
         write_perception_page(path, what, page_provenance({}, 0))
-    elif isinstance(what, str | Path):
-        write_deployment_page(path, read_log(Path(what)))
     elif isinstance(what, LiftTestResult):
         _write_result(path, what)
     elif isinstance(what, HumanGraspSet | RobotGraspSet):
@@ -63,8 +59,8 @@ def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | 
         write_page(path, Page("Grasps", reports, hand, count, page_provenance({}, 0)))
     else:
         raise FungraspError(
-            "a page on disk can be made of grasps, a result, what was perceived or the path of a "
-            f"deployment's log, not of {'nothing' if what is None else 'a ' + type(what).__name__}"
+            "a page on disk can be made of grasps, a result or what was perceived, not of "
+            f"{'nothing' if what is None else 'a ' + type(what).__name__}; without out= a browser shows more"
         )
     return path
 
