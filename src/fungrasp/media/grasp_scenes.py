@@ -13,7 +13,7 @@ from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
 from fungrasp.media.hand_mesh import human_hand_mesh
-from fungrasp.media.object_looks import painted_parts
+from fungrasp.media.materials import painted_parts
 from fungrasp.media.surfaces import model_materials
 from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel

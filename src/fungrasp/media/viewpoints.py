@@ -106,6 +106,12 @@ def frame_geoms(
     )
 
 
+def view_angles(camera: Camera) -> tuple[float, float]:
+    """Azimuth and elevation of a camera, seen from its target [degrees]."""
+    x, y, z = np.subtract(camera.position, camera.target)
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+
+
 def _shares(mask: np.ndarray) -> np.ndarray:
     """How much of a thing each view shows, compared with the best one; mask: shape [views, H, W] bool."""
     pixels = mask.sum((1, 2))

@@ -58,7 +58,7 @@ def view(
             can't be read or written, or the extra ``viewer`` is not installed.
     """
     if out is not None:
-        from fungrasp.media.view import write_view
+        from fungrasp.media.grasp_pages import write_view
 
         path = write_view(what, objects, out)
         if browser:
