@@ -66,7 +66,12 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
     )
     save_human_grasps(tmp_path / "air.npz", bad)
     out = tmp_path / "out"
-    arguments = ["--grasps", str(tmp_path / "air.npz"), "--policy", "reference",]
+    arguments = [
+        "--grasps",
+        str(tmp_path / "air.npz"),
+        "--policy",
+        "reference",
+    ]
     assert main(["demo", *arguments, "--out", str(out)]) == 0
     assert "It did not hold: lost before the hold." in capsys.readouterr().out
     page = (out / "index.html").read_text()
