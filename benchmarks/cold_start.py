@@ -80,9 +80,7 @@ def from_wheel(folder: Path, phases: bool) -> dict[str, float]:
     )
     (wheel,) = (folder / "dist").glob("*.whl")
     seconds = {
-        "install": _run(
-            [str(python), "-m", "pip", "install", "--quiet", str(wheel)], folder, environment
-        )
+        "install": _run([str(python), "-m", "pip", "install", "--quiet", str(wheel)], folder, environment)
     }
     command = [str(python.with_name("fungrasp")), "demo"]
     seconds["demo"] = _run(command, folder, environment)
