@@ -20,7 +20,7 @@ from fungrasp.core.version import __version__ as __version__
 _NAMES = {
     "deployment.deploy": "deploy",
     "deployment.deployment_result": "DeploymentSpec",
-    "evaluation": "LiftTestSpec compare_methods evaluate static_quality",
+    "evaluation": "LiftTestSpec evaluate static_quality",
     "evaluation.plans": "plan",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
@@ -35,6 +35,9 @@ _NAMES = {
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
+    "training.settings": "TrainSpec",
+    "training.train": "train",
+    "training.training_sets": "TrainingSet",
     "viewer.view": "view",
     "task": "Action Belief GraspPlan LiftEnvironment Observation Policy play",
 }
