@@ -14,7 +14,7 @@ REAL_TIME = (
     "robots",
     "ros2",
     "viewer",
-    "benchmarks/faults",
+    "benchmarks/fault_series",
     "benchmarks/wire",
 )
 """Folders of tests in real time: emulated devices with watchdogs, processes that wait for each other."""

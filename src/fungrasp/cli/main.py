@@ -48,6 +48,7 @@ help."""
 
 LEFT: Mapping[str, str] = {
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",
