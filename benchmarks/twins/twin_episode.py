@@ -12,15 +12,12 @@ import numpy as np
 
 from benchmarks.twins.placements import MOST_PLACEMENTS, deploy_where_reached
 from fungrasp.core.jobs import PartStore, part_key
-from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.deployment_task import DeploymentTask
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import (
-    TwinOutcome,
-    deploy_on_twin,
-    reachable_placements,
-)
+from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placements
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -43,7 +40,7 @@ class TwinVariant:
     identified: bool = True
     """Whether planner and robot know the identified dynamics of the hand."""
     attempts: int = 1
-    """Most attempts of the robot at the object (``DeploymentSettings.attempts``)."""
+    """Most attempts of the robot at the object (``DeploymentSpec.attempts``)."""
 
 
 @dataclass(frozen=True)
@@ -203,22 +200,17 @@ class TwinSetup:
         """
         thing = self.objects[placed.grasp.object_name[0]]
 
-        def deploy_at(where: np.ndarray) -> TwinOutcome:
-            return deploy_on_twin(
-                self.cell,
-                self.hand,
-                thing,
-                placed.grasp,
-                where,
-                self.policy,
-                planner,
-                truth,
-                dynamics=dynamics,
-                compensate=variant.compensate,
-                physics=self.physics,
-                settings=DeploymentSettings(look_time=0.4, until=Phase.HOLD, attempts=variant.attempts),
-                advise=False,
-            )
+        spec = DeploymentSpec(
+            attempts=variant.attempts,
+            until="lift",
+            gravity_compensation=variant.compensate,
+            real_time=False,
+            look_time=0.4,
+        )
+        task = DeploymentTask(spec, self.cell, self.hand, thing, placed.grasp, self.policy, planner, dynamics)
+
+        def deploy_at(where: np.ndarray) -> DeploymentResult:
+            return deploy_on_twin(task, where, truth, physics=self.physics, advise=False)
 
         def deploy() -> dict[str, np.ndarray]:
             outcome, count, said = deploy_where_reached(placed.placements, deploy_at)
@@ -254,14 +246,14 @@ class TwinSetup:
         return self.store.kept(part_key(what, self.cell, self.hand, held, *besides), make)
 
 
-def _measured(outcome: TwinOutcome, placements: int) -> dict[str, np.ndarray]:
+def _measured(outcome: DeploymentResult, placements: int) -> dict[str, np.ndarray]:
     """What was measured in an episode, by the names of ``TwinEpisode``."""
     values = {"height_m": outcome.height, "tracking_rad": outcome.tracking, "sag_rad": outcome.sag}
     return {
         "success": np.asarray(outcome.success),
-        "fault": np.asarray(outcome.result.fault),
+        "fault": np.asarray(outcome.fault),
         "placements": np.asarray(placements),
-        "attempts": np.asarray(outcome.result.attempts),
+        "attempts": np.asarray(outcome.attempts),
         **{name: np.asarray(value if np.isfinite(value) else -1.0) for name, value in values.items()},
     }
 

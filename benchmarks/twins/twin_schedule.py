@@ -17,7 +17,7 @@ from benchmarks.twins.twin_episode import (
     TwinVariant,
 )
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.robots.twin.parameters import TwinParameters, TwinSpread, cell_twin

@@ -26,8 +26,8 @@ from fungrasp.core.formats.record_json import record_to_json
 from fungrasp.core.jobs import PartStore
 from fungrasp.core.provenance import run_record
 from fungrasp.core.text_table import table
-from fungrasp.deployment.deploy import deployable_policy, robot_planner
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.deployment_task import deployable_policy, robot_planner
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import RobotGraspSet

@@ -16,7 +16,7 @@ from benchmarks.twins.twin_schedule import KnownGrasps, given_dynamics, placed_g
 from benchmarks.twins.twin_series import VARIANTS
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import PartStore
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
@@ -50,12 +50,11 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     """Deployments are not played, but listed here."""
     seen: list[tuple[Any, ...]] = []
 
-    def deploy(cell, hand, thing, grasp, placement, policy, planner, truth, **options):
-        seen.append((thing.name, truth.gain, options["dynamics"], options["compensate"]))
+    def deploy(task, placement, truth, **options):
+        seen.append((task.thing.name, truth.gain, task.dynamics, task.spec.gravity_compensation))
         if len(seen) == 2 or placement[0] < 0:
             raise UnreachableError("the grasp is not reachable: the arm would touch the table")
-        result = SimpleNamespace(fault="", attempts=1)
-        return SimpleNamespace(result=result, success=True, height=0.12, tracking=0.02, sag=np.nan)
+        return SimpleNamespace(fault="", attempts=1, success=True, height=0.12, tracking=0.02, sag=np.nan)
 
     monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
     return seen
