@@ -21,7 +21,7 @@ _NAMES = {
     "deployment.deploy": "deploy",
     "deployment.observer": "DeploymentObserver",
     "deployment.spec": "DeploymentSpec",
-    "evaluation": "LiftTestSpec compare_methods evaluate static_quality",
+    "evaluation": "LiftTestSpec evaluate static_quality",
     "evaluation.plans": "plan",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "

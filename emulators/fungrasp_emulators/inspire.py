@@ -22,12 +22,11 @@ import numpy as np
 
 from fungrasp.robots.codecs import inspire as codec
 from fungrasp.robots.codecs import inspire_serial as own
-from fungrasp.robots.codecs import modbus
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.emulators.emulator import Emulator, Fault
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
 from fungrasp.robots.hands.inspire import COMMAND_DELAY
 from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp_emulators import modbus
+from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
 
 ANSWER_TIME = 0.006
 """Of a real hand [s]."""

@@ -11,11 +11,10 @@ import tty
 
 import numpy as np
 
-from benchmarks.faults import dynamixel_packets as wire
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.emulators.emulator import Emulator, Fault
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
+from fungrasp_emulators import dynamixel_packets as wire
+from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
 
 MODEL = 1220
 """Model number of an XC330-M288."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from fungrasp.robots.can_bus import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp.robots.codecs import allegro as codec
-from fungrasp.robots.emulators.emulator import Emulator, Fault
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
 from fungrasp.robots.optional_packages import import_client
+from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
 
 BUS = "43113"
 """Default channel of "loopback"; a second hand has one of its own, "43114"."""

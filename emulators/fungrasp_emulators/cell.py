@@ -8,11 +8,10 @@ from typing import Any, Self
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots.cell import ArmSettings, DeviceSettings, RobotCell
-from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.plant import PlantCommand, PlantState
 from fungrasp.robots.pose.stream import PosePublisher
 from fungrasp.robots.twin.clocks import RealTimeTwin
 from fungrasp.robots.twin.world import TwinWorld
+from fungrasp_emulators.emulator import Emulator, PlantCommand, PlantState
 
 POLL = 0.005
 """Time between two looks for a new frame of the tracker [s]."""
@@ -72,7 +71,7 @@ class CellEmulation:
 def _arm(device: ArmSettings, world: TwinWorld) -> Emulator:
     if device.driver != "ur-rtde":
         raise FungraspError(f"an arm with the driver '{device.driver}' can't be emulated")
-    from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+    from fungrasp_emulators.ur import URControllerEmulator
 
     version = (3, 15, 0) if device.model == "ur5" else (5, 11, 0)
     return URControllerEmulator(TwinArmPlant(world), _loopback(device), version)
@@ -81,7 +80,7 @@ def _arm(device: ArmSettings, world: TwinWorld) -> Emulator:
 def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
     plant, options = TwinHandPlant(world), device.options
     if device.driver == "allegro-can":
-        from fungrasp.robots.emulators.allegro_can import AllegroEmulator
+        from fungrasp_emulators.allegro import AllegroEmulator
 
         if options.get("interface") not in ("loopback", "virtual"):
             raise FungraspError(
@@ -95,7 +94,7 @@ def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
             options.get("side", "right"),
         )
     if device.driver == "inspire":
-        from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
+        from fungrasp_emulators.inspire import InspireEmulator
 
         return InspireEmulator(plant, _loopback(device), options.get("port", 6000))
     raise FungraspError(f"a hand with the driver '{device.driver}' can't be emulated")

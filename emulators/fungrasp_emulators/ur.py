@@ -18,12 +18,11 @@ import numpy as np
 from fungrasp.robots.codecs import rtde as codec
 from fungrasp.robots.codecs.ur_primary import encode_kinematics
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.emulators.emulator import Emulator, Fault
-from fungrasp.robots.emulators.plant import Plant
-from fungrasp.robots.emulators.ur_connections import URClient, URConnections
-from fungrasp.robots.emulators.ur_kinematics import UR5, UR5E, tool_pose
-from fungrasp.robots.emulators.ur_program import ServoProgram
 from fungrasp.robots.kinematics.dh_parameters import DHParameters
+from fungrasp_emulators.emulator import Emulator, Fault, Plant
+from fungrasp_emulators.ur_connections import URClient, URConnections
+from fungrasp_emulators.ur_kinematics import UR5, UR5E, tool_pose
+from fungrasp_emulators.ur_program import ServoProgram
 
 RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT = 30004, 29999, 30003, 30001
 STATE = "output_int_register_0"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
+from fungrasp_emulators.emulator import Plant, PlantCommand
 
 COMMAND = "input_int_register_0"
 READY, DONE = 1, 2

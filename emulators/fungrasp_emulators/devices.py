@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.faults.plants import ServoPlant, TorquePlant
 from fungrasp.core.errors import UnknownNameError
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.plant import Plant
 from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp_emulators.emulator import Emulator, Plant
+from fungrasp_emulators.plants import ServoPlant, TorquePlant
 
 STOPS = 0.1
 """How far the stops of emulated fingers lie beyond the limits of their joints [rad]."""
@@ -44,7 +43,7 @@ class EmulatedDevice:
 def emulated_ur(patience: float = 1.0) -> EmulatedDevice:
     """A UR5e; patience: times the driver's usual limit of silence."""
     from fungrasp.robots.arms.ur import URSettings, ur_driver
-    from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+    from fungrasp_emulators.ur import URControllerEmulator
 
     address = f"127.{os.getpid() % 200 + 1}.0.2"
     home = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
@@ -56,8 +55,8 @@ def emulated_ur(patience: float = 1.0) -> EmulatedDevice:
 
 def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
     """An Allegro Hand; generation: 4 or 5; patience: times the driver's usual limit of silence."""
-    from fungrasp.robots.emulators.allegro_can import AllegroEmulator
     from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
+    from fungrasp_emulators.allegro import AllegroEmulator
 
     home, bus = np.full(16, 0.4), "loopback"
     channel = str(20000 + os.getpid() % 10000 + 10000 * (generation - 4))
@@ -74,8 +73,8 @@ def emulated_allegro(generation: int, patience: float = 1.0) -> EmulatedDevice:
 def emulated_inspire(protocol: str = "tcp", patience: float = 1.0) -> EmulatedDevice:
     """An Inspire RH56; protocol: "tcp" or, on a serial line, "rtu" or "serial"; patience: times the driver's
     usual limit of silence."""
-    from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
     from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
+    from fungrasp_emulators.inspire import InspireEmulator
 
     home = np.full(6, 0.2)
     plant = ServoPlant(home, velocity=10.0)
@@ -92,9 +91,9 @@ def emulated_inspire(protocol: str = "tcp", patience: float = 1.0) -> EmulatedDe
 
 def emulated_leap(patience: float = 1.0) -> EmulatedDevice:
     """A LEAP hand; patience: times the driver's usual limit of silence."""
-    from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
     from fungrasp.hands import load_hand
     from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+    from fungrasp_emulators.leap import DynamixelEmulator
 
     home = np.full(16, 0.1)
     plant = ServoPlant(home, velocity=8.0)

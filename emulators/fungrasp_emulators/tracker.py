@@ -10,8 +10,8 @@ import numpy as np
 
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.robots.device import TrackingStatus
-from fungrasp.robots.emulators.emulator import Emulator, Fault
 from fungrasp.robots.pose.stream import PosePublisher
+from fungrasp_emulators.emulator import Emulator, Fault
 
 
 @dataclass(frozen=True)

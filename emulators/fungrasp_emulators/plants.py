@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fungrasp.robots.emulators.plant import PlantCommand, PlantState
+from fungrasp_emulators.emulator import PlantCommand, PlantState
 
 
 @dataclass
