@@ -15,7 +15,7 @@ from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.devices import STAYS, CellName, wired_cell
+from fungrasp.cli.options import STAYS, CellName, wired_cell
 from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answer, Answering
+from fungrasp.cli.options import STAYS, CellName, wired_cell
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -27,7 +28,6 @@ COMPARED = 2.0
 AT_REST, LONGEST_REST = 0.02, 1.0
 """A joint slower than this is at rest [rad/s]; a stopped device is within this time [s]."""
 
-CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
 
 
@@ -225,21 +225,6 @@ def _after_stop(driver: GuardedDriver) -> str:
     except RobotError:
         return f"at rest {1e3 * waited:.0f} ms later and {further:.4f} rad further; {STAYS}"
     return "it takes commands again without a new start"
-
-
-STAYS = "it stays stopped"
-"""Said of a device that takes no command after a stop."""
-
-
-def wired_cell(name: str) -> tuple[RobotCell, Hand]:
-    """A cell of real or emulated devices, and its hand."""
-    from fungrasp.hands import load_hand
-    from fungrasp.robots.cell import load_cell
-    from fungrasp.robots.single_devices import check_wired
-
-    cell = load_cell(name if Path(name).suffix != ".toml" else Path(name))
-    check_wired(cell)
-    return cell, load_hand(cell.hand)
 
 
 @contextmanager
