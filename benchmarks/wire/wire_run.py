@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.processor_time import processor_time
-from benchmarks.twins.placements import deploy_where_reached
+from benchmarks.twins.twin_episode import deploy_where_reached
 from benchmarks.wire.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deploy import deploy_on_robot

@@ -217,7 +217,7 @@ def test_emulated_devices_are_brought_up_to_the_plan(
     assert text.count("moved by 0.") + text.count("moved by -0.") >= 12
 
 
-def test_a_command_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
-    status, lines = bring_up.run_fungrasp(["robots", "check", CELL], False)
-    assert status == 0 and any(line.startswith("mount: ") for line in lines)
+def test_a_command_runs_in_a_process_of_its_own() -> None:
+    status, lines = bring_up.run_fungrasp(["--version"], False)
+    assert status == 0 and lines[0].startswith("fungrasp ")
     assert bring_up.run_fungrasp(["robots", "check", "nothing"], False)[0] == 2

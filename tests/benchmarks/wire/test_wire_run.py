@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.twins.placements import MOST_PLACEMENTS
+from benchmarks.twins.twin_episode import MOST_PLACEMENTS
 from benchmarks.wire import wire_run
 from benchmarks.wire.wire_run import run_over_the_wire
 from fungrasp.deployment.preparation import UnreachableError
