@@ -197,7 +197,7 @@ SOME = {
 
 
 def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", SOME)
+    monkeypatch.setattr("fungrasp.sim2real.randomization.ROBUSTNESS", SOME)
     path, plain, record = tmp_path / "r.json", tmp_path / "e.json", tmp_path / "trials"
     options = ("--grasps", human, "--seed", 0, 1, "--protocol", "robustness")
     options += ("--json", path, "--record", record)
@@ -238,7 +238,7 @@ def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, mon
         return dataclasses.replace(grasps, extra={"refined_tries": np.full(len(grasps), 7)})
 
     monkeypatch.setattr(refinement, "refine_grasps", refine)
-    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", dict(list(SOME.items())[:2]))
+    monkeypatch.setattr("fungrasp.sim2real.randomization.ROBUSTNESS", dict(list(SOME.items())[:2]))
     path = tmp_path / "r.json"
     options = ("--refine", 7, "--seed", 0, 1, "--protocol", "robustness", "--json", path)
     assert run(capsys, "evaluate", "--grasps", human, *options)[0] == 0
