@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.hands import Hand
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiApi
+
+    from fungrasp.hands import Hand
 
 _log = logging.getLogger(__name__)
 

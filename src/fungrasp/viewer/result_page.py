@@ -1,4 +1,4 @@
-"""The pages of a recorded episode, and of a lift test's result, whose episodes are filtered and played again."""
+"""The pages of a recorded episode, and of a result, whose episodes are filtered and played again."""
 
 from __future__ import annotations
 

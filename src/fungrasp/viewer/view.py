@@ -1,4 +1,4 @@
-"""``view``: anything that a verb returns or a command writes, as a page on disk or in a browser; its server."""
+"""``view``: what a verb returns or a command writes, as a page on disk or in a browser; its server."""
 
 from __future__ import annotations
 
