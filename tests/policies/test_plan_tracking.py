@@ -15,9 +15,9 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.policies.lift_reaction import HARDEST, HIGHEST
 from fungrasp.policies.plan_tracking import ANCHOR_SHARE, PlanTracker, link_directions_of, moved_towards
 from fungrasp.policies.residual_action import ResidualSettings, add_residual
+from fungrasp.policies.slip_response import HARDEST, HIGHEST
 from fungrasp.task import LiftProtocol, Observation, play
 from fungrasp.task.features import MeasuredState, flatten
 

@@ -12,9 +12,8 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
-from fungrasp.policies.residual_policy import check_card, residual_policy
-from fungrasp.policies.scripted import OpenLoopPolicy
-from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.policies.open_loop import OpenLoopPolicy
+from fungrasp.policies.residual_policy import NetworkPredictor, check_card, residual_policy
 from fungrasp.task import LiftProtocol, Policy, PrivilegedPolicy
 
 REFERENCE = "reference"

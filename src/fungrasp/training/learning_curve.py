@@ -15,7 +15,7 @@ from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.file_bytes import read_bytes
 from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.objects import ObjectModel, with_sizes
-from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork
 from fungrasp.policies.residual_policy import residual_policy
 from fungrasp.sim2real import draw
 from fungrasp.simulation import SceneSettings, build_scene

@@ -17,9 +17,8 @@ from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, as_hand, hand_files
 from fungrasp.policies import policy_files
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
-from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
+from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import BufferSizes, Device, found_device
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph

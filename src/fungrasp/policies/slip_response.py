@@ -25,7 +25,7 @@ FRESH = 0.35
 multiple of a control period."""
 
 
-class LiftReaction:
+class SlipResponse:
     """Watches the lifts of W robots. The palm rises by as much as the object has been seen to sink, so that
     the object rises by what was asked."""
 
