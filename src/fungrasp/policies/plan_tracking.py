@@ -76,7 +76,6 @@ class PlanTracker:
     ):
         """
         Args:
-            hand: the robot hand.
             objects: by name, those of the plans.
             plans: to choose from, N of them.
             count: W, number of robots.

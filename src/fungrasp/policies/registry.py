@@ -100,8 +100,6 @@ def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Po
 
     Args:
         name: as for ``policy_files``.
-        hand: that it moves.
-        objects: by name, all that it may meet.
 
     Raises:
         FungraspError: no such policy, or one for another hand.
@@ -123,8 +121,6 @@ def make_planner(
 
     Args:
         name: of the policy, as for ``policy_files``.
-        hand: that it moves.
-        objects: by name.
         settings: of the selection among candidates; the defaults if None.
         protocol: of the motions; the published one if None.
         threads: 0 means all processors. Plans do not depend on it.

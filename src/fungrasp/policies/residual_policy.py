@@ -31,11 +31,6 @@ class _ResidualNetwork:
 
     def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
         """
-        Args:
-            network: of a policy file.
-            hand: that it moves.
-            objects: by name, all that plans may be for.
-
         Raises:
             FungraspError: the network was made for another hand or other actions.
         """
@@ -105,8 +100,6 @@ class NetworkPredictor:
         """
         Args:
             network: of a policy file of the kind "predictor".
-            hand: of the plans.
-            objects: by name, all that plans may be for.
         """
         self._network, self._hand, self._objects = network, hand, objects
         self.digest = network.card.sha256

@@ -32,7 +32,6 @@ class SlipResponse:
     def __init__(self, count: int, on: Array | None = None):
         """
         Args:
-            count: W.
             on: an array of the library and the device of what is seen; NumPy's if None.
         """
         on = np.zeros(1) if on is None else on

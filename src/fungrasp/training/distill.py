@@ -109,7 +109,6 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
     """The training in a folder.
 
     Args:
-        folder: that ``train`` made.
         objects: folder of meshes; where they were when it was trained if None.
 
     Raises:
@@ -156,12 +155,6 @@ def train_student(
     progress: Callable[[DistillProgress], None] = lambda p: None,
 ) -> Path:
     """Distill a student, or go on distilling it.
-
-    Args:
-        teacher_folder: of a teacher that sees contacts.
-        folder: of the student.
-        spec: how; the default if None.
-        progress: called after each round.
 
     Returns:
         The student's file, ``student.onnx`` in the folder.
@@ -240,12 +233,6 @@ def distill(
     """Train a student.
 
     Args:
-        teacher: whose actions are imitated.
-        environment: that keeps a history.
-        steps: control steps of all worlds together.
-        settings: the defaults if None.
-        seed: of networks and noise.
-        progress: called after each round.
         checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
         student: to go on with; a new one that takes over the teacher's network if None.
 
@@ -410,7 +397,6 @@ def write_round(path: Path, batch: TensorDict, begun: torch.Tensor) -> None:
     histories, which are ten times as large as the rest, it holds what they can be made from again.
 
     Args:
-        path: of the file (.pt).
         batch: of S control steps of W worlds, shape [S W].
         begun: whether a world's episode was new, shape [S, W] bool.
 

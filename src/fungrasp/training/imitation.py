@@ -31,7 +31,6 @@ class MotionImitation:
     def __init__(self, actor: MLPModel, environment: TrainingEnvironment, steps: int):
         """
         Args:
-            actor: that learns.
             environment: whose actions change something else than planned motions.
             steps: control steps of each world in a round.
         """

@@ -60,15 +60,10 @@ class LearningCurve:
     ):
         """
         Args:
-            folder: of the training.
             library: with the grasps that it is measured on, the first plan of each; ``GRASPS`` drawn from
                 them if there are more.
-            objects: by name.
             environment: of the training, which is left alone. The worlds are drawn once from what its worlds
                 are drawn from: all points are measured in the same ones.
-            every: control steps between two points.
-            seed: of grasps and worlds.
-            threads: 0 means all processors.
         """
         self._path, self._every, self._seed, self._threads = folder / CURVE, every, seed, threads
         self._hand, self._objects = environment.hand, objects
@@ -101,10 +96,7 @@ class LearningCurve:
         between once in every so many steps.
 
         Args:
-            steps: of the training so far.
-            seconds: that they took [s].
             network: makes that of the policy as it is by now.
-            finished: whether the training is.
 
         Raises:
             FungraspError: a file can't be written.
@@ -159,7 +151,6 @@ def draw_curves(path: Path, curves: Mapping[str, Path]) -> None:
     """Draw the curves of trainings over control steps and time.
 
     Args:
-        path: of the drawing (.svg).
         curves: files of the curves, by the name of the training.
 
     Raises:

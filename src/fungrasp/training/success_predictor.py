@@ -146,16 +146,9 @@ def try_plans(
     """Plan variations of grasps and try each once in physics, open loop.
 
     Args:
-        grasps: of ``hand``.
-        objects: by name.
-        hand: the robot hand.
-        settings: the defaults if None.
-        seed: of the variations.
-        threads: 0 means all processors.
         store: keeps outcomes as they come; those that an interrupted call, or one of fewer variations, has
             left there are not tried again.
         ray: tries them on a cluster. The result is the same.
-        progress: called with the share that is done, 0 to 1.
 
     Returns:
         The outcomes, and the layout of their features.
@@ -289,11 +282,7 @@ def train_predictor(
     """Train a success predictor, or go on where this was interrupted.
 
     Args:
-        path: of its file (.onnx).
         sets: of grasps of ``hand``, at least one.
-        hand: the robot hand, its name, or the path of its TOML file.
-        spec: how; the default if None.
-        progress: called with the share of the episodes that is done.
 
     Returns:
         The file. ``measured[MEASURED]`` of its card says how it does on grasps that it has not seen.

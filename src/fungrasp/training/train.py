@@ -58,12 +58,9 @@ def train(
     that ``torchrun`` has started each learns in as many worlds, and the first one writes the files.
 
     Args:
-        folder: of the training.
         sets: of grasps of ``hand``, at least one.
-        hand: the robot hand, its name, or the path of its TOML file.
         spec: how; the default if None. The one that the folder was begun with, if it was.
         planning: called with the number of plans that are made.
-        progress: called after each update.
 
     Returns:
         The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take. Beside it

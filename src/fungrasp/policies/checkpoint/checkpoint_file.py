@@ -178,8 +178,6 @@ def check_fits(
     """Refuse a policy that was made for something else.
 
     Args:
-        card: of the policy.
-        hand: that it should move.
         observation_layout: parts of the observation that it would get, in order.
         privileged_layout: those of the privileged observation; not looked at for a student.
         rate: how often it would act [Hz].
