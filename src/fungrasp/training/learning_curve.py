@@ -129,7 +129,9 @@ class LearningCurve:
         csv.writer(text, lineterminator="\n").writerows([CurvePoint._fields, *self.points])
         with atomic_path(self._path) as part:
             part.write_text(text.getvalue())
-        draw_curves(self._path.with_name(DRAWING), {"": self._path})
+        drawing = curve_svg(np.array(self.points, dtype=float).reshape(-1, len(CurvePoint._fields)))
+        with atomic_path(self._path.with_name(DRAWING)) as part:
+            part.write_text(drawing)
 
 
 def read_curve(path: Path) -> list[CurvePoint]:
@@ -147,40 +149,18 @@ def read_curve(path: Path) -> list[CurvePoint]:
         raise FungraspError(f"{path} is damaged, or no learning curve") from error
 
 
-def draw_curves(path: Path, curves: Mapping[str, Path]) -> None:
-    """Draw the curves of trainings over control steps and time.
-
-    Args:
-        curves: files of the curves, by the name of the training.
-
-    Raises:
-        FungraspError: a curve can't be read, or the drawing can't be written.
-    """
-    columns = {name: np.array(read_curve(file), dtype=float).reshape(-1, 5) for name, file in curves.items()}
-    with atomic_path(path) as part:
-        part.write_text(curve_svg(columns))
-
-
 ACROSS = ((0, 1e-6, "control steps [millions]"), (1, 1 / 60, "time [min]"))
 """Column, factor and title of what the panels beside each other are over."""
 DOWN = ((2, "success", (0.0, 1.0)), (3, "contact ratio", (0.0, 1.0)), (4, "slip [mm/s]", None))
 """Column, title and limits of what the panels below each other show."""
 
 
-def curve_svg(curves: Mapping[str, np.ndarray]) -> str:
-    """Success, contact ratio and slip over control steps and over time.
-
-    Args:
-        curves: columns of ``CurvePoint``, shape [N, 5] each, by the name of the training.
-    """
+def curve_svg(points: np.ndarray) -> str:
+    """Success, contact ratio and slip over control steps and over time. points: columns of ``CurvePoint``,
+    shape [N, 5]."""
     panels = []
-    for row, (measure, title, limits) in enumerate(DOWN):
+    for measure, title, limits in DOWN:
         for column, (over, factor, across) in enumerate(ACROSS):
-            # One legend is enough.
-            named = row == 0 and column == len(ACROSS) - 1
-            lines = [
-                PlotLine(factor * points[:, over], points[:, measure], name if named else "")
-                for name, points in curves.items()
-            ]
-            panels.append(PlotPanel(title if column == 0 else "", across, title, lines, limits=limits))
+            line = PlotLine(factor * points[:, over], points[:, measure], "")
+            panels.append(PlotPanel(title if column == 0 else "", across, title, [line], limits=limits))
     return panels_svg(panels, columns=2) + "\n"

@@ -15,7 +15,7 @@ import torch
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.json_file import parse_json
-from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
+from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.core.provenance import machine
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
@@ -140,7 +140,6 @@ def try_plans(
     threads: int = 0,
     *,
     store: PartStore | None = None,
-    ray: RayCluster | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[PlanOutcomes, Layout]:
     """Plan variations of grasps and try each once in physics, open loop.
@@ -148,7 +147,6 @@ def try_plans(
     Args:
         store: keeps outcomes as they come; those that an interrupted call, or one of fewer variations, has
             left there are not tried again.
-        ray: tries them on a cluster. The result is the same.
 
     Returns:
         The outcomes, and the layout of their features.
@@ -157,7 +155,7 @@ def try_plans(
         FungraspError: a part can't be written.
     """
     job = PlanTrials(grasps, objects, hand, settings or PredictorSettings(), seed, threads)
-    found = run_job(job, store, ray=ray, progress=progress)
+    found = run_job(job, store, progress=progress)
     names = tuple((str(name), int(size)) for name, size in parse_json(str(found[-1][LAYOUT]), "kept layout"))
     columns = [np.concatenate([part[f.name] for part in found]) for f in fields(PlanOutcomes)]
     return PlanOutcomes(*columns), names
