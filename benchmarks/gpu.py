@@ -1,26 +1,37 @@
-"""How fast worlds run on a device, and what they take of its memory."""
+"""``python -m benchmarks.gpu``: physics and control steps per second over the number of worlds, on each
+device, and the memory that a world takes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import torch
 
+from benchmarks.command import check_positive, main
+from fungrasp.cli.console import table, write_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.provenance import git_revision, machine
 from fungrasp.geometry.poses import Array
-from fungrasp.hands import Hand
+from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.selection.rollouts import RolloutSettings, roll_out
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.retargeting import retarget
 from fungrasp.sim2real import draw
 from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings, build_scene
 from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
 from fungrasp.task import Belief
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.plan_library import PlanLibrary
+from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import PpoSettings
 
@@ -52,6 +63,111 @@ class WorldSpeed:
     """Memory that a world takes; None on the processor."""
     problems: tuple[str, ...]
     """What did not fit, in words."""
+
+
+@dataclass(frozen=True)
+class ManyWorlds:
+    """Measure worlds from one to thousands: physics, the task, training, rollouts, memory, and what did not
+    fit."""
+
+    devices: tuple[Literal["cuda", "cpu-warp", "cpu"], ...] = ("cuda", "cpu")
+    """Where."""
+    worlds: tuple[int, ...] = (1, 16, 128, 1024, 2048, 4096, 8192, 16384)
+    """How many at once."""
+    most_on_processor: int = 1024
+    """More than these are left out on the processor."""
+    hand: str = "allegro"
+    """Name of a hand, or the path of a hand's TOML file."""
+    grasps: int = 20
+    """Built-in grasps that the worlds share."""
+    steps: int = 24
+    """Control steps of a measurement, and between two updates."""
+    seconds: float = math.inf
+    """No measurement is begun after this time."""
+    threads: int = 0
+    """Threads of the processor; 0 means all."""
+    buffers: tuple[int, int] | None = None
+    """Room for contacts of a world (on average) and rows of constraints (at most); found by a probe by
+    default."""
+    json: Path | None = None
+    """Write the numbers here (.json)."""
+
+    def run(self) -> None:
+        check_positive(grasps=self.grasps, steps=self.steps, worlds=min(self.worlds))
+        torch.set_num_threads(1)
+        start, hand, human = perf_counter(), load_hand(self.hand), builtin_grasps()
+        human = human.select(np.unique(np.linspace(0, len(human) - 1, self.grasps).astype(int)))
+        objects = load_objects(human)
+        robot = retarget(human, objects, hand, threads=self.threads)
+        library = build_plan_library(robot, objects, hand, Variety(1), 0, self.threads)
+        buffers = None if self.buffers is None else BufferSizes(*self.buffers)
+        found: list[WorldSpeed] = []
+        for device in self.devices:
+            for worlds in self.worlds:
+                if device != "cuda" and worlds > self.most_on_processor:
+                    continue
+                if perf_counter() - start > self.seconds:
+                    print(f"{self.seconds:.0f} s are over: {device} with {worlds} worlds is left out")
+                    continue
+                try:
+                    found.append(
+                        world_speed(library, objects, hand, device, worlds, buffers, self.steps, self.threads)
+                    )
+                except FungraspError as error:
+                    print(f"{device} with {worlds} worlds is left out: {error}")
+                    break
+                rate = f"{found[-1].training_steps:,.0f} control steps/s, learning included"
+                print(f"{device}, {worlds} worlds: {rate}", flush=True)
+        if not found:
+            raise FungraspError("nothing could be measured")
+        about = {"hand": hand.name, "machine": machine(), "revision": git_revision()} | _versions()
+        if self.json is not None:
+            write_json(self.json, about | {"each": [asdict(one) for one in found]})
+        rows = [
+            (
+                "device",
+                "worlds",
+                "physics/s",
+                "task/s",
+                "training/s",
+                "physics",
+                "task",
+                "learning",
+                "rollouts/s",
+                "KiB",
+            )
+        ]
+        rows += [
+            (
+                one.device,
+                f"{one.worlds:,}",
+                f"{one.physics_steps:,.0f}",
+                f"{one.environment_steps:,.0f}",
+                f"{one.training_steps:,.0f}",
+                f"{one.physics_share:.0%}",
+                f"{one.task_share:.0%}",
+                f"{one.learning_share:.0%}",
+                f"{one.rollouts:,.0f}",
+                "" if one.bytes_per_world is None else f"{one.bytes_per_world / 1024:.0f}",
+            )
+            for one in found
+        ]
+        print(table(rows))
+        for one in found:
+            for problem in one.problems:
+                print(f"{one.device}, {one.worlds} worlds: {problem}")
+        print("; ".join(f"{name} {value}" for name, value in about.items()))
+
+
+def _versions() -> dict[str, str]:
+    """Of what computes on a GPU, and its name."""
+    found = {"gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else "none"}
+    for name in ("torch", "mujoco-warp", "warp-lang"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "none"
+    return found
 
 
 def world_speed(
@@ -88,10 +204,10 @@ def world_speed(
         timed(environment, "step", _wait(engine)) as stepping,
     ):
         trainer = Trainer(environment, PpoSettings(steps=steps, warm_up=0))
-        trainer.learn(1)
+        trainer.learn_until(1)
         inside[0] = stepping[0] = 0.0
         start = perf_counter()
-        trainer.learn(trainer.steps + steps * worlds)
+        trainer.learn_until(trainer.steps + steps * worlds)
         whole = perf_counter() - start
     return WorldSpeed(
         device=device,
@@ -177,3 +293,9 @@ def _rollouts(
 
 def _memory(engine: Engine) -> int | None:
     return engine.bytes_per_world if isinstance(engine, MujocoWarpWorlds) else None
+
+
+COMMAND = ManyWorlds
+
+if __name__ == "__main__":
+    main("gpu", COMMAND)

@@ -1,23 +1,31 @@
-"""What the commands that make the paper's tables have in common: train, test, keep, compare."""
+"""``python -m benchmarks.paper TABLE``: train and test what the paper's tables III to V compare."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
+import tyro
 
 from fungrasp.cli.console import progress_bar, table
-from fungrasp.cli.training_options import check_numbers, check_packages, progress_lines
+from fungrasp.cli.train import prepare_torch, progress_lines
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.provenance import run_record
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import preset
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
-from fungrasp.training.settings import CurveSettings, DistillSettings, PpoSettings
+from fungrasp.training.settings import (
+    CurveSettings,
+    DistillSettings,
+    PpoSettings,
+    StudentSpec,
+    TrainSpec,
+    check_numbers,
+)
 
 if TYPE_CHECKING:
     from benchmarks.paper.variants import Variant
@@ -51,13 +59,21 @@ def from_nothing() -> EnvironmentSettings:
 
 
 @dataclass(frozen=True)
-class TableOptions:
-    """Options of all tables. Every policy is trained in the paper's setting, from nothing, with the same
+class PaperTable:
+    """Make a table of the paper. Every policy is trained in the paper's setting, from nothing, with the same
     budget, with each of several seeds, and tried on other grasps, in nominal worlds (with and without
-    adaptation of the grasps) and in the reality protocol; the table stands beside the paper's."""
+    adaptation of the grasps) and in the reality protocol; the table stands beside the paper's.
+
+    Given again, the command goes on where it was interrupted; all tables may share a folder.
+    """
 
     option_prefixes: ClassVar[bool] = True
 
+    table: Annotated[Literal["hands", "retargeting", "privileged"], tyro.conf.Positional]
+    """hands (Table III): a student of Shadow, Faive P0 and Allegro each, on the same human grasps;
+    retargeting (Table IV): a teacher for each method, trained and tested on its grasps; privileged
+    (Table V): what is known of the contacts: nothing, what an encoder learns along the way, the truth, and
+    what a student has learned from a teacher."""
     grasps: tuple[str, ...]
     """Files of grasps to train on, or "builtin"; human ones where retargeting or hands are compared."""
     test: str
@@ -92,24 +108,20 @@ class TableOptions:
     curve: CurveSettings = field(default_factory=CurveSettings)
     """Of the learning curve of every policy but the students, curve.csv in its folder."""
 
-    def reproduce(self, name: str) -> None:
-        """Make the table of this name."""
-        check_packages()
-        import torch
-
+    def run(self) -> None:
+        prepare_torch()
         from benchmarks.paper.variants import CONDITIONS, comparison_rows, pooled, table_variants
         from fungrasp.evaluation.result_files import write_result
 
         self._check()
-        torch.set_num_threads(1)
-        variants = table_variants(name, self.only)
+        variants = table_variants(self.table, self.only)
         # All rows with one seed before the next seed: an interrupted table has whole columns.
         by_seed = [[self._result(variant, seed) for variant in variants] for seed in self.seeds]
         kept = [list(each) for each in zip(*by_seed, strict=True)]
         numbers = [{which: pooled([one[which] for one in each]) for which in CONDITIONS} for each in kept]
         header = {
             **run_record(list(self.seeds)),
-            "table": name,
+            "table": self.table,
             "budget": self._budget(),
             "policies": [
                 {**asdict(variant), "conditions": each}
@@ -123,7 +135,7 @@ class TableOptions:
             for which in CONDITIONS
             for trial in one[which]["trials"]
         ]
-        write_result(self.out / f"{name}.json", header, rows)
+        write_result(self.out / f"{self.table}.json", header, rows)
         print(table(comparison_rows(variants, numbers)))
         count = len(kept[0][0][CONDITIONS[0]]["trials"])
         print(
@@ -132,10 +144,16 @@ class TableOptions:
         )
 
     def _check(self) -> None:
+        from fungrasp.grasps import HumanGraspSet, load_grasps
+
         check_numbers(self.steps, min(self.seeds, default=-1), self.threads)
         check_numbers(self._distill_steps(), 0, self.threads)
         if len(set(self.seeds)) < len(self.seeds):
             raise FungraspError("--seeds must be different ones")
+        if self.table != "privileged":
+            for name in (*self.grasps, self.test):
+                if not isinstance(load_grasps(name), HumanGraspSet):
+                    raise FungraspError(f"{name} holds robot grasps; this table takes human ones")
 
     def _distill_steps(self) -> float:
         return self.steps / DISTILLED if self.distill_steps is None else self.distill_steps
@@ -182,7 +200,7 @@ class TableOptions:
 
     def _taught(self, name: str, variant: Variant, hand: Hand, seed: int) -> Path:
         """The policy file of a training by PPO: of a variant, or of its teacher. name: of its folder."""
-        from fungrasp.training.run import POLICY, RunSettings, train
+        from fungrasp.training.train import train
         from fungrasp.training.training_sets import load_training_sets
 
         folder = self._folder(variant, seed)
@@ -190,39 +208,31 @@ class TableOptions:
         sets = load_training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
         count = sum(len(s.grasps) for s in sets) * self.variety.planned(False)
         environment = replace(self.environment, randomization=preset(self.worlds))
+        spec = TrainSpec(
+            self.steps,
+            plan_file=folder / f"plans-{variant.method}.npz",
+            seed=seed,
+            threads=self.threads,
+            device="cpu",
+            curve=self.curve,
+            environment=environment,
+            ppo=replace(self.ppo, sees=variant.sees),
+            variety=self.variety,
+        )
+        lines = progress_lines(int(self.steps))
         with progress_bar("planning", count) as show:
-            train(
-                folder / name,
-                sets,
-                hand,
-                RunSettings(seed, self.variety, environment, replace(self.ppo, sees=variant.sees)),
-                int(self.steps),
-                threads=self.threads,
-                plan_file=folder / f"plans-{variant.method}.npz",
-                curve=self.curve,
-                planning=show,
-                progress=progress_lines(int(self.steps)),
-            )
-        return folder / name / POLICY
+            return train(folder / name, sets, hand, spec, planning=show, progress=lines)
 
     def _distilled(self, variant: Variant, hand: Hand, seed: int) -> Path:
         """The policy file of a student."""
-        from fungrasp.training.student_run import STUDENT, train_student
+        from fungrasp.training.distill import train_student
 
         teacher = self._taught("teacher", variant, hand, seed).parent
         folder = self._folder(variant, seed) / variant.name
         print(f"{variant.title}, seed {seed}: distilling")
-        train_student(
-            teacher,
-            folder,
-            int(self._distill_steps()),
-            replace(self.distill, estimates_contacts=variant.student == "with estimate"),
-            seed,
-            objects=self.objects,
-            threads=self.threads,
-            progress=progress_lines(int(self._distill_steps())),
-        )
-        return folder / STUDENT
+        settings = replace(self.distill, estimates_contacts=variant.student == "with estimate")
+        spec = StudentSpec(self._distill_steps(), self.objects, seed, self.threads, settings)
+        return train_student(teacher, folder, spec, progress=progress_lines(int(spec.steps)))
 
     def _tested(self, variant: Variant, hand: Hand, policy: Path, seed: int) -> dict[str, Any]:
         """The lift tests of a policy by condition, as JSON can hold them."""
@@ -265,3 +275,6 @@ def _identity(name: str) -> dict[str, str]:
         return {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     except OSError as error:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+COMMAND = PaperTable
