@@ -14,7 +14,6 @@ from fungrasp.deployment.log import McapLog
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.process_priority import raise_priority
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,6 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
     def happened(event: str) -> None:
         pipe.send((event, time.monotonic()))
 
-    raise_priority()
     try:
         with McapLog(session.log) as log, wired_robot(session.cell, scene.hand) as robot:
             drivers = robot.arm, robot.hand_driver

@@ -154,10 +154,7 @@ def private_cell(cell: RobotCell, patience: float) -> RobotCell:
             options["stale_after"] *= patience
         return replace(device, address=address, options=options)
 
-    hands = {
-        "allegro-can": str(20000 + number % 20000),
-        "inspire": f"127.{number % 200 + 1}.0.5",
-    }
+    hands = {"allegro-can": str(20000 + number % 20000), "inspire": f"127.{number % 200 + 1}.0.5"}
     if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:
         raise FungraspError(f"the devices of cell '{cell.name}' can't be emulated for this")
     dog = cell.watchdog

@@ -24,7 +24,6 @@ from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.control_loop.loop_driver import worker_environment
-from fungrasp.robots.process_priority import raise_priority
 from fungrasp.robots.twin.judge import HoldSample, hold_sample
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
@@ -129,7 +128,6 @@ def run_emulation() -> None:
         source.read()
         ended.set()
 
-    raise_priority()
     hand = load_hand(task.cell.hand)
     truth = cell_twin(task.cell, hand, task.twin)
     world = TwinWorld(task.cell, hand, task.thing, truth)

@@ -39,10 +39,7 @@ def test_shipped_cells_load(name: str) -> None:
         ),
         (GOOD + "[mount]\npose_flange_hand = [0, 0, 0.1, 2, 0, 0, 0]\n", "unit quaternion"),
         (GOOD + "[mount]\nadapter_radius = 0.04\n", "'mount.adapter_length'"),
-        (
-            GOOD + "[tracker]\ncalibration_residual = 0.5\n",
-            "is 500.0 mm, more than 5 mm",
-        ),
+        (GOOD + "[tracker]\ncalibration_residual = 0.5\n", "is 500.0 mm, more than 5 mm"),
         (GOOD + "[limits]\nsetpoint_lead = 0.5\n", "'setpoint_lead' may be at most 0.35, not 0.5"),
         (GOOD + "guard = 'no'\n", '\'guard\' must be "on" or "off"'),
         (GOOD + "[[obstacles]]\ncenter = [0, 0, 0]\n", "the field 'obstacles.size' is missing"),

@@ -16,14 +16,7 @@ import pytest
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.robots.assembly import (
-    ARM_DRIVERS,
-    TRACKERS,
-    arm_driver,
-    hand_driver,
-    pose_source,
-    wired_robot,
-)
+from fungrasp.robots.assembly import ARM_DRIVERS, TRACKERS, arm_driver, hand_driver, pose_source, wired_robot
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, SafetyStop
 from fungrasp.robots.single_devices import guarded_driver
@@ -155,20 +148,6 @@ def test_a_robot_of_others_is_guarded_and_stopped(lab, tmp_path: Path) -> None:
     with pytest.raises(SafetyStop, match="stop file"):
         robot.send(home, np.full(6, 0.2))
     assert len(robot.arm.sent) == sent
-
-
-def test_an_arm_of_others_alone_is_guarded(lab) -> None:
-    lab(ARM)
-    cell = lab_cell()
-    arm = guarded_driver("arm", cell, load_hand(cell.hand))
-    arm.connect()
-    goal = np.array(cell.arm.home)
-    with pytest.raises(SafetyStop, match=r"table|workspace"):
-        deadline = time.monotonic() + 10.0
-        while time.monotonic() < deadline:
-            goal = arm.read().positions + np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
-            time.sleep(0.002)
-            arm.command(goal)
 
 
 @pytest.mark.parametrize(

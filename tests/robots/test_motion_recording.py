@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_twin import IDEAL
-from robot_cells import cell_and_hand, grasp_and_object, placed
+from robot_cells import cell_and_hand
+from twin_robots import twin_robot
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
@@ -18,9 +18,7 @@ from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
 from fungrasp.robots.single_devices import GuardedDriver, record_motion
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.devices import TwinClock, TwinHand
-from fungrasp.robots.twin.parameters import draw_twin
-from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion
 from fungrasp.sim2real.identification.motion_log import (
     MotionHeader,
@@ -33,10 +31,9 @@ from fungrasp.sim2real.identification.motion_log import (
 def record(path: Path, switch: StopSwitch, after: Callable[[int, TwinHand], None]) -> TwinHand:
     """Record the index finger of a twin's hand, and call something after each row."""
     cell, hand = cell_and_hand()
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
-    world = TwinWorld(cell, hand, grasp_and_object()[1], truth)
-    world.settle(placed())
-    twin, clock = TwinHand(world, cell, hand), TwinClock(world)
+    robot, _ = twin_robot(cell)
+    twin, clock = robot.hand_driver, robot.clock
+    assert isinstance(twin, TwinHand)
     driver = GuardedDriver(twin, cell, "hand", clock=clock, switch=switch)
     driver.connect()
     rest, limits = driver.read().positions, driver.limits

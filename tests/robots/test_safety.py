@@ -21,13 +21,7 @@ from fungrasp.robots.device import (
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import Clearance
-from fungrasp.robots.safety import (
-    TOLERANCE,
-    SafetyContext,
-    SafetyGuard,
-    check_pose,
-    check_setpoint,
-)
+from fungrasp.robots.safety import TOLERANCE, SafetyContext, SafetyGuard, check_pose, check_setpoint
 
 CELL = RobotCell("allegro")
 ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.5), np.full(6, 100.0))
@@ -111,82 +105,33 @@ def test_it_is_a_pure_function(arm, hand, palm) -> None:
     assert str(one) == str(stopped(state(), asked, context(), FREE))
 
 
+BESIDE, AHEAD = (np.array([0.0, y, 0.3, 1, 0, 0, 0]) for y in (0.6, 0.006))
 CASES = {
-    "finite": (state(), command(arm=np.array([np.nan, 0, 0, 0, 0, 0])), context(), FREE, StopKind.HOLD),
-    "arm does not follow": (
-        state(arm=joints(6, status=DeviceStatus.PROTECTIVE_STOP)),
-        command(),
-        context(),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "hand does not follow": (
-        state(hand=joints(4, status=DeviceStatus.FAULT)),
-        command(),
-        context(),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "arm has been silent": (
-        state(),
-        command(),
-        silent(arm=0.041),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "hand has been silent": (
-        state(),
-        command(),
-        silent(hand=0.11),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "torque of a hand": (
-        state(hand=joints(4, torques=np.full(4, -3.1))),
-        command(),
-        context(),
-        FREE,
-        StopKind.OPEN,
-    ),
-    "far from where": (
-        state(arm=joints(6, positions=np.full(6, 0.36))),
-        command(),
-        context(),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "workspace": (
-        state(),
-        command(palm=np.array([0.0, 0.6, 0.3, 1, 0, 0, 0])),
-        context(previous=None),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "arm would touch the table": (state(), command(), context(), Clearance(0.004, 0.03, 0.03), StopKind.HOLD),
-    "press into the table": (state(), command(), context(), Clearance(0.03, -0.013, 0.03), StopKind.HOLD),
-    "touch the arm": (state(), command(), context(), Clearance(0.03, 0.03, -0.001), StopKind.HOLD),
-    "palm would move": (
-        state(),
-        command(palm=np.array([0.0, 0.006, 0.3, 1, 0, 0, 0])),
-        context(),
-        FREE,
-        StopKind.HOLD,
-    ),
-    "accelerate": (
-        state(),
-        command(arm=np.full(6, 0.02)),
-        context(before=command(arm=np.full(6, 0.16))),
-        FREE,
-        StopKind.HOLD,
-    ),
+    "finite": {"asked": command(arm=np.array([np.nan, 0, 0, 0, 0, 0]))},
+    "arm does not follow": {"at": state(arm=joints(6, status=DeviceStatus.PROTECTIVE_STOP))},
+    "hand does not follow": {"at": state(hand=joints(4, status=DeviceStatus.FAULT))},
+    "arm has been silent": {"around": silent(arm=0.041)},
+    "hand has been silent": {"around": silent(hand=0.11)},
+    "torque of a hand": {"at": state(hand=joints(4, torques=np.full(4, -3.1)))},
+    "far from where": {"at": state(arm=joints(6, positions=np.full(6, 0.36)))},
+    "workspace": {"asked": command(palm=BESIDE), "around": context(previous=None)},
+    "arm would touch the table": {"gap": Clearance(0.004, 0.03, 0.03)},
+    "press into the table": {"gap": Clearance(0.03, -0.013, 0.03)},
+    "touch the arm": {"gap": Clearance(0.03, 0.03, -0.001)},
+    "palm would move": {"asked": command(palm=AHEAD)},
+    "accelerate": {
+        "asked": command(arm=np.full(6, 0.02)),
+        "around": context(before=command(arm=np.full(6, 0.16))),
+    },
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_check_has_its_reaction(name: str) -> None:
-    at, asked, around, gap, kind = CASES[name]
-    stop = stopped(at, asked, around, gap)
-    assert stop is not None and stop.kind is kind
+    usual = {"at": state(), "asked": command(), "around": context(), "gap": FREE}
+    assert stopped(**usual) is None
+    stop = stopped(**usual | CASES[name])
+    assert stop is not None and stop.kind is (StopKind.OPEN if "torque" in name else StopKind.HOLD)
     assert name.split()[-1] in stop.reason and name.split()[0] in stop.reason
 
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -34,9 +35,7 @@ ADDRESSES = (f"127.0.{os.getpid() % 200 + 1}.{n}" for n in itertools.count(2))
 
 @contextlib.contextmanager
 def emulated(
-    version: tuple[int, int, int] = (5, 11, 0),
-    tool: tuple[float, ...] = (0.0,) * 6,
-    **settings,
+    version: tuple[int, int, int] = (5, 11, 0), tool: tuple[float, ...] = (0.0,) * 6, **settings
 ) -> Iterator[DeviceUnderTest]:
     address = next(ADDRESSES)
     plant = ServoPlant(HOME, time_constant=0.02)
@@ -47,8 +46,13 @@ def emulated(
 
 
 class TestUR(DriverContract):
-    def running(self):
-        return emulated()
+    lost = (Fault.KILLED, Fault.STALLED, Fault.RESET, Fault.FROZEN)
+    disturbed = (Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CLOCK_JUMP)
+    # A watchdog of a second: a busy machine keeps packages for longer than 0.2 s.
+    when_disturbed: ClassVar = {"watchdog": 1.0}
+
+    def running(self, **settings):
+        return emulated(**settings)
 
 
 def test_packages():
@@ -140,30 +144,6 @@ def test_a_protective_stop_before_connecting_is_named():
         device.emulator.inject(Fault.PROTECTIVE_STOP)
         with pytest.raises(RobotError, match="PROTECTIVE_STOP"):
             device.driver.connect()
-
-
-@pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.RESET, Fault.FROZEN])
-def test_a_lost_controller_is_seen_by_its_clock(fault: Fault):
-    with emulated(stale_after=0.5) as device:
-        device.driver.connect()
-        reach(device, device.near)
-        device.emulator.inject(fault)
-        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
-        with pytest.raises(RobotError):
-            device.driver.command(device.near)
-        device.emulator.clear()
-        time.sleep(0.1)
-        device.driver.connect()
-        reach(device, device.near)
-
-
-@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CLOCK_JUMP])
-def test_a_disturbed_connection_still_carries(fault: Fault):
-    # A watchdog of a second: a busy machine keeps packages for longer than 0.2 s.
-    with emulated(watchdog=1.0) as device:
-        device.driver.connect()
-        device.emulator.inject(fault)
-        reach(device, device.near)
 
 
 def test_random_bytes_are_not_believed():

@@ -169,7 +169,6 @@ class Emulate:
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.optional_packages import import_emulators
-        from fungrasp.robots.process_priority import raise_priority
         from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
         from fungrasp.task import LiftProtocol
@@ -183,7 +182,6 @@ class Emulate:
         world = TwinWorld(cell, hand, thing, truth)
         world.settle(reachable_placement(cell, hand, thing, grasp))
         rest = world.center_of_mass()[2]
-        raise_priority()
         with emulators.CellEmulation(cell, world, thing.name) as emulation:
             print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
             start, highest, up = time.monotonic(), 0.0, 0.0

@@ -44,7 +44,7 @@ from fungrasp.robots.device import (
     StopKind,
     TrackedPose,
 )
-from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
+from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance, outside
 from fungrasp.task import Action
 from fungrasp.task.setpoints import SETPOINT_PERIOD
 
@@ -158,17 +158,7 @@ def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str
     Args:
         palm: world frame, shape [7].
     """
-    if (palm[:3] < box.lower).any() or (palm[:3] > box.upper).any():
-        return "the palm would leave the workspace box"
-    if clearance.table < box.table_clearance:
-        return "the arm would touch the table"
-    if clearance.hand < -box.hand_depth:
-        return "the hand would press into the table, or come too near to it"
-    if clearance.obstacle < box.table_clearance:
-        return "the arm or the hand would touch an obstacle"
-    if clearance.itself < 0.0:
-        return "the arm or the hand would touch the arm"
-    return ""
+    return outside(palm, box) or clearance.fault(box)
 
 
 def _too_fast(command: RobotCommand, c: SafetyContext) -> str:

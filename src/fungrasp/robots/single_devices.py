@@ -30,12 +30,7 @@ from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.safety import SafetyGuard, check_posture, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.identification.excitation import ExcitationMotion
-from fungrasp.sim2real.identification.motion_log import (
-    MotionHeader,
-    MotionLog,
-    MotionSample,
-    motion_log,
-)
+from fungrasp.sim2real.identification.motion_log import MotionHeader, MotionLog, MotionSample, motion_log
 
 PARTS = ("arm", "hand")
 """Devices of a cell that move."""

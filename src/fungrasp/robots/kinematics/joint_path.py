@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fungrasp.robots.cell import MotionLimits, Workspace
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel, outside
 from fungrasp.robots.kinematics.inverse import random_starts
 
 TRIES = 5000
@@ -89,8 +89,7 @@ class FreePath:
             fingers: independent joints [rad], shape [U].
             keep: distance from the object at least [m]; None for no object.
         """
-        palm, box = self._kinematics.palm_pose(arm)[:3], self._workspace
-        if (palm < box.lower).any() or (palm > box.upper).any():
+        if outside(self._kinematics.palm_pose(arm), self._workspace):
             return False
         gap = self._clearance.measure(arm, fingers)
         if min(gap.table, gap.hand, gap.itself, gap.obstacle) < CLEAR:

@@ -12,14 +12,7 @@ import numpy as np
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.device import (
-    DeviceStatus,
-    JointLimits,
-    JointState,
-    RobotError,
-    StopKind,
-    TrackedPose,
-)
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind, TrackedPose
 from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.robots.twin.world import TwinWorld
 
