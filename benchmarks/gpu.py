@@ -30,10 +30,10 @@ from fungrasp.sim2real import draw
 from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings, build_scene
 from fungrasp.simulation.warp_worlds import MujocoWarpWorlds
 from fungrasp.task import Belief
-from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
+from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.settings import PpoSettings
+from fungrasp.training.settings import EnvironmentSettings, PpoSettings, Variety
+from fungrasp.training.training_sets import PlanLibrary, build_plan_library
 
 
 @dataclass(frozen=True)
