@@ -193,9 +193,10 @@ def world_speed(
         threads: of the processor; 0 means all.
     """
     settings = EnvironmentSettings(worlds=worlds)
-    environment = TrainingEnvironment(library, objects, hand, settings, 0, threads, device, buffers)
+    physics = SceneSettings(device=device, buffers=buffers)
+    environment = TrainingEnvironment(library, objects, hand, settings, 0, threads, physics)
     engine = environment.episodes.engine
-    physics = _physics(engine, environment.episodes.task.controls, steps)
+    bare = _physics(engine, environment.episodes.task.controls, steps)
     still = 0.0 * environment.tracker.action
     environment.step(still)
     alone = _rate(lambda: environment.step(still), steps, worlds, engine)
@@ -212,7 +213,7 @@ def world_speed(
     return WorldSpeed(
         device=device,
         worlds=worlds,
-        physics_steps=physics,
+        physics_steps=bare,
         environment_steps=alone,
         training_steps=steps * worlds / whole,
         physics_share=inside[0] / whole,

@@ -14,7 +14,7 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.policies.checkpoint.card import PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.retargeting import retarget
-from fungrasp.simulation import Device
+from fungrasp.simulation import Device, SceneSettings
 from fungrasp.training.distill import train_student
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.settings import (
@@ -56,7 +56,8 @@ def library() -> PlanLibrary:
 
 def environment(seed: int = 0, device: Device = "cpu", **settings: Any) -> TrainingEnvironment:
     chosen = EnvironmentSettings(**({"worlds": WORLDS} | settings))
-    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, 1, device)
+    physics = SceneSettings(device=device)
+    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, 1, physics)
 
 
 def run_spec(steps: float = BATCH, curve: CurveSettings | None = None, **ppo: Any) -> TrainSpec:

@@ -14,7 +14,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.sim2real import draw
-from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene, make_engine
+from fungrasp.simulation import SceneSettings, build_scene, make_engine
 from fungrasp.task import LiftEnvironment, LiftProtocol
 from fungrasp.task.features import contact_features, layout, limited, network_input, value_features
 from fungrasp.task.observation_layouts import encoder_parts, network_parts
@@ -131,19 +131,19 @@ class TrainingEnvironment:
         settings: EnvironmentSettings | None = None,
         seed: int = 0,
         threads: int = 0,
-        device: Device = "cpu",
-        buffers: BufferSizes | None = None,
+        physics: SceneSettings | None = None,
     ):
         """
         Args:
             library: of plans of ``hand``.
+            physics: device and buffers of the worlds; their timestep is that of the settings.
         """
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand
         self.rng = np.random.default_rng(seed)
         names = sorted(set(library.plans.object_name.tolist()))
         sizes = with_sizes({name: objects[name] for name in names}, s.randomization.object_scales)
-        scene = build_scene(hand, sizes, SceneSettings(timestep=s.timestep, device=device, buffers=buffers))
+        scene = build_scene(hand, sizes, replace(physics or SceneSettings(), timestep=s.timestep))
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         engine = make_engine(scene, s.worlds, threads, tensors=True)
         self.on: Array = engine.object_pose
