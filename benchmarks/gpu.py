@@ -25,7 +25,7 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
 from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings
-from fungrasp.simulation.warp_worlds import MujocoWarpWorlds
+from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import EnvironmentSettings, PpoSettings, Variety
