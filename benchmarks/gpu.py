@@ -28,7 +28,7 @@ from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings
 from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.settings import EnvironmentSettings, PpoSettings, Variety
+from fungrasp.training.settings import EnvironmentSettings, PpoSettings, TrainSpec, Variety
 from fungrasp.training.training_sets import PlanLibrary, build_plan_library
 
 
@@ -92,7 +92,9 @@ class ManyWorlds:
         human = human.select(np.unique(np.linspace(0, len(human) - 1, self.grasps).astype(int)))
         objects = load_objects(human)
         robot = retarget(human, objects, hand, threads=self.threads)
-        library = build_plan_library(robot, objects, hand, Variety(1), 0, self.threads)
+        library = build_plan_library(
+            robot, objects, hand, TrainSpec(threads=self.threads, variety=Variety(1))
+        )
         buffers = None if self.buffers is None else BufferSizes(*self.buffers)
         found: list[WorldSpeed] = []
         for device in self.devices:
