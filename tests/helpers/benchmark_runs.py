@@ -16,7 +16,7 @@ MODULES = {
     "hands": "added_hands",
     "identification": "comparison",
     "paper": "commands",
-    "peers": "compare",
+    "peers": "comparison",
     "perception": "commands",
     "speed": "commands",
     "wire": "series",
