@@ -176,8 +176,8 @@ def _score(
     solution: tuple[np.ndarray, np.ndarray],
     least: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What solutions are compared by, lower is better: the unresisted share of the load, ``TOLERATED_SHARE`` at least,
-    and how far the contacts are from the person's; and that share, shape [N] each.
+    """What solutions are compared by, lower is better: the unresisted share of the load, at least
+    ``TOLERATED_SHARE``, and how far the contacts are from the person's; and that share, shape [N] each.
 
     Args:
         points, problem: N grasps.
