@@ -16,7 +16,7 @@ MODULES = {
     "hands": "added_hands",
     "identification": "comparison",
     "paper": "tables",
-    "peers": "compare",
+    "peers": "comparison",
     "perception": "commands",
     "wire": "series",
 }
