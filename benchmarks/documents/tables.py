@@ -70,7 +70,6 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "twin_images": robot_tables.twin_images,
     "wire": robot_tables.wire,
     "wire_ticks": robot_tables.wire_ticks,
-    "limits": other_tables.limits,
     "fuzz": other_tables.fuzz,
     "kills": other_tables.kills,
     "cluster": other_tables.cluster,

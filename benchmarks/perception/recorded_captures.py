@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.objects import (
     ObjectModel,
     builtin_object,

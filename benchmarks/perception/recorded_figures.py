@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from benchmarks.perception.measurements import RIGHT_MM, perceived, rate_of, together
 from benchmarks.perception.recorded_captures import RecordedCapture
-from fungrasp.core.formats.json_file import finite
+from fungrasp.core.formats.text_files import finite
 from fungrasp.objects import HeldObject, builtin_object
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand.detected_hand import HandDetector

@@ -16,7 +16,7 @@ from benchmarks.perception.recorded_captures import RecordedCapture
 from benchmarks.perception.recorded_figures import hinted_captures
 from benchmarks.perception.wrong_meshes import searched_mesh, with_colors, wrong_meshes
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_colored_mesh
 from fungrasp.objects import HeldObject, ObjectModel
 from fungrasp.perception.hand.detected_hand import HandDetector

@@ -38,7 +38,7 @@ class Retargeting:
 
     def run(self) -> None:
         from fungrasp.core.errors import UnknownNameError
-        from fungrasp.core.formats.json_file import finite
+        from fungrasp.core.formats.text_files import finite
         from fungrasp.core.provenance import machine
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand

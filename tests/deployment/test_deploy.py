@@ -6,7 +6,7 @@ import pytest
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.log import read_log
 

@@ -57,7 +57,7 @@ class Answer:
             FungraspError: there is a fault.
             SystemExit: the status is not 0.
         """
-        from fungrasp.core.formats.json_file import finite
+        from fungrasp.core.formats.text_files import finite
 
         if as_json:
             print(json.dumps(finite(self.value), indent=2, allow_nan=False))

@@ -43,7 +43,7 @@ class Retarget(Answering):
     def run(self) -> Answer:
         from time import perf_counter
 
-        from fungrasp.core.formats.json_file import finite
+        from fungrasp.core.formats.text_files import finite
         from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation.grasp_quality import static_quality, with_quality
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps

@@ -28,7 +28,7 @@ LAST_PHASES: dict[Until, Phase] = {
 
 @dataclass(frozen=True)
 class DeploymentSpec:
-    """What is asked of a deployment, as JSON by ``fungrasp.core.formats.record_json``."""
+    """What is asked of a deployment, as JSON by ``fungrasp.core.records``."""
 
     cell: str = "ur5e-allegro"
     """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""

@@ -16,7 +16,7 @@ from fungrasp.task import LiftProtocol
 
 @dataclass(frozen=True)
 class LiftTestSpec:
-    """What is asked of a lift test. ``fungrasp.core.formats.record_json`` makes it JSON and reads it back."""
+    """What is asked of a lift test. ``fungrasp.core.records`` makes it JSON and reads it back."""
 
     policy: str = "reference"
     """Name or file of what moves the hand (``fungrasp.policies.policy_files``)."""

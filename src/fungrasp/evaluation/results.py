@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.core.formats.json_file import finite
-from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.formats.text_files import finite
 from fungrasp.core.provenance import run_record
+from fungrasp.core.records import record_to_json
 from fungrasp.core.version import __version__
 from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.six_directions import StaticResult

@@ -13,9 +13,9 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.mujoco_model import read_model
-from fungrasp.core.formats.toml_file import read_toml, type_faults
+from fungrasp.core.formats.text_files import read_toml, type_faults
 from fungrasp.geometry.arrays import constant
 from fungrasp.geometry.poses import Array, invert
 from fungrasp.hands.hand_toml_schema import HAND_TOML

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fungrasp.core.formats.toml_file import Schema
+from fungrasp.core.formats.text_files import Schema
 
 _SERVO = {"kp": float, "kd": float, "force_limit": float}
 

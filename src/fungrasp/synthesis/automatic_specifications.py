@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import settled_up
 from fungrasp.synthesis.grasp_specification import WHOLE, GraspSpecification, Vector3

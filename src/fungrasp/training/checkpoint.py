@@ -18,7 +18,7 @@ import torch
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.checks import read_bytes
 from fungrasp.training.environment import TrainingEnvironment
 
 MAGIC = b"fungrasp checkpoint 2\n"

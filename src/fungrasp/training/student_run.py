@@ -12,8 +12,8 @@ from torch.utils.tensorboard import SummaryWriter
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
 from fungrasp.core.provenance import git_revision, machine
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object

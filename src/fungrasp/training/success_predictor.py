@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import parse_json
+from fungrasp.core.formats.text_files import parse_json
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand

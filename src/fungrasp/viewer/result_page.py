@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.records import record_from_json
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, ResultFile, replay
 from fungrasp.grasps import RobotGraspSet, load_objects, load_robot_grasps
 from fungrasp.objects import ObjectModel

@@ -11,7 +11,7 @@ from typing import Literal
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import PRESETS, Randomization
 

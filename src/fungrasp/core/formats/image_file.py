@@ -8,7 +8,7 @@ from pathlib import Path
 from PIL import Image, UnidentifiedImageError
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import check_file, one_line
+from fungrasp.core.formats.checks import check_file, one_line
 
 LARGEST_PIXELS = 60_000_000
 """Pixels of the largest image that is read."""

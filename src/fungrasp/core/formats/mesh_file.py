@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import check_file, one_line
+from fungrasp.core.formats.checks import check_file, one_line
 from fungrasp.core.formats.sandbox import run_limited
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import cannot_read, one_line, read_text
+from fungrasp.core.formats.checks import cannot_read, one_line, read_text
 from fungrasp.core.formats.sandbox import run_limited
-from fungrasp.core.formats.xml_file import check_entities
+from fungrasp.core.formats.text_files import check_entities
 
 LARGEST = 20_000_000
 """Bytes of the largest file that is read, those of its meshes not counted."""

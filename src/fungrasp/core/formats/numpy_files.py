@@ -12,7 +12,7 @@ from typing import IO
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import cannot_read, check_file, one_line
+from fungrasp.core.formats.checks import cannot_read, check_file, one_line
 
 LARGEST = 1 << 28
 """Bytes that all arrays of a file may take together, eight for each number of fewer."""

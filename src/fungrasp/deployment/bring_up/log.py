@@ -9,7 +9,7 @@ from time import strftime
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import one_line, read_bytes
+from fungrasp.core.formats.checks import one_line, read_bytes
 from fungrasp.core.version import __version__
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"

@@ -22,7 +22,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.numpy_files import read_npz
-from fungrasp.core.formats.yaml_file import read_yaml
+from fungrasp.core.formats.text_files import read_yaml
 
 TAG = "apriltag"
 

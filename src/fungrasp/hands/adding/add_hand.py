@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded
 from fungrasp.hands.adding.closed_loops import closed_loops, solve_loops
 from fungrasp.hands.adding.couplings import GivenCoupling, find_couplings
 from fungrasp.hands.adding.finger_chains import find_palm

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model
 from fungrasp.hands.adding.joint_repairs import repair_joints

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.core.formats.toml_file import read_toml, type_faults
+from fungrasp.core.formats.checks import guarded
+from fungrasp.core.formats.text_files import read_toml, type_faults
 from fungrasp.hands.checking.body_checks import check_masses, check_palm, check_shapes, check_size
 from fungrasp.hands.checking.finding import Finding, HandParts, error, note, warning
 from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame, check_palm_origin
