@@ -71,7 +71,6 @@ def test_arrays_come_back_as_they_were(tmp_path):
         "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999999999999,), }",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
         "{'descr': '<U1000000000', 'fortran_order': False, 'shape': (), }",
         "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }",
         "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }",
@@ -100,7 +99,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
         for _ in range(400):
             stream.write(bytes(1_000_000))
     start = time.monotonic()
-    with pytest.raises(FungraspError, match="field 'x' declares bool of shape"):
+    with pytest.raises(FungraspError, match="field 'x' takes more than 256 MB"):
         read_npz(tmp_path / "bomb.npz", "file")
     assert time.monotonic() - start < 2
 
