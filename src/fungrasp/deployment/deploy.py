@@ -7,8 +7,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.version import __version__
 from fungrasp.deployment.deployment import Confirm
 from fungrasp.deployment.deployment_result import (
     LAST_PHASES,

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.formats.text_files import parse_json
 from fungrasp.core.records import record_from_json, record_to_json
-from fungrasp.core.version import __version__
 from fungrasp.deployment.deployment import MOVED
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.preparation import PreparedGrasp

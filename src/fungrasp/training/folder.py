@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import read_bytes
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.formats.text_files import parse_json, read_json
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
 from fungrasp.task import GraspPlan
 from fungrasp.training.plan_library import PlanLibrary
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, hand_files
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData

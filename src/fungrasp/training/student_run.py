@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import digest
 from fungrasp.core.provenance import git_revision, machine
 from fungrasp.core.records import record_from_json, record_to_json
-from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData

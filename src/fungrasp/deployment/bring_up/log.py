@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import strftime
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import one_line, read_bytes
-from fungrasp.core.version import __version__
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
 """How a step ends."""

@@ -115,7 +115,7 @@ def test_keys_tell_inputs_and_versions_apart(monkeypatch):
     one = part_key("a", [np.arange(3), Thing("x")])
     assert one == part_key("a", [np.arange(3), Thing("x")])
     others = [part_key("a", [np.arange(4), Thing("x")]), part_key("a", [np.arange(3), Thing("y")])]
-    monkeypatch.setattr("fungrasp.core.jobs.job.VERSIONS", ("0.0.0", "3"))
+    monkeypatch.setattr("fungrasp.core.jobs.VERSIONS", ("0.0.0", "3"))
     assert len({one, *others, part_key("a", [np.arange(3), Thing("x")])}) == 4
 
 
