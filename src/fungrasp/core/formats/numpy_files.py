@@ -120,9 +120,7 @@ def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
             array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=LONGEST_HEADER)
     except Exception as error:
         # Python's own parser reads the header, which can raise almost any exception.
-        raise FungraspError(
-            f"{where} can't be read: no array of numbers, flags or text, or a damaged one"
-        ) from error
+        raise FungraspError(f"{where} holds no array of numbers, flags or text, or a damaged one") from error
     if array.dtype.kind not in "biufSU":
         raise FungraspError(
             f"{where} holds {one_line(array.dtype, 60)}; only numbers, flags and text are read"
