@@ -16,7 +16,7 @@ from fungrasp.evaluation.grasp_export import write_dexgraspbench, write_joint_tr
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
 from fungrasp.hands import load_hand
-from fungrasp.hands.urdf_export import WRIST_JOINTS, write_hand_urdf
+from fungrasp.hands.export import WRIST_JOINTS, write_hand_urdf
 from fungrasp.retargeting import retarget
 
 

@@ -14,8 +14,8 @@ from fungrasp.evaluation.six_directions import squeezed_fingers
 from fungrasp.evaluation.trajectory import Trajectory
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
-from fungrasp.hands.hand_export import export_hand
-from fungrasp.hands.urdf_export import WRIST_JOINTS, write_hand_urdf
+from fungrasp.hands.arm import export_hand
+from fungrasp.hands.export import WRIST_JOINTS, write_hand_urdf
 from fungrasp.objects import ObjectModel, check_objects, load_object
 
 OPENED = 0.2

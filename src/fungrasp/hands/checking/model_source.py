@@ -16,8 +16,8 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mujoco_model import check_model_numbers, read_model, read_model_text
 from fungrasp.core.formats.text_files import parse_xml_text
-from fungrasp.hands.checking.finding import Finding, error, listed, warning
-from fungrasp.hands.checking.urdf_checks import check_urdf
+from fungrasp.hands.checking.findings import Finding, error, listed, warning
+from fungrasp.hands.checking.hand_checks import check_urdf
 
 MESH_FORMATS = (".obj", ".stl", ".msh")
 
