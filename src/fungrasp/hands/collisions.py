@@ -1,4 +1,4 @@
-"""A hand's collision shapes as spheres, dense enough for distances; which links penetrate each other, and why."""
+"""A hand's collision shapes as spheres, dense enough for distances; which links penetrate each other and why."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the bodies of many copies of a hand are: by MuJoCo with Jacobians, or on devices by any array library;
+"""Where the bodies of many copies of a hand are: by MuJoCo with Jacobians, or on devices by array libraries;
 which way a hand's joints close."""
 
 from __future__ import annotations

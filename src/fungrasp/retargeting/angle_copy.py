@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.geometry.poses import rotate
-from fungrasp.grasps.anatomy import joint_bends
-from fungrasp.grasps.human_hand import mirror_points
+from fungrasp.grasps.human_hand import joint_bends, mirror_points
 from fungrasp.hands import FINGERS, Hand
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
 from fungrasp.hands.kinematic_tree import ancestors

@@ -12,7 +12,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.collisions import collision_spheres
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.part_lookup import nearest_parts
+from fungrasp.objects.object_model import nearest_parts
 from fungrasp.task.environment import LiftEnvironment
 
 
