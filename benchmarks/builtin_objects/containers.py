@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.builtin_objects.assembly import PartSolids
 from benchmarks.builtin_objects.shapes import box, ellipse, sweep
-from fungrasp.objects.plain_shapes import lathe
+from fungrasp.objects.builtin_objects import lathe
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from benchmarks.builtin_objects.shapes import (
     prism,
     turned,
 )
-from fungrasp.objects.plain_shapes import lathe
+from fungrasp.objects.builtin_objects import lathe
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from benchmarks.builtin_objects.shapes import (
     ring,
     sweep,
 )
-from fungrasp.objects.plain_shapes import lathe
+from fungrasp.objects.builtin_objects import lathe
 
 
 @dataclass(frozen=True)

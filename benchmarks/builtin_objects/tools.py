@@ -19,7 +19,7 @@ from benchmarks.builtin_objects.shapes import (
     sweep,
     turned,
 )
-from fungrasp.objects.plain_shapes import lathe
+from fungrasp.objects.builtin_objects import lathe
 
 
 @dataclass(frozen=True)

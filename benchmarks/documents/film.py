@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.grasps import builtin_grasps, load_objects
-from fungrasp.grasps.picks import picked_rows
+from fungrasp.grasps.grasp_selection import picked_rows
 from fungrasp.hands import load_hand
 from fungrasp.media.demonstration import FPS, demonstrate
 from fungrasp.media.video import write_video

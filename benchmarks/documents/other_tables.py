@@ -1,4 +1,4 @@
-"""Tables of perception, files and clusters."""
+"""Tables of perception, and of hands that were added."""
 
 from __future__ import annotations
 

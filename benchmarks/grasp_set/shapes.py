@@ -17,7 +17,7 @@ from benchmarks.builtin_objects.shapes import (
     ring,
     sweep,
 )
-from fungrasp.objects.plain_shapes import lathe
+from fungrasp.objects.builtin_objects import lathe
 
 CERAMIC, GLASS_FILLED, PAPER, WATER = 2300.0, 1150.0, 730.0, 1000.0
 """Densities [kg/m3]: stoneware; plastic with glass fibers; a book's pages; what bottles hold."""

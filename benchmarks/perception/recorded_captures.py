@@ -31,7 +31,7 @@ from fungrasp.objects import (
     object_names,
     plain_shape,
 )
-from fungrasp.objects.held_object import colored_mesh
+from fungrasp.objects.resolved_object import colored_mesh
 from fungrasp.perception import Capture
 from fungrasp.perception.estimates import JOINTS
 from fungrasp.perception.io.image_files import read_mask

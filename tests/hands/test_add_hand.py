@@ -19,7 +19,7 @@ from fungrasp.hands.adding.add_hand import Answers, add_hand
 from fungrasp.hands.adding.couplings import GivenCoupling
 from fungrasp.hands.adding.shape_fitting import Box, Capsule, fit_boxes, fit_capsule, mesh_points
 from fungrasp.hands.checking.hand_checks import check_hand_files
-from fungrasp.hands.collision_spheres import self_collision_depth
+from fungrasp.hands.collisions import self_collision_depth
 
 CASES: dict[str, dict[str, Any]] = {
     "plain": {},

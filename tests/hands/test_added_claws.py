@@ -13,9 +13,8 @@ from odd_hands import odd_hand
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand
-from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.hands.opening import partly_closed
-from fungrasp.hands.self_contacts import self_contact_words
+from fungrasp.hands.collisions import self_contact_words
+from fungrasp.hands.kinematics import HandKinematics, partly_closed
 
 
 def added(folder: Path, text: str, **answers) -> tuple[Hand, list[str]]:

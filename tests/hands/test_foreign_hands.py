@@ -18,7 +18,7 @@ from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings
-from fungrasp.hands.adding.visual_meshes import coarse
+from fungrasp.hands.adding.shape_fitting import coarse
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.objects import load_object
 from fungrasp.task.protocol import LiftProtocol

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fungrasp.hands import hand_files, load_hand
+from fungrasp.hands.checking.findings import finger_of
 from fungrasp.hands.checking.hand_checks import Finding, check_hand_files
-from fungrasp.hands.checking.named_parts import finger_of
 from fungrasp.hands.kinematics import HandKinematics
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"

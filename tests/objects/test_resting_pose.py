@@ -4,8 +4,8 @@ import numpy as np
 import trimesh
 
 from fungrasp.objects import load_object
-from fungrasp.objects.plain_shapes import plain_shape
-from fungrasp.objects.resting_pose import broad_settled_up, settled_up
+from fungrasp.objects.builtin_objects import plain_shape
+from fungrasp.objects.object_model import broad_settled_up, settled_up
 
 
 def leaning(axis: np.ndarray) -> np.ndarray:

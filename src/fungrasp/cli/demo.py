@@ -78,7 +78,7 @@ class Demo(Answering):
 
     def _from_grasps(self, hand: Hand, policy: str) -> Demonstration:
         from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.grasps.picks import picked_rows
+        from fungrasp.grasps.grasp_selection import picked_rows
         from fungrasp.media.demonstration import Opening, demonstrate
 
         everything = load_human_grasps(self.grasps)

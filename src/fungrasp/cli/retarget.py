@@ -48,7 +48,7 @@ class Retarget(Answering):
         from fungrasp.evaluation.grasp_quality import static_quality, with_quality
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
-        from fungrasp.hands.self_contacts import self_contact_words
+        from fungrasp.hands.collisions import self_contact_words
         from fungrasp.media.grasp_pictures import draw_grasps
         from fungrasp.retargeting import RetargetSettings, retarget
 

@@ -25,7 +25,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.grasps.grasp_files import robot_grasp_fields, robot_grasps_from_fields
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
-from fungrasp.objects import ObjectModel, held_object, load_object
+from fungrasp.objects import ObjectModel, load_object, resolve_object
 from fungrasp.policies.registry import policy_files
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.reach import Reach
@@ -55,7 +55,7 @@ class ObjectSource:
     def load(self) -> ObjectModel:
         """The object as it is now. Raises: FungraspError: it can't be read."""
         if self.file:
-            return held_object(self.file, self.mass).model
+            return resolve_object(self.file, self.mass).model
         return load_object(self.name, self.mass, self.folder or None)
 
 

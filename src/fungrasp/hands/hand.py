@@ -15,10 +15,23 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import digest
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.mujoco_model import read_model
-from fungrasp.core.formats.text_files import read_toml, type_faults
+from fungrasp.core.formats.text_files import Schema, read_toml, type_faults
 from fungrasp.geometry.arrays import constant
 from fungrasp.geometry.poses import Array, invert
-from fungrasp.hands.hand_toml_schema import HAND_TOML
+
+_SERVO = {"kp": float, "kd": float, "force_limit": float}
+
+HAND_TOML: Schema = {
+    "name": str,
+    "title": str,
+    "model": str,
+    "palm": str,
+    "source": str,
+    "palm_frame": {"fingers": [float], "normal": [float]},
+    "fingers": {"*": {"links": [str], "joints": [str], "tip": str}},
+    "actuators": {**_SERVO, "source": str, "joints": {"*": _SERVO}},
+}
+
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""

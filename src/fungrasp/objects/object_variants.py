@@ -1,4 +1,4 @@
-"""Objects that differ a little from a known one: in size, or in where their mass is."""
+"""Objects in other sizes, with their mass elsewhere, and in a mirror."""
 
 from __future__ import annotations
 
@@ -75,3 +75,29 @@ def shifted_mass(
     # Of a shift of zero, the second term is zero, whatever the share.
     weight = mass * (1.0 - share) / np.where(share > 0, share, 1.0)
     return center + moved, (1.0 - share)[:, None, None] * inertia + weight[:, None, None] * square
+
+
+MIRRORED = "_mirrored"
+"""At the end of the name of an object that is the mirror image of another."""
+
+
+def mirrored_name(name: str) -> str:
+    """``mug`` to ``mug_mirrored`` and back."""
+    return name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED
+
+
+def mirrored_object(model: ObjectModel) -> ObjectModel:
+    """The object reflected in the plane y = 0 of its frame, where it keeps its mass and its parts.
+
+    Convex pieces and the signed distance are reflections too, so that they are exactly alike.
+    """
+    return ObjectModel(
+        mirrored_name(model.name),
+        model.mass,
+        model.vertices * np.array([1.0, -1.0, 1.0]),
+        model.faces[:, ::-1].copy(),
+        parts=model.parts,
+        repairs=model.repairs,
+        source=model.source,
+        mirror_image=model,
+    )

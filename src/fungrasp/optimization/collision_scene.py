@@ -13,7 +13,7 @@ from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.distance_queries import gradient_derivatives, nearest_surfaces
 from fungrasp.geometry.poses import invert, rotate
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.resting_pose import settled_up
+from fungrasp.objects.object_model import settled_up
 
 
 @dataclass(frozen=True)

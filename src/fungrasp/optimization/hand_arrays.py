@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.poses import rotation_matrix
-from fungrasp.hands.collision_spheres import CollisionSpheres
+from fungrasp.hands.collisions import CollisionSpheres
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 
 GROUP_SIZE = 8

@@ -9,7 +9,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
+from fungrasp.hands.collisions import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.optimization.collision_scene import CollisionScene

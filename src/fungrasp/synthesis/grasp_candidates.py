@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from fungrasp.grasps import HUMAN_LINKS
-from fungrasp.grasps.anatomy import DEVIATION_LIMIT, FLEXION_RANGE, JOINT_RANGE_SLACK, joint_bends
+from fungrasp.grasps.human_hand import DEVIATION_LIMIT, FLEXION_RANGE, JOINT_RANGE_SLACK, joint_bends
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import self_collision_depth
+from fungrasp.hands.collisions import self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.collision_scene import CollisionScene

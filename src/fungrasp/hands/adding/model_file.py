@@ -15,9 +15,8 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model
-from fungrasp.hands.adding.joint_repairs import repair_joints
-from fungrasp.hands.adding.world_palm import wrap_world
-from fungrasp.hands.checking.finding import Finding, listed, note, warning
+from fungrasp.hands.adding.model_repairs import repair_joints, wrap_world
+from fungrasp.hands.checking.findings import Finding, listed, note, warning
 from fungrasp.hands.checking.model_source import parse_xml, principal_inertias, quiet
 
 MAX_INCLUDES = 100

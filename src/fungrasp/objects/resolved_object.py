@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.mesh_file import is_colorless, read_colored_mesh
 from fungrasp.geometry.triangle_mesh import volume_and_center
+from fungrasp.objects.builtin_objects import is_plain_shape, plain_shape
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
-from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
 
 if TYPE_CHECKING:
     import trimesh
@@ -34,7 +34,7 @@ EIGHT_OF_TEN = 1.28
 
 
 @dataclass(frozen=True, eq=False)
-class HeldObject:
+class ResolvedObject:
     """An object, and what perception can make use of beyond its shape."""
 
     model: ObjectModel
@@ -55,7 +55,7 @@ class HeldObject:
         return float(np.log(self.mass_range[1] / self.mass_range[0])) / (2 * EIGHT_OF_TEN)
 
 
-def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> HeldObject:
+def resolve_object(obj: ObjectModel | str | Path, mass: float | None = None) -> ResolvedObject:
     """The object by its mesh file or its name.
 
     Args:
@@ -70,12 +70,12 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
     if isinstance(obj, ObjectModel):
         if mass is not None:
             raise FungraspError(f"'{obj.name}' has its mass, {obj.mass:.4g} kg: give a mass with a mesh only")
-        return HeldObject(obj)
+        return ResolvedObject(obj)
     mesh = str(obj)
     is_file = Path(mesh).is_file()
     shape = not is_file and is_plain_shape(mesh)
     if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
-        return HeldObject(builtin_object(mesh, mass))
+        return ResolvedObject(builtin_object(mesh, mass))
     notes: tuple[str, ...] = ()
     between = None
     if mass is None:
@@ -93,7 +93,7 @@ def held_object(obj: ObjectModel | str | Path, mass: float | None = None) -> Hel
             f"'{model.name}': {mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
             f"({DENSEST:,.0f}): is the mass in grams?"
         )
-    return HeldObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
+    return ResolvedObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
 
 
 def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:

@@ -1,11 +1,16 @@
-"""Grasps named by people: by object, by object and task, or by row."""
+"""Grasps named by people (by object, by object and task, or by row), and the objects of grasps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.human_grasp import HumanGraspSet
+from fungrasp.grasps.robot_grasp import RobotGraspSet
+from fungrasp.objects import ObjectModel, load_object
 
 
 def picked_rows(
@@ -47,3 +52,18 @@ def picked_rows(
     if len(set(rows)) < len(rows):
         raise FungraspError(f"--pick {' '.join(picks)}: grasp {max(rows, key=rows.count)} is picked twice")
     return rows
+
+
+def load_objects(
+    grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None
+) -> dict[str, ObjectModel]:
+    """The objects of a grasp set, by name, each with the mass of its first grasp.
+
+    Raises:
+        FungraspError: an object can't be found or read.
+    """
+    names, rows = np.unique(grasps.object_name, return_index=True)
+    return {
+        str(n): load_object(str(n), float(grasps.object_mass[r]), folder)
+        for n, r in zip(names, rows, strict=True)
+    }
