@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.records import record_from_json
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import check_attempts
 from fungrasp.sim2real import NOMINAL, ProtocolName, Randomization, protocol_conditions
