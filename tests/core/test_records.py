@@ -182,7 +182,7 @@ def test_python_is_not_run_by_reading(tmp_path):
     path = tmp_path / "r.npz"
     arrays = made_up(Action, 0, 1).arrays() | {"lift": np.array([Path("x")], dtype=object)}
     np.savez(path, allow_pickle=True, **arrays)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(FungraspError, match="no array of numbers, flags or text"):
+    with pytest.raises(FungraspError, match="only numbers, flags and text are read"):
         Action.load(path)
 
 

@@ -119,8 +119,12 @@ def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
         with warnings.catch_warnings(action="ignore"):
             array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=LONGEST_HEADER)
     except Exception as error:
+        if "allow_pickle" in str(error):
+            raise FungraspError(
+                f"{where} holds Python objects; only numbers, flags and text are read"
+            ) from None
         # Python's own parser reads the header, which can raise almost any exception.
-        raise FungraspError(f"{where} holds no array of numbers, flags or text, or a damaged one") from error
+        raise FungraspError(f"{where} holds no array of NumPy, or a damaged one") from error
     if array.dtype.kind not in "biufSU":
         raise FungraspError(
             f"{where} holds {one_line(array.dtype, 60)}; only numbers, flags and text are read"
