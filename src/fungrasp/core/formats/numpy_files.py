@@ -124,7 +124,7 @@ def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
                 f"{where} holds Python objects; only numbers, flags and text are read"
             ) from None
         # Python's own parser reads the header, which can raise almost any exception.
-        raise FungraspError(f"{where} holds no array of NumPy, or a damaged one") from error
+        raise FungraspError(f"{where} can't be read: no array of NumPy, or a damaged one") from error
     if array.dtype.kind not in "biufSU":
         raise FungraspError(
             f"{where} holds {one_line(array.dtype, 60)}; only numbers, flags and text are read"
