@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -161,13 +161,11 @@ def slow(shared: None, number: int) -> int:
     return number
 
 
-@pytest.fixture(scope="module")
-def ray() -> Iterator[Any]:
-    """The package; the functions of this file go to the machines, which can't import it."""
-    package = pytest.importorskip("ray", reason='needs Ray: pip install "fungrasp[ray]"')
-    package.cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    yield package
-    package.cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+@pytest.fixture
+def ray(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The package; workers find the functions of this file."""
+    monkeypatch.setenv("PYTHONPATH", HERE)
+    return pytest.importorskip("ray", reason='needs Ray: pip install "fungrasp[ray]"')
 
 
 @pytest.fixture
@@ -204,8 +202,7 @@ def kill_after(cluster, ready) -> threading.Thread:
     return thread
 
 
-def test_this_machine_does_every_job_once_and_says_errors(ray: Any, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", HERE)
+def test_this_machine_does_every_job_once_and_says_errors(ray: Any, tmp_path):
     ray.init("local", include_dashboard=False, log_to_driver=False, num_cpus=2)
     try:
         done = {}

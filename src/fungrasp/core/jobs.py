@@ -341,7 +341,6 @@ def run_job(
     """Do the parts of a job that are not kept yet.
 
     Args:
-        job: what to do.
         store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
         ray: does the parts on a cluster; this process if None. The results are the same.
         progress: called with the share that is done, 0 to 1.

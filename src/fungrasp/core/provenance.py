@@ -42,7 +42,6 @@ def page_provenance(source: Mapping[str, str], seed: int, seconds: float | None 
 
     Args:
         source: what it was made from, by what kind of thing that is.
-        seed: of the command.
         seconds: how long it took [s], if known.
     """
     record = run_record(seed)

@@ -157,8 +157,6 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
     """A dataclass from what ``record_to_json`` gave; a field that is not there has its default.
 
     Args:
-        kind: the dataclass.
-        data: read from JSON.
         where: begins the messages: "the specification lift.json".
 
     Raises:

@@ -36,7 +36,6 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
     """The value of a field as an array of str, bool or float64, with unit quaternions.
 
     Args:
-        name: the field's name, for messages.
         field: what it must look like.
         value: an array or what becomes one.
         sizes: sizes already known by letter; letters met here for the first time are added.
@@ -78,7 +77,6 @@ def check_rows(name: str, good: np.ndarray, complaint: str, values: np.ndarray |
     """Complain about the first row of a field that is not good.
 
     Args:
-        name: the field's name.
         good: shape [N, ...]; a row is good if all of it is.
         complaint: what is wrong with a row, without a subject.
         values: shape [N], shown in the message.
@@ -99,7 +97,6 @@ def checked_extra(extra: Mapping[str, Any], count: int) -> dict[str, np.ndarray]
 
     Args:
         extra: numbers or flags, each of shape [N, ...].
-        count: N.
 
     Raises:
         FungraspError: not numbers, or not N rows.

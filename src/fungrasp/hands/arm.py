@@ -86,7 +86,6 @@ def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:
     """Pose of the palm body on a flange whose z axis points out of it.
 
     Args:
-        hand: whose palm.
         mount: of the hand on the flange.
 
     Returns:

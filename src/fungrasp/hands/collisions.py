@@ -37,7 +37,6 @@ def collision_spheres(hand: Hand, spacing: float = 0.012) -> CollisionSpheres:
     ellipsoids and the convex hulls of meshes by points on their surface.
 
     Args:
-        hand: any hand.
         spacing: largest gap between neighbors [m]; along a capsule three quarters of its radius, if that is
             less.
     """
@@ -159,7 +158,6 @@ def self_contacts(
     """Pairs of links that penetrate each other, most frequent first.
 
     Args:
-        model: a bare hand's.
         joint_positions: [rad], shape [N, M].
         depth: contacts less deep don't count [m].
     """
@@ -196,7 +194,6 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
     """For each pair of links that penetrate in some grasps: how often, how deep, why, and what to do.
 
     Args:
-        model: a bare hand's.
         joint_positions: of the grasps [rad], shape [N, M].
     """
     contacts = self_contacts(model, joint_positions)

@@ -94,7 +94,6 @@ def model_urdf(
     root is ``world``.
 
     Args:
-        name: of the robot.
         model: its joints are hinges and slides.
         meshes: folder that meshes are written to, which are named by URIs; without shapes if None.
         frames: links of no mass to add, by the site that each is at.

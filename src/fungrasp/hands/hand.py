@@ -244,9 +244,6 @@ class Hand:
 def read_hand_toml(path: Path) -> Hand:
     """Read a hand's TOML and check that all it names exists in the model.
 
-    Args:
-        path: the TOML file.
-
     Raises:
         FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which
             and why.
@@ -324,8 +321,6 @@ def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], acr
     where there is one finger the thumb farther than it, along the cross product of fingers and normal.
 
     Args:
-        model: the hand.
-        palm: the palm body.
         fingers: by name, in the order of ``FINGERS``.
         across: that cross product, palm frame, shape [3].
     """

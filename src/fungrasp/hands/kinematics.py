@@ -32,8 +32,6 @@ def palm_offset(model: mujoco.MjModel, palm: str, bases: Sequence[str]) -> np.nd
     [3]: on the line to the middle of the fingers' bases, ``FARTHEST`` before it. Zero where it is near.
 
     Args:
-        model: a hand.
-        palm: the palm body.
         bases: site or body at the base of each finger but the thumb.
     """
     data = mujoco.MjData(model)
@@ -70,11 +68,7 @@ class HandKinematics:
     """
 
     def __init__(self, hand: Hand, count: int):
-        """
-        Args:
-            hand: any hand.
-            count: N.
-        """
+        """ """
         self.hand = hand
         self.model = model = hand.model
         self.matrix, self.offset = hand.coupling
@@ -244,7 +238,6 @@ class ArrayKinematics:
         """
         Args:
             hand: any hand with hinges and slides.
-            points: P of them.
         """
         self._hand, self._offsets = hand, points.offsets
         model = hand.model

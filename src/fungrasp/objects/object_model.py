@@ -144,7 +144,6 @@ def nearest_parts(model: ObjectModel, points: np.ndarray) -> np.ndarray:
     """Name of the part on which the nearest point of the surface lies, "" where the object has no parts.
 
     Args:
-        model: the object.
         points: object frame [m], shape [P, 3].
 
     Returns:

@@ -19,7 +19,6 @@ def scaled_object(model: ObjectModel, factor: float) -> ObjectModel:
     """The same object, all lengths times a factor, of the same mass.
 
     Args:
-        model: any object.
         factor: on its size, positive.
     """
     if factor == 1.0:
@@ -38,7 +37,6 @@ def with_sizes(objects: Mapping[str, ObjectModel], factors: Iterable[float]) -> 
     """Each object in several sizes, by ``scaled_name``.
 
     Args:
-        objects: by name.
         factors: on their sizes; 1 is always among the results.
     """
     return {

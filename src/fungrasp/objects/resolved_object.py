@@ -103,7 +103,6 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     nearest one.
 
     Args:
-        path: the file.
         model: what was made of it.
 
     Returns:

@@ -22,11 +22,6 @@ LARGEST_INTEGER = 2**63 - 1
 def check_file(path: str | Path, what: str, largest: int) -> Path:
     """The path, if it is a file of at most ``largest`` bytes.
 
-    Args:
-        path: the file.
-        what: it should be, for messages: "hand file".
-        largest: [bytes].
-
     Raises:
         FungraspError: it does not exist, is no regular file or is larger.
     """

@@ -30,7 +30,6 @@ def read_image(path: str | Path, what: str) -> Image.Image:
 
     Args:
         path: a file of one of ``FORMATS``.
-        what: it should be, for messages: "mask".
 
     Raises:
         FungraspError: it can't be read, is cut short, no image or too large, or is to be shown turned.

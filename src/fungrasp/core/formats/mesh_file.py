@@ -26,10 +26,6 @@ MOST_FACES = 2_000_000
 def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndarray]:
     """The triangles of any mesh file that trimesh reads; a scene's meshes are joined.
 
-    Args:
-        path: the file.
-        what: it is, for messages.
-
     Returns:
         vertices: shape [V, 3] float64, finite.
         faces: vertex indices, shape [F, 3] int32, F >= 1.
@@ -44,10 +40,6 @@ def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndar
 
 def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh | None:
     """The triangles of a mesh file with its colors, of vertices or faces or in a texture.
-
-    Args:
-        path: the file.
-        what: it is, for messages.
 
     Returns:
         None where the file has no colors.

@@ -51,10 +51,6 @@ def read_model_text(path: str | Path, what: str = "hand's model") -> str:
 def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
     """A model for editing and compiling.
 
-    Args:
-        path: an MJCF or URDF file.
-        what: it is, for messages.
-
     Raises:
         FungraspError: it can't be read, or takes too much time or memory.
     """
@@ -74,10 +70,6 @@ def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
 
 def parse_model(text: str, where: str) -> mujoco.MjSpec:
     """A model for editing and compiling, from XML text; files that it names are not looked for.
-
-    Args:
-        text: MJCF or URDF.
-        where: begins the messages.
 
     Raises:
         ValueError: MuJoCo does not understand it.

@@ -25,10 +25,6 @@ LONGEST_HEADER = 10_000
 def read_npy(path: str | Path, what: str) -> np.ndarray:
     """The array in an ``.npy`` file: numbers, flags or text.
 
-    Args:
-        path: the file.
-        what: it should be, for messages: "depth image".
-
     Raises:
         FungraspError: it can't be read, is no such file, or too large.
     """
@@ -51,8 +47,6 @@ def read_npz(
     """The arrays in an ``.npz`` file by name: numbers, flags or text.
 
     Args:
-        path: the file.
-        what: it should be, for messages: "grasp file".
         wanted: which names are read; of others not even the headers are.
         most: arrays that the file may hold.
         largest: bytes that they may take together, eight for each number of fewer.

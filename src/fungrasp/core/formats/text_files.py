@@ -23,11 +23,6 @@ LARGEST_JSON = 16_000_000
 def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON) -> Any:
     """What a JSON file holds.
 
-    Args:
-        path: the file.
-        what: it should be, for messages: "hand file".
-        largest: [bytes].
-
     Raises:
         FungraspError: it can't be read, is too large or is not valid JSON.
     """
@@ -81,10 +76,6 @@ _WORDS = {str: "a text", float: "a number", int: "a whole number", bool: "true o
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """What a TOML file holds.
-
-    Args:
-        path: the file.
-        what: it should be, for messages: "hand file".
 
     Raises:
         FungraspError: it can't be read, is too large or is not valid TOML.

@@ -214,7 +214,6 @@ def import_dexycb(root: str | Path, options: DexYCBOptions | None = None) -> Hum
 
     Args:
         root: folder with the subjects, ``calibration`` and ``models``.
-        options: how.
 
     Raises:
         FungraspError: the folder is no DexYCB, or no sequence of it can be used.

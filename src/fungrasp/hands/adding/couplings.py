@@ -59,7 +59,6 @@ def find_couplings(
     """All linear couplings of a model, no joint driven twice and no loop.
 
     Args:
-        model: any.
         findings: what is left out or assumed is added.
         given: further couplings, that come before the model's.
 
@@ -246,7 +245,6 @@ def solve_loops(
 
     Args:
         model: any; it is changed.
-        loops: of ``closed_loops``.
         couplings: of the model or given; loops that they tie already are left alone.
         findings: what was solved is added.
 

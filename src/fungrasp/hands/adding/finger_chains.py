@@ -104,9 +104,6 @@ def find_chains(
     """The fingers on a palm.
 
     Args:
-        model: any.
-        poses: of it.
-        palm: the palm body.
         tips: by moving body: its far end, its own frame [m].
         ties: pairs of bodies that close loops; of two branches that one ties, the shorter is a part of the
             other's mechanism.

@@ -72,10 +72,6 @@ def hand_shapes(
     """Shapes of all links, joints and tips. The poses are left with straight fingers.
 
     Args:
-        foreign: the model as read.
-        structure: its parts.
-        poses: of it.
-        ends: of ``far_ends``.
         radius: of fingers whose shapes are missing [m]; found if None.
         findings: what was fitted and made up is added.
     """
@@ -314,7 +310,6 @@ def made_up_palm(
     """A box below the fingers, as wide as they are.
 
     Args:
-        structure: of the hand.
         poses: with straight fingers.
         joints: by body of a finger: the point at its joint, its own frame [m].
         sizes: radius of each finger [m].

@@ -68,7 +68,6 @@ def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
     """Read a URDF or MJCF.
 
     Args:
-        path: the file.
         palm: the palm body, if it is known; "world" where the fingers stand on it.
 
     Raises:

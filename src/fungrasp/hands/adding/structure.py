@@ -86,11 +86,8 @@ def find_structure(
 
     Args:
         model: any hand, its bodies named.
-        palm: of ``find_palm``.
-        couplings: of its joints.
         ties: pairs of bodies that close loops.
         tips: by moving body: the far end of the shapes and frames that move with it, its frame [m].
-        answers: what is known.
         findings: what was decided without certainty is added.
 
     Raises:
@@ -321,10 +318,7 @@ def find_side(
     """The side of a hand; doubts are added to the findings.
 
     Args:
-        model: any.
-        palm: its body.
         standing: the hand's side by the place of its thumb; None if it stands in the middle.
-        fingers: beside the thumb.
         answer: the side that the user gives.
         findings: doubts are added.
 

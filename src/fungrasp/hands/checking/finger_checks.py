@@ -82,7 +82,6 @@ def check_palm_frame(
     """Do the fingers point where the palm's frame says, and close to where it says?
 
     Args:
-        model: the hand.
         parts: with palm, fingers and tips.
         along: ``palm_frame.fingers``, shape [3].
         normal: ``palm_frame.normal``, shape [3].

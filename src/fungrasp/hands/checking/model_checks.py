@@ -180,7 +180,6 @@ def overlapping_shapes(model: mujoco.MjModel, positions: np.ndarray) -> dict[tup
     """Pairs of bodies whose collision shapes overlap by more than ``LEAST_OVERLAP``.
 
     Args:
-        model: a hand.
         positions: of all joints, shape [nq].
 
     Returns:
