@@ -38,7 +38,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
-    "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
+    "setup": ("fungrasp.cli.doctor:SETUP", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),

@@ -25,7 +25,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
-from fungrasp.policies.lift_reaction import HIGHEST
+from fungrasp.policies.slip_response import HIGHEST
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath

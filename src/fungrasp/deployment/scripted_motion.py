@@ -12,7 +12,7 @@ from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.geometry.poses import compose
 from fungrasp.planning.withdrawal import way_off
-from fungrasp.policies.waypoints import WaypointPolicy
+from fungrasp.policies.open_loop import WaypointPolicy
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot

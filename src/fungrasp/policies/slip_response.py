@@ -25,14 +25,13 @@ FRESH = 0.35
 multiple of a control period."""
 
 
-class LiftReaction:
+class SlipResponse:
     """Watches the lifts of W robots. The palm rises by as much as the object has been seen to sink, so that
     the object rises by what was asked."""
 
     def __init__(self, count: int, on: Array | None = None):
         """
         Args:
-            count: W.
             on: an array of the library and the device of what is seen; NumPy's if None.
         """
         on = np.zeros(1) if on is None else on

@@ -1,15 +1,40 @@
-"""A policy that takes hands along way points: between attempts, nothing is grasped."""
+"""Policies that play motions made before: plans open loop, whatever the object does, and ways along points,
+between attempts, when nothing is grasped."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry.poses import quaternion_conjugate, quaternion_multiply, rotation_vector
+from fungrasp.geometry.poses import (
+    compose,
+    quaternion_conjugate,
+    quaternion_multiply,
+    rotation_vector,
+)
 from fungrasp.planning.withdrawal import Waypoints
-from fungrasp.task import Action, Observation
+from fungrasp.task import Action, GraspPlan, Observation
 
 TURNED = 0.02
 """At the last point the palm's setpoint is turned as it should be to this angle [rad]."""
+
+
+def plan_step(plan: GraspPlan, observation: Observation) -> np.ndarray:
+    """Control steps since the plan began, shape [W] int."""
+    return np.rint(observation.time / plan.control_period).astype(int)
+
+
+class OpenLoopPolicy:
+    """Plays plans; of an observation it reads the clock alone."""
+
+    def reset(self, plan: GraspPlan, observation: Observation) -> None:
+        """See ``Policy.reset``."""
+        self._plan = plan
+
+    def act(self, observation: Observation) -> Action:
+        """See ``Policy.act``."""
+        step = plan_step(self._plan, observation)
+        goal, fingers = self._plan.at(step)
+        return Action(compose(self._plan.object_pose, goal), fingers, step >= self._plan.lift_step)
 
 
 class WaypointPolicy:

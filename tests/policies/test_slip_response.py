@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.policies.lift_reaction import HARDEST, HIGHEST, LiftReaction
+from fungrasp.policies.slip_response import HARDEST, HIGHEST, SlipResponse
 
 
-def lifted(palm: np.ndarray, risen: np.ndarray, age: float = 0.1) -> LiftReaction:
+def lifted(palm: np.ndarray, risen: np.ndarray, age: float = 0.1) -> SlipResponse:
     """One robot after a lift. palm, risen: heights at each control step [m], shape [T]."""
-    reaction = LiftReaction(1)
+    reaction = SlipResponse(1)
     for height, rise in zip(palm, risen, strict=True):
         reaction.update(np.array([True]), np.array([height]), np.array([rise]), np.array([age]))
     return reaction
