@@ -24,6 +24,8 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.formats.numpy_files import read_npz
 
+__all__ = ["Arrays", "ClusterUse", "Job", "PartStore", "RayCluster", "part_key", "run_job"]
+
 MOST_ARRAYS = 1000
 
 
