@@ -22,6 +22,9 @@ DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
 
 LONGEST_REASON = 300
 
+PICKLES = "fungrasp.core.formats.pickle_file"
+"""By name, as that module itself asks for this process."""
+
 SPARED = ("networkx", "scipy")
 """What trimesh works without; to import them takes longer than all else that reads a mesh."""
 
@@ -195,9 +198,7 @@ def run_network(path: str) -> bytes:
 
 def try_pickle(path: str) -> bytes:
     """Nothing, if a pickle of arrays is read in the time and memory there is."""
-    from fungrasp.core.formats.pickle_file import unpickled
-
-    unpickled(Path(path).read_bytes())
+    importlib.import_module(PICKLES).unpickled(Path(path).read_bytes())
     return b""
 
 
@@ -206,7 +207,7 @@ JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
     "colored triangles": (read_colored_triangles, ("numpy", "trimesh")),
     "model": (compile_model, ("mujoco",)),
     "network": (run_network, ("numpy", "onnxruntime")),
-    "pickle": (try_pickle, ("fungrasp.core.formats.pickle_file",)),
+    "pickle": (try_pickle, (PICKLES,)),
 }
 """By name: the job and the modules that are imported once, before the fork."""
 
