@@ -29,8 +29,8 @@ from fungrasp.core.formats import (
     toml_file,
     yaml_file,
 )
-from fungrasp.core.formats.file_bytes import DEEPEST, MOST_NODES
-from fungrasp.core.formats.xml_file import DEEPEST_ELEMENT
+from fungrasp.core.formats.checks import DEEPEST, MOST_NODES
+from fungrasp.core.formats.text_files import DEEPEST_ELEMENT
 from fungrasp.evaluation.result_files import ResultFile, read_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.task.use import load_use_motions, motion_of

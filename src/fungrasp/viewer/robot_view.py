@@ -15,7 +15,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, save_robot_grasps
-from fungrasp.grasps.mirroring import mirrored_grasps
+from fungrasp.grasps.conversion import mirrored_grasps
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
