@@ -52,7 +52,7 @@ class Collect(Answering):
 
         import numpy as np
 
-        from fungrasp.deployment.confirmation import ask_before_motion
+        from fungrasp.deployment.observer import ask_before_motion
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import guarded_hand
         from fungrasp.robots.cell import is_wired, load_cell
