@@ -17,7 +17,7 @@ REAL_TIME = (
     "benchmarks/faults",
     "benchmarks/wire",
 )
-"""Folders and files of tests in real time: emulated devices with watchdogs, processes that wait for each other."""
+"""Folders and files of tests in real time: devices with watchdogs, processes that wait for each other."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
