@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from benchmarks.command import check_positive
+from benchmarks.command import check_positive, main
 from fungrasp.cli.console import table
 from fungrasp.core.errors import FungraspError
 
@@ -85,14 +85,7 @@ class AddedHands:
 
 
 def added_hand(title: str, file: Path, folder: Path, options: AddedHands) -> AddedHand:
-    """Add one description and try it.
-
-    Args:
-        title: of its row.
-        file: the description.
-        folder: for the hand.
-        options: which grasps.
-    """
+    """Add one description, its hand into the folder, and try it."""
     import numpy as np
 
     from fungrasp.evaluation import evaluate
@@ -140,3 +133,6 @@ def _text(value: object) -> str:
 
 
 COMMAND = AddedHands
+
+if __name__ == "__main__":
+    main("hands", COMMAND)
