@@ -131,7 +131,7 @@ def test_a_policy_of_lerobots_learns_from_it(tmp_path, monkeypatch):
     from lerobot.policies.act.modeling_act import ACTPolicy
     from lerobot.policies.factory import make_pre_post_processors
 
-    draw = partial(episode_pictures, hand=HAND, thing=THING, size=(96, 64))
+    draw = partial(episode_pictures, hand=HAND, obj=THING, size=(96, 64))
     cameras = {name: partial(draw, camera=name) for name in ("front", "wrist")}
     root = write_lerobot_dataset([rising(3, 12), rising(5, 12)], tmp_path / "set", cameras)
     features = dataset_to_policy_features(loader.LeRobotDatasetMetadata("lift", root=root).features)

@@ -53,8 +53,6 @@ def _grasp(**changes):
     return GraspReport(
         **{
             "title": "Mug, to drink",
-            "task": "drink",
-            "object_name": "mug",
             "object_mass": 0.25,
             "success": True,
             "outcome": "Lifted 15 cm.",
@@ -108,8 +106,6 @@ def test_pictures_and_films_are_inside_unchanged(tmp_path):
 def test_every_text_is_escaped():
     grasp = _grasp(
         title=NASTY,
-        task=NASTY,
-        object_name=NASTY,
         outcome=NASTY,
         contacts=[Contact(NASTY, True)],
         quality=[Quantity(NASTY, NASTY, NASTY, NASTY)],
@@ -118,7 +114,7 @@ def test_every_text_is_escaped():
     html = page_html(Page(NASTY, [grasp, grasp], NASTY, NASTY, {NASTY: NASTY}))
     assert "<script" not in html
     checker = _check(html)
-    assert checker.text.count("<script>alert('x')</script>") >= 20
+    assert checker.text.count("<script>alert('x')</script>") >= 16
 
 
 def test_what_is_missing_is_left_out():

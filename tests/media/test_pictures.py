@@ -162,7 +162,7 @@ def test_wrong_arguments_are_named(allegro):
     wrong = {"wrist_pose": wrist[:6], "joint_positions": joints[:-1], "object_pose": POSE * np.nan}
     for name, value in wrong.items():
         with pytest.raises(FungraspError, match=name):
-            robot_grasp_scene(allegro, thing=BOX, **{**good, name: value})
+            robot_grasp_scene(allegro, obj=BOX, **{**good, name: value})
     with pytest.raises(FungraspError, match="link_contacts"):
         _robot(allegro, np.zeros(3, bool))
     with pytest.raises(FungraspError, match="link_contacts"):

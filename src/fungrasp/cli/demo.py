@@ -92,8 +92,12 @@ class Demo(Answering):
             f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}"
             for report in made.grasps
         ]
-        told = ("title", "object_name", "task", "success", "outcome", "use_success", "use_outcome")
-        grasps = [{name: getattr(report, name) for name in told} for report in made.grasps]
+        told = ("title", "success", "outcome", "use_success", "use_outcome")
+        grasps = [
+            {"object_name": grasp.object_name, "task": grasp.task}
+            | {name: getattr(report, name) for name in told}
+            for grasp, report in zip(shown.human, made.grasps, strict=True)
+        ]
         value = {"film": made.film, "page": made.page, "grasps": grasps}
         return Answer(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
 

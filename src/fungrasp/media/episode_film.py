@@ -13,10 +13,16 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.media.camera import Camera
-from fungrasp.media.grasp_scenes import robot_grasp_scene, robot_scene_colors, robot_scene_states
+from fungrasp.media.grasp_scenes import (
+    frame_geoms,
+    look_at_grasp,
+    robot_grasp_scene,
+    robot_scene_colors,
+    robot_scene_states,
+    view_angles,
+)
 from fungrasp.media.pictures import captioned
 from fungrasp.media.render import Renderer
-from fungrasp.media.viewpoints import frame_geoms, look_at_grasp, view_angles
 from fungrasp.objects import ObjectModel
 
 CAPTION_MARGIN = 1.18
@@ -41,7 +47,7 @@ STEADY = 0.1
 def episode_film(
     trajectory: Trajectory,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
     *,
     fps: float = 15.0,
     speed: float = 1.5,
@@ -57,7 +63,7 @@ def episode_film(
     drawn once. An episode whose simulation diverged is shown until then.
 
     Args:
-        trajectory: of ``hand`` and ``thing``.
+        trajectory: of ``hand`` and ``obj``.
         fps: frames per second.
         speed: seconds of the episode in a second of the film.
         width: [pixels].
@@ -70,14 +76,14 @@ def episode_film(
         sRGB, shape [height, width, 3] uint8.
     """
     trajectory = _finite_part(trajectory)
-    wrist, joints, things = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
-    recorded = robot_scene_states(model, hand, wrist, joints, things)
+    wrist, joints, object_poses = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])
+    recorded = robot_scene_states(model, hand, wrist, joints, object_poses)
     times = trajectory.times.astype(float)
     at = frame_times(times, fps, speed)
     states = interpolate(model, recorded, times, at)
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
-    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0], holding)
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0], holding)
     cameras = _cameras(judged, recorded, trajectory, at, width, height)
     colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
