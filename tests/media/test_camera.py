@@ -29,13 +29,6 @@ def test_axes_are_those_of_opencv():
     assert np.linalg.det(camera.rotation) == pytest.approx(1.0)
 
 
-def test_intrinsics_project_camera_points():
-    camera = Camera((0.3, -0.5, 0.4), (0, 0, 0.1), fov_y=50, width=64, height=48)
-    point = np.array([0.05, 0.02, 0.12])
-    image = camera.intrinsics @ (camera.rotation.T @ (point - camera.position))
-    np.testing.assert_allclose(camera.project(point)[0], image[:2] / image[2])
-
-
 @given(angles, heights, st.integers(0, 2**31))
 def test_fitted_camera_sees_all_spheres(azimuth, elevation, seed):
     rng = np.random.default_rng(seed)

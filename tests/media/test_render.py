@@ -147,7 +147,7 @@ def test_same_bytes_on_any_number_of_threads_and_in_any_company(model, camera):
 
 
 def test_antialiasing_comes_closer_to_a_large_picture(model, camera):
-    large = render(model, np.zeros(2), camera.sized(640, 480), shadows=False, antialias=1)[0]
+    large = render(model, np.zeros(2), replace(camera, width=640, height=480), shadows=False, antialias=1)[0]
     truth = linear(large / 255).reshape(60, 8, 80, 8, 3).mean((1, 3))
     pictures = [render(model, np.zeros(2), camera, shadows=False, antialias=n)[0] for n in (1, 3)]
     rough, fine = (np.abs(linear(picture / 255) - truth).max() for picture in pictures)

@@ -181,6 +181,8 @@ def _compile(picked: Shown, hand: str) -> None:
 
 def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) -> Shown:
     """Picked grasps, and the one that was seen in an image."""
+    from html import escape
+
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.media.demonstration import Shown
     from fungrasp.media.perception_page import perception_parts, perception_title, true_errors
@@ -192,7 +194,8 @@ def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) ->
         return picked
     known = folder == BUILTIN
     parts = perception_parts(seen, true_errors(builtin_truth(), seen) if known else ())
-    head = f"<h2>{perception_title(seen)}</h2>{RENDERED if known else ''}"
+    rendered = RENDERED if known else ""
+    head = f'<header class="top"><h2>{escape(perception_title(seen))}</h2>{rendered}</header>'
     source = {"Image": "the built-in one" if known else str(folder)}
     if picked is None:
         return Shown(seen.grasps, seen.objects, source, {0: [head, *parts]})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -51,14 +51,6 @@ class Camera:
         return 0.5 * self.height / float(np.tan(0.5 * np.radians(self.fov_y)))
 
     @property
-    def intrinsics(self) -> np.ndarray:
-        """Matrix from camera-frame points to homogeneous pixel coordinates, shape [3, 3]."""
-        f = self.focal
-        return np.array(
-            [[f, 0.0, 0.5 * (self.width - 1)], [0.0, f, 0.5 * (self.height - 1)], [0.0, 0.0, 1.0]]
-        )
-
-    @property
     def rotation(self) -> np.ndarray:
         """Camera axes (right, down, forward) as columns, world frame, shape [3, 3]."""
         forward = np.subtract(self.target, self.position).astype(float)
@@ -99,10 +91,6 @@ class Camera:
         safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
         center = 0.5 * np.array([self.width - 1, self.height - 1])
         return local[..., :2] / safe[..., None] * self.focal + center, depth
-
-    def sized(self, width: int, height: int) -> Camera:
-        """The same view with another number of pixels."""
-        return replace(self, width=width, height=height)
 
 
 @lru_cache(maxsize=4)
