@@ -282,13 +282,6 @@ def test_depth_has_colors_and_holes_are_black():
     assert dark[depth[part] > 0].mean() < 0.1
 
 
-def test_a_wide_image_is_made_smaller():
-    seen = perceived()
-    view = CloseUp(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
-    assert view.whole_image().shape == (480, 640, 3)
-    assert view.whole_image(width=320).shape == (240, 320, 3)
-
-
 def test_joints_that_are_no_hand_still_make_a_page(tmp_path):
     seen = perceived()
     broken = replace(seen.grasp, hand_joints=seen.grasp.hand_joints * 5)

@@ -3,8 +3,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from fungrasp.media import Camera, render
-from fungrasp.media.surfaces import geom_surface, linear, model_materials, sample_image
+from fungrasp.media.surfaces import geom_surface, linear, model_materials
 
 
 def _model(mesh, texture=None):
@@ -82,21 +81,3 @@ def test_a_moved_surface_takes_its_normals_along():
     moved = surface.moved(np.array([1.0, 2.0, 3.0]), turn)
     np.testing.assert_allclose(moved.vertices, surface.vertices @ turn.T + [1.0, 2.0, 3.0])
     np.testing.assert_allclose(moved.corner_normals, surface.corner_normals @ turn.T, atol=1e-6)
-
-
-def test_a_texture_is_seen():
-    mesh = trimesh.creation.icosphere(3, 0.1)
-    place = np.stack([0.5 + 4.9 * mesh.vertices[:, 0], np.full(len(mesh.vertices), 0.5)], 1)
-    image = np.zeros((1, 2, 3), np.uint8)
-    image[0, 0, 0] = image[0, 1, 2] = 255
-    camera = Camera((0, -0.6, 0.2), (0, 0, 0.2), fov_y=16, width=40, height=40)
-    picture = render(_model(mesh, (place, image)), np.zeros(0), camera)[0].astype(int)
-    assert picture[20, 12, 0] > picture[20, 12, 2] + 50
-    assert picture[20, 28, 2] > picture[20, 28, 0] + 50
-
-
-def test_images_are_sampled_between_pixels():
-    image = np.array([[[0.0], [1.0]]])
-    np.testing.assert_allclose(
-        sample_image(image, np.array([[0.25, 0.5], [0.5, 0.5], [0.75, 0.5]]))[:, 0], [0, 0.5, 1], atol=1e-6
-    )

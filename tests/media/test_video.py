@@ -53,18 +53,6 @@ def test_without_h264_the_film_becomes_webp(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["film.webp"]
 
 
-def test_frames_are_taken_one_by_one(tmp_path):
-    alive = []
-
-    def frames():
-        for frame in _frames(40):
-            alive.append(len(alive))
-            yield frame
-
-    write_video(tmp_path / "film.mp4", frames(), 25)
-    assert len(alive) == 40
-
-
 @pytest.mark.parametrize(
     ("name", "frames", "fps", "words"),
     [
