@@ -49,6 +49,8 @@ help."""
 LEFT: Mapping[str, str] = {
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
+    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",

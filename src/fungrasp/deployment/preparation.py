@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -66,9 +66,6 @@ class PreparedGrasp:
     """How the arm follows it."""
     corners: tuple[np.ndarray, ...]
     """Postures between where the arm is and the start of the plan, the start included [rad], each of shape
-    [A]."""
-    behind: tuple[np.ndarray, ...] = ()
-    """Postures of the way home from where the arm is, where that is not home already [rad], each of shape
     [A]."""
 
 

@@ -52,6 +52,11 @@ def hold_until_told(robot: Robot) -> None:
                 raise
             warned = True
             _log.warning("the hand lets go %s: Ctrl-C once more does it", lets_go)
+    open_slowly(robot)
+
+
+def open_slowly(robot: Robot) -> None:
+    """Open the hand of a stopped robot, and give it the time."""
     robot.hand_driver.stop(StopKind.OPEN)
     time.sleep(OPENING)
 

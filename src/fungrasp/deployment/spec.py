@@ -1,20 +1,59 @@
-"""The grasp that a robot is to do: one of a file, or the one in an image.
-
-What finds it is imported on use: ``GraspChoice`` is options of commands, whose help comes at once.
-"""
+"""What is asked of a deployment: the grasp, and how a robot does it. Both are options of commands, whose help
+comes at once: what finds the grasp is imported on use."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 if TYPE_CHECKING:
-    from fungrasp.deployment.saved_plan import ObjectSource
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.perceived import Perceived
+
+Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
+"""Where a deployment ends."""
+
+
+@dataclass(frozen=True)
+class DeploymentSpec:
+    """What is asked of a deployment, as JSON by ``fungrasp.core.formats.record_json``."""
+
+    cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
+    """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
+    policy: str = "plan"
+    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
+    attempts: int = 1
+    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
+    looks where the object lies, plans anew and tries again. One attempt ends as it ends."""
+    until: Until = "home"
+    """Where to end: "plan" (nothing moves), "approach" (at the start of the grasp), "grasp" (fingers closed),
+    "lift" (after the hold, with the object held), "put-down" or "home"."""
+    speed: float = 1.0
+    """Share of the cell's speed, 0.02 to 1: slow motion. The hold takes its time. Not for policies that watch
+    (a student)."""
+    dry_run: bool = False
+    """Read everything, decide everything, log everything, and send nothing."""
+    gravity_compensation: bool = True
+    """Carry the hand's weight; else it sags."""
+    hand_dynamics: str = ""
+    """File of the hand's identified dynamics (`fungrasp identify fit`); what the cell names if empty."""
+    seed: int = 0
+    """Seed of the plan."""
+    twin: int = 0
+    """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
+    real_time: Annotated[bool, tyro.conf.Suppress] = True
+    """For a twin: run on the clock of the wall; else as fast as it goes, the same to the last bit."""
+    look_time: Annotated[float, tyro.conf.Suppress] = 1.0
+    """Time in which poses of the object are collected before planning [s]."""
+    threads: Annotated[int, tyro.conf.Suppress] = 0
+    """Of the planner; 0 means all processors."""
+    about: Annotated[str, tyro.conf.Suppress] = ""
+    """Which grasp, in words, for the log."""
 
 
 @dataclass(frozen=True)
@@ -61,32 +100,12 @@ class GraspChoice:
         return human, dict(load_objects(human, self.objects))
 
     def robot(self, hand: Hand, seed: int = 0) -> tuple[RobotGraspSet, dict[str, ObjectModel]]:
-        """The grasp, retargeted to a hand, and its object by name, as ``deploy`` takes them.
-
-        Args:
-            hand: of the robot.
-            seed: as of ``human``.
-
-        Raises:
-            FungraspError: as ``human``.
-        """
+        """The grasp, retargeted to the hand of a robot, and its object by name, as ``deploy`` takes them.
+        Raises what ``human`` raises."""
         from fungrasp.retargeting import retarget
 
         human, objects = self.human(seed)
         return retarget(human, objects, hand, threads=self.threads), objects
-
-    def source(self, thing: ObjectModel) -> ObjectSource:
-        """Where the object is read from again when a saved plan is carried out.
-
-        Args:
-            thing: the object.
-        """
-        from fungrasp.deployment.saved_plan import ObjectSource
-
-        file = self.mesh if self.image is not None else None
-        file = str(Path(file).resolve()) if file and Path(file).is_file() else file or ""
-        folder = "" if self.objects is None else str(self.objects.resolve())
-        return ObjectSource(thing.name, thing.mass, folder, file)
 
     def _of_image(self, folder: str, seed: int) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
         from fungrasp.core.errors import FungraspError

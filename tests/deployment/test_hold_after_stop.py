@@ -10,22 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ideal_twin import IDEAL
-from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
+from robot_cells import Told, cell_and_hand, grasp_and_object, ideal, near_cell, placed, task
 
-from fungrasp.deployment import holding, wired_deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.deployment.log import DeploymentLog
+from fungrasp.deployment import deploy, hold_after_stop
+from fungrasp.deployment.deploy import deploy_on_robot
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
-from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import DeviceStatus
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Observation
 
@@ -63,7 +59,7 @@ class Ending(OpenLoopPolicy):
         return action
 
 
-class Full(DeploymentLog):
+class Full(DeploymentObserver):
     steps = 0
 
     def step(self, *given: Any) -> None:
@@ -75,16 +71,14 @@ class Full(DeploymentLog):
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> TwinWorld:
     cell, hand = near_cell(), cell_and_hand()[1]
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
-    world = TwinWorld(cell, hand, grasp_and_object()[1], truth)
+    world = TwinWorld(cell, hand, grasp_and_object()[1], ideal())
     world.settle(placed())
 
     def on_twin(*arguments: Any, **options: Any) -> Robot:
         devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
         return Robot(cell, hand, *devices, TwinClock(world), switch=options["switch"])
 
-    monkeypatch.setattr(wired_deployment, "wired_robot", on_twin)
-    monkeypatch.setattr(wired_deployment, "raise_priority", lambda: None)
+    monkeypatch.setattr(deploy, "wired_robot", on_twin)
     return world
 
 
@@ -99,10 +93,7 @@ def interruptible() -> Iterator[None]:
 @pytest.mark.parametrize("name", ENDINGS)
 @pytest.mark.usefixtures("interruptible")
 def test_the_object_stays_held_until_a_person_says_otherwise(name: str, world: TwinWorld) -> None:
-    hand = cell_and_hand()[1]
-    grasp, thing = grasp_and_object()
-    planner = MotionPlanner(hand, {thing.name: thing})
-    task = DeploymentTask(near_cell(), hand, thing, grasp, Ending(ENDINGS[name]), planner)
+    what = task(policy=Ending(ENDINGS[name]), until="lift" if name == "stay" else "home")
     heights = []
 
     def hold(robot: Robot) -> None:
@@ -113,10 +104,9 @@ def test_the_object_stays_held_until_a_person_says_otherwise(name: str, world: T
             assert np.abs(world.arm_state()[1]).max() < 0.02
 
     rest = float(world.center_of_mass()[2])
-    settings = DeploymentSettings(look_time=0.3, until=Phase.HOLD if name == "stay" else Phase.HOME)
-    log = Full() if name == "full disk" else None
+    log = Full() if name == "full disk" else DeploymentObserver()
     try:
-        result = deploy_on_robot(task, settings=settings, hold=hold, log=log)
+        result = deploy_on_robot(what, [log, Told(hold=hold)])
         assert result.phase is (Phase.DONE if name == "stay" else Phase.FAULT)
         assert REASONS[name] in result.fault
     except IndexError:
@@ -126,32 +116,28 @@ def test_the_object_stays_held_until_a_person_says_otherwise(name: str, world: T
 
 
 def test_an_empty_hand_at_home_needs_nobody(world: TwinWorld) -> None:
-    hand = cell_and_hand()[1]
-    grasp, thing = grasp_and_object()
-    planner = MotionPlanner(hand, {thing.name: thing})
-    task = DeploymentTask(near_cell(), hand, thing, grasp, OpenLoopPolicy(), planner)
-    settings, asked = DeploymentSettings(look_time=0.3), []
-    assert deploy_on_robot(task, settings=settings, hold=asked.append).phase is Phase.DONE
+    asked = []
+    assert deploy_on_robot(task(), [Told(hold=asked.append)]).phase is Phase.DONE
     assert not asked and not world.powered
 
 
 def test_the_hand_opens_at_the_word_and_at_no_other(
     world: TwinWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(holding, "OPENING", 0.0)
+    monkeypatch.setattr(hold_after_stop, "OPENING", 0.0)
     switch, answers, opened = StopSwitch(), ["", "no", "open"], []
     monkeypatch.setattr(switch, "ask", lambda question: answers.pop(0))
-    robot = wired_deployment.wired_robot(switch=switch)
+    robot = deploy.wired_robot(switch=switch)
     monkeypatch.setattr(robot.hand_driver, "stop", opened.append)
-    holding.hold_until_told(robot)
+    hold_after_stop.hold_until_told(robot)
     assert opened == ["open"] and not answers
 
 
 def test_ctrl_c_twice_does_not_drop_what_is_held(
     world: TwinWorld, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    switch, robot, clock = StopSwitch(), wired_deployment.wired_robot(switch=None), iter([0.0, 0.3, 5.0, 9.0])
-    monkeypatch.setattr(holding, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    switch, robot, clock = StopSwitch(), deploy.wired_robot(switch=None), iter([0.0, 0.3, 5.0, 9.0])
+    monkeypatch.setattr(hold_after_stop, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     robot.switch, asked = switch, []
 
     def interrupted(question: str) -> str:
@@ -161,17 +147,14 @@ def test_ctrl_c_twice_does_not_drop_what_is_held(
     monkeypatch.setattr(switch, "ask", interrupted)
     monkeypatch.setattr(robot.hand_driver, "lets_go", "when this program ends")
     with pytest.raises(KeyboardInterrupt):
-        holding.hold_until_told(robot)
+        hold_after_stop.hold_until_told(robot)
     # The one that comes at once is of the press that stopped the arm; the next one warns; the third ends it.
     assert len(asked) == 3 and "lets go when this program ends: Ctrl-C once more" in caplog.text
 
 
 @pytest.mark.usefixtures("interruptible")
 def test_a_second_ctrl_c_while_the_first_is_dealt_with_still_stops(world: TwinWorld) -> None:
-    hand = cell_and_hand()[1]
-    grasp, thing = grasp_and_object()
     end = Ending(lambda action: signal.raise_signal(signal.SIGINT))
-    task = DeploymentTask(near_cell(), hand, thing, grasp, end, MotionPlanner(hand, {thing.name: thing}))
     statuses = []
 
     def again(robot: Robot) -> None:
@@ -187,7 +170,5 @@ def test_a_second_ctrl_c_while_the_first_is_dealt_with_still_stops(world: TwinWo
         statuses.extend((robot.state().arm.status, robot.state().hand.status))
 
     with pytest.raises(KeyboardInterrupt):
-        deploy_on_robot(
-            task, settings=DeploymentSettings(look_time=0.3, until=Phase.HOME), on_connect=again, hold=hold
-        )
+        deploy_on_robot(task(policy=end), [Told(connected=again, hold=hold)])
     assert statuses == [DeviceStatus.STOPPED] * 2

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robot_cells import cell_and_hand, deploy, near_cell
+from robot_cells import Told, cell_and_hand, deploy, near_cell
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.confirmation import ask_before_phases
-from fungrasp.deployment.log import DeploymentLog
+from fungrasp.deployment.observer import DeploymentObserver, PhaseQuestions
 from fungrasp.deployment.phases import Phase
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
@@ -23,13 +22,13 @@ from fungrasp.robots.twin.devices import TwinHand
 pytest.importorskip("mink")
 
 
-class Kept(DeploymentLog):
+class Kept(DeploymentObserver):
     """Keeps setpoints."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[str, float, np.ndarray, np.ndarray]] = []
 
-    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
         self.rows.append((phase, state.time, command.palm, command.arm))
 
     def of(self, *phases: Phase) -> tuple[np.ndarray, np.ndarray]:
@@ -40,9 +39,9 @@ class Kept(DeploymentLog):
 
 def test_slow_motion_is_the_same_way_at_the_same_rate_of_setpoints() -> None:
     usual, slow = Kept(), Kept()
-    assert deploy(log=usual).success
-    outcome = deploy(log=slow, speed=0.4)
-    assert outcome.success, outcome.result.fault
+    assert deploy(usual).success
+    outcome = deploy(slow, speed=0.4)
+    assert outcome.success, outcome.fault
     (t, p), (u, q) = (kept.of(Phase.GRASP) for kept in (usual, slow))
     assert np.diff(u) == pytest.approx(0.02, abs=0.003)
     assert (u[-1] - u[0]) / (t[-1] - t[0]) == pytest.approx(1 / 0.385, rel=0.02)
@@ -60,7 +59,7 @@ def test_a_hand_that_falls_silent_is_noticed_as_soon_in_slow_motion(monkeypatch:
         return read(self)
 
     monkeypatch.setattr(TwinHand, "read", failing)
-    result = deploy(speed=0.1).result
+    result = deploy(speed=0.1)
     assert "the hand has been silent" in result.fault
     assert result.times["fault"] - 3.0 < cell_and_hand()[0].watchdog.hand_silence + 0.05
 
@@ -82,38 +81,38 @@ def test_other_speeds_are_refused(speed: float) -> None:
 
 
 ENDS = {
-    Phase.IDLE: [],
-    Phase.MOVE_TO_START: ["move to start"],
-    Phase.GRASP: ["move to start", "grasp"],
-    Phase.PUT_DOWN: ["move to start", "grasp", "lift", "hold", "put down"],
+    "plan": [],
+    "approach": ["move to start"],
+    "grasp": ["move to start", "grasp"],
+    "put-down": ["move to start", "grasp", "lift", "hold", "put down"],
 }
 
 
 @pytest.mark.parametrize("until", ENDS)
-def test_it_ends_where_it_is_told_to(until: Phase) -> None:
+def test_it_ends_where_it_is_told_to(until: Any) -> None:
     worlds: list[Any] = []
-    outcome = deploy(until=until, prepare_world=worlds.append)
-    result, world = outcome.result, worlds[0]
+    result = deploy(until=until, spoil=worlds.append)
+    world = worlds[0]
     assert result.phase is Phase.DONE and not result.fault
     assert [name for name in result.times if name != "idle"] == ENDS[until]
-    if until in (Phase.IDLE, Phase.MOVE_TO_START):
+    if until in ("plan", "approach"):
         # The near cell's arm stands at the start already.
         assert np.abs(world.arm_state()[0] - near_cell().arm.home).max() < 0.02
-    if until is Phase.GRASP:
-        assert not outcome.success
+    if until == "grasp":
+        assert not result.success
         before = world.center_of_mass()[2]
         world.advance(world.time + 1.0)
         assert abs(world.center_of_mass()[2] - before) < 0.005
 
 
-class Asked:
+class Asked(DeploymentObserver):
     """Answers after some seconds, yes unless a phase is named."""
 
     def __init__(self, no: Phase | None = None, seconds: float = 1.0):
         self.no, self.seconds = no, seconds
         self.phases: list[Phase] = []
 
-    def __call__(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
+    def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
         self.phases.append(phase)
         for _ in range(round(self.seconds / 0.02)):
             meanwhile()
@@ -123,8 +122,8 @@ class Asked:
 
 def test_each_phase_is_asked_for_and_the_plan_waits() -> None:
     asked, kept = Asked(), Kept()
-    outcome = deploy(until=Phase.HOME, confirm=asked, log=kept)
-    assert outcome.success and not outcome.result.fault
+    outcome = deploy(asked, kept, until="home")
+    assert outcome.success and not outcome.fault
     motions = [Phase.MOVE_TO_START, Phase.GRASP, Phase.LIFT, Phase.PUT_DOWN, Phase.HOME]
     assert asked.phases == motions
     # Setpoints go on meanwhile, in place: nothing is silent, and the hand keeps its grip.
@@ -136,7 +135,7 @@ def test_each_phase_is_asked_for_and_the_plan_waits() -> None:
 
 @pytest.mark.parametrize("no", [Phase.MOVE_TO_START, Phase.GRASP, Phase.LIFT])
 def test_a_phase_that_is_not_confirmed_does_not_begin(no: Phase) -> None:
-    result = deploy(confirm=Asked(no, 0.1)).result
+    result = deploy(Asked(no, 0.1))
     assert result.fault == "not confirmed" and result.phase is Phase.FAULT
     assert no not in result.times
 
@@ -151,7 +150,7 @@ def test_what_goes_wrong_while_somebody_thinks_stops_the_robot() -> None:
             meanwhile()
             pytest.fail("it went on")
 
-    result = deploy(switch=switch, confirm=press).result
+    result = deploy(Told(confirm=press), switch=switch)
     assert result.fault == "pressed by a test" and Phase.LIFT not in result.times
 
 
@@ -164,12 +163,12 @@ def test_the_question_is_answered_on_the_terminal(monkeypatch: pytest.MonkeyPatc
         if len(waited) == 3:
             switch._answers.put("yes\n")
 
-    ask_before_phases(switch)(Phase.LIFT, meanwhile)
+    PhaseQuestions(switch).confirm(Phase.LIFT, meanwhile)
     assert len(waited) == 3
     switch._answers.put("\n")
     with pytest.raises(SafetyStop, match="'home' was not confirmed"):
-        ask_before_phases(switch)(Phase.HOME, meanwhile)
+        PhaseQuestions(switch).confirm(Phase.HOME, meanwhile)
     switch._answers.put("")
     with pytest.raises(SafetyStop, match="terminal is gone"):
-        ask_before_phases(switch)(Phase.HOME, meanwhile)
+        PhaseQuestions(switch).confirm(Phase.HOME, meanwhile)
     assert not switch.reason

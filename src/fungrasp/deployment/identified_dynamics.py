@@ -26,12 +26,8 @@ class HandDynamics:
 
     @classmethod
     def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
-        """The factors of identified joints; those that were not identified are as in the model.
-
-        Args:
-            hand: with the model.
-            dynamics: of some or all of its independent joints.
-        """
+        """The factors of identified joints, some or all of the independent ones; those that were not
+        identified are as in the model."""
         model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
         for j, name in enumerate(dynamics.joints):
             joint, row = hand.joint_names.index(name), model.joints.index(name)
@@ -40,32 +36,31 @@ class HandDynamics:
             factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
         return cls(factors[1], factors[0], factors[1].copy())
 
-
-@dataclass(frozen=True, eq=False)
-class HandKnowledge:
-    """Of one hand on one robot."""
-
-    planned: Hand
-    """The hand for planners: its servos make no more torque than the robot's."""
-    dynamics: HandDynamics | None
-    """What was identified; None for what the model says."""
-    stiffness: np.ndarray | None
-    """Identified stiffness of the servos [N m/rad], shape [U]; None for the model's."""
+    def stiffness(self, hand: Hand) -> np.ndarray:
+        """Stiffness of the servos [N m/rad], shape [U]."""
+        driven = [hand.joint_names.index(name) for name in hand.actuators]
+        return np.array([servo.kp for servo in hand.actuators.values()]) * self.servo_stiffness[driven]
 
 
-def hand_knowledge(cell: RobotCell, hand: Hand, dynamics: str | Path | None = None) -> HandKnowledge:
+def identified_dynamics(
+    cell: RobotCell, hand: Hand, file: str | Path = ""
+) -> tuple[Hand, HandDynamics | None]:
     """What a cell says of its hand.
 
     Args:
         cell: the robot.
         hand: the model of its hand.
-        dynamics: file of identified dynamics, in place of the cell's.
+        file: of identified dynamics, in place of the cell's.
+
+    Returns:
+        The hand for planners, whose servos make no more torque than the robot's; and what was identified,
+        None where nothing was.
 
     Raises:
         FungraspError: the file can't be read, or the cell's driver of the hand can't be.
     """
-    path = dynamics or cell.hand_dynamics
+    path = file or cell.hand_dynamics
     if not path:
-        return HandKnowledge(limited_hand(cell, hand), None, None)
+        return limited_hand(cell, hand), None
     found = load_dynamics(path, hand)
-    return HandKnowledge(limited_hand(cell, hand, found), HandDynamics.of(hand, found), found.stiffness)
+    return limited_hand(cell, hand, found), HandDynamics.of(hand, found)

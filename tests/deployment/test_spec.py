@@ -10,7 +10,7 @@ import pytest
 from fungrasp.cli.deploy import Deploy
 from fungrasp.cli.robots import Emulate
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.grasp_choice import GraspChoice, why_not_tried
+from fungrasp.deployment.spec import GraspChoice, why_not_tried
 from fungrasp.grasps import HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
