@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -180,41 +180,6 @@ def _finite_part(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name in names})
 
 
-def film(
-    model: mujoco.MjModel,
-    qpos: np.ndarray,
-    times: np.ndarray,
-    fps: float,
-    camera: Camera,
-    *,
-    speed: float = 1.0,
-    phases: Sequence[tuple[float, str]] = (),
-    title: str = "",
-    threads: int = 0,
-) -> Iterator[np.ndarray]:
-    """Frames of a recorded trajectory, states between the recorded ones interpolated.
-
-    Args:
-        qpos: joint positions, shape [T, nq].
-        times: of the states, increasing [s], shape [T].
-        fps: frames per second.
-        camera: that stands still.
-        speed: seconds of the trajectory in a second of the film.
-        phases: start [s] and name of each phase of the motion, for the bar of words.
-        title: words before the phase.
-        threads: 0 means all CPUs.
-
-    Yields:
-        sRGB, shape [H, W, 3] uint8.
-    """
-    at = frame_times(times, fps, speed)
-    frames = Renderer(model, threads=threads).stream(interpolate(model, qpos, times, at), camera)
-    return (
-        captioned(frame, _words(title, phases, t), f"{t - times[0]:.1f} s")
-        for frame, t in zip(frames, at, strict=True)
-    )
-
-
 def frame_times(times: np.ndarray, fps: float, speed: float = 1.0) -> np.ndarray:
     """Times of a film's frames [s]: the first state, and from there on as long as there are states."""
     if not fps > 0 or not speed > 0:
@@ -244,8 +209,3 @@ def interpolate(model: mujoco.MjModel, qpos: np.ndarray, times: np.ndarray, at: 
             mujoco.mj_differentiatePos(model, velocity, step, qpos[k], qpos[k + 1])
             mujoco.mj_integratePos(model, result[i], velocity, min(t - times[k], step))
     return result
-
-
-def _words(title: str, phases: Sequence[tuple[float, str]], time: float) -> str:
-    current = [name for start, name in phases if start <= time + 1e-9]
-    return " · ".join(part for part in (title, current[-1] if current else "") if part)

@@ -343,10 +343,7 @@ def frame_geoms(
         rotation = data.geom_xmat[chosen].reshape(-1, 3, 3)
         points.append(data.geom_xpos[chosen][:, None] + np.einsum("gij,gpj->gpi", rotation, local))
     everything = np.concatenate(points).reshape(-1, 3)
-    none = np.zeros(len(everything))
-    return fit_camera(
-        everything, none, azimuth, elevation, fov_y=fov_y, width=width, height=height, margin=margin
-    )
+    return fit_camera(everything, azimuth, elevation, fov_y=fov_y, width=width, height=height, margin=margin)
 
 
 def view_angles(camera: Camera) -> tuple[float, float]:
