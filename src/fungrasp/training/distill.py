@@ -41,11 +41,10 @@ from fungrasp.training.folder import (
 )
 from fungrasp.training.imitation import imitated_round, learn_imitation
 from fungrasp.training.networks import make_student
-from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import DistillSettings, StudentSpec, TrainSpec
 from fungrasp.training.train import EXPLORING, PLANNED_FROM, PLANS, checkpoint_digest, keep_beside
-from fungrasp.training.training_sets import kept_library
+from fungrasp.training.training_sets import PlanLibrary, kept_library
 
 _log = logging.getLogger(__name__)
 

@@ -21,7 +21,7 @@ from fungrasp.sim2real import draw
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, play
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.plan_library import PlanLibrary
+from fungrasp.training.training_sets import PlanLibrary
 
 CURVE, DRAWING = "curve.csv", "curve.svg"
 GRASPS = 48
