@@ -469,8 +469,8 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
     from fungrasp.grasps import HumanGrasp
     from fungrasp.hands import load_hand
     from fungrasp.media import grasp_scene
+    from fungrasp.media.grasp_scenes import look_at_grasp
     from fungrasp.media.render import render
-    from fungrasp.media.viewpoints import look_at_grasp
     from fungrasp.objects import load_object
 
     thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
