@@ -30,10 +30,10 @@ from fungrasp.sim2real import draw
 from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings, build_scene
 from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
 from fungrasp.task import Belief
-from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
+from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.settings import PpoSettings
+from fungrasp.training.settings import EnvironmentSettings, PpoSettings, Variety
+from fungrasp.training.training_sets import PlanLibrary, build_plan_library
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,10 @@ def world_speed(
         threads: of the processor; 0 means all.
     """
     settings = EnvironmentSettings(worlds=worlds)
-    environment = TrainingEnvironment(library, objects, hand, settings, 0, threads, device, buffers)
+    physics = SceneSettings(device=device, buffers=buffers)
+    environment = TrainingEnvironment(library, objects, hand, settings, 0, threads, physics)
     engine = environment.episodes.engine
-    physics = _physics(engine, environment.episodes.task.controls, steps)
+    bare = _physics(engine, environment.episodes.task.controls, steps)
     still = 0.0 * environment.tracker.action
     environment.step(still)
     alone = _rate(lambda: environment.step(still), steps, worlds, engine)
@@ -212,7 +213,7 @@ def world_speed(
     return WorldSpeed(
         device=device,
         worlds=worlds,
-        physics_steps=physics,
+        physics_steps=bare,
         environment_steps=alone,
         training_steps=steps * worlds / whole,
         physics_share=inside[0] / whole,

@@ -93,9 +93,10 @@ class Speed:
         self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
     ) -> dict[str, float]:
         """Control steps per second of PPO, and what of the time is in the worlds."""
-        from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-        from fungrasp.training.plan_library import Variety, build_plan_library
+        from fungrasp.training.environment import TrainingEnvironment
         from fungrasp.training.ppo import Trainer
+        from fungrasp.training.settings import EnvironmentSettings, Variety
+        from fungrasp.training.training_sets import build_plan_library
 
         some = robot.select(range(min(len(robot), self.worlds)))
         library = build_plan_library(some, objects, hand, Variety(1), 0, self.threads)

@@ -22,10 +22,10 @@ from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.distill import STUDENT
 from fungrasp.training.export import make_card
 from fungrasp.training.folder import read_checkpoint
-from fungrasp.training.plan_library import Variety, build_plan_library
-from fungrasp.training.settings import DistillSettings, PredictorSettings
+from fungrasp.training.settings import DistillSettings, PredictorSettings, Variety
 from fungrasp.training.success_predictor import PlanOutcomes, export_predictor, fit_predictor, try_plans
 from fungrasp.training.train import POLICY
+from fungrasp.training.training_sets import build_plan_library
 
 SMALL = PredictorSettings(attempts=2, networks=1, hidden=(16, 8), epochs=100, dropout=0.0, hold_time=0.3)
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
+from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import gradient_derivative, nearest_surface
-from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.hands.kinematics import BodyPoints
 from fungrasp.optimization.frames import AddTerm, Equations, Frames, joint_motion, place
 from fungrasp.optimization.friction_cones import circle, cone_edges, friction_cone_edges, largest_eigenvalue

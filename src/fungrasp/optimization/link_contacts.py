@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import distance_bound, signed_distance, unit_vector
-from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,

@@ -18,9 +18,8 @@ from fungrasp.geometry.poses import (
     rotate,
 )
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import self_collision_depth
-from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.hands.opening import partly_closed
+from fungrasp.hands.collisions import self_collision_depth
+from fungrasp.hands.kinematics import HandKinematics, partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize

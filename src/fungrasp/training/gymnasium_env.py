@@ -20,8 +20,9 @@ from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
 from fungrasp.sim2real import preset
 from fungrasp.task.features import INPUT_LIMIT
-from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.plan_library import Variety, build_plan_library
+from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.settings import EnvironmentSettings, Variety
+from fungrasp.training.training_sets import build_plan_library
 
 try:
     import gymnasium
