@@ -15,7 +15,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from fungrasp.core.version import __version__ as __version__
+from fungrasp.core import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import parse_json
+from fungrasp.core.formats.text_files import parse_json
 from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.core.provenance import machine
 from fungrasp.grasps import RobotGraspSet
