@@ -15,7 +15,7 @@ MODULES = {
     "grasp_set": "commands",
     "identification": "comparison",
     "paper": "tables",
-    "peers": "compare",
+    "peers": "comparison",
     "perception": "commands",
     "wire": "series",
 }

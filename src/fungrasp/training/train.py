@@ -243,7 +243,6 @@ def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], s
         environment.student_layout if trainer.settings.sees == "history" else environment.layout,
         environment.privileged_layout if teacher else (),
         spec.environment.residual.shrunk(spec.shrink),
-        1 / environment.protocol.control_period,
         Budget(trainer.steps, trainer.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
