@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from fungrasp.cli import main as cli
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.version import __version__
 
 HEAVY = ("mujoco", "scipy", "trimesh", "av", "coacd", "PIL", "numpy", "tyro")
 

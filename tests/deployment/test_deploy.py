@@ -10,7 +10,7 @@ from robot_cells import Told
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.deployment.log import read_log
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice, why_not_tried
 from fungrasp.grasps import HumanGraspSet, builtin_grasps

@@ -53,8 +53,6 @@ def _grasp(**changes):
     return GraspReport(
         **{
             "title": "Mug, to drink",
-            "task": "drink",
-            "object_name": "mug",
             "object_mass": 0.25,
             "success": True,
             "outcome": "Lifted 15 cm.",
@@ -79,6 +77,7 @@ def test_a_page_says_everything(tmp_path):
         "Grasps", [_grasp()], "Allegro", "An introduction.", {"seed": "0", "command": "fungrasp demo"}
     )
     path = write_page(tmp_path / "page.html", page)
+    assert path.read_text(encoding="utf-8").count('class="number over"') == 1
     checker = _check(path.read_text(encoding="utf-8"))
     wanted = ("Grasps", "Allegro", "An introduction.", "Mug, to drink", "250 g", "Lifted 15 cm.", "6.23")
     results = ("Lifted and held", "1 of 2 wanted contacts reached", "index distal", "At most 5 mm.")
@@ -108,8 +107,6 @@ def test_pictures_and_films_are_inside_unchanged(tmp_path):
 def test_every_text_is_escaped():
     grasp = _grasp(
         title=NASTY,
-        task=NASTY,
-        object_name=NASTY,
         outcome=NASTY,
         contacts=[Contact(NASTY, True)],
         quality=[Quantity(NASTY, NASTY, NASTY, NASTY)],
@@ -118,7 +115,7 @@ def test_every_text_is_escaped():
     html = page_html(Page(NASTY, [grasp, grasp], NASTY, NASTY, {NASTY: NASTY}))
     assert "<script" not in html
     checker = _check(html)
-    assert checker.text.count("<script>alert('x')</script>") >= 20
+    assert checker.text.count("<script>alert('x')</script>") >= 16
 
 
 def test_what_is_missing_is_left_out():
@@ -140,11 +137,6 @@ def test_use_is_judged_by_itself():
     assert html.count("<video") == 1
     html = page_html(Page("Grasps", [_grasp(use_success=True), _grasp(use_success=False), _grasp()]))
     assert "1 of 2 used" in _check(html).text and html.count("✓ Used") == 1
-
-
-def test_numbers_over_their_limit_stand_out():
-    html = page_html(Page("Grasps", [_grasp()]))
-    assert html.count('class="number over"') == 1
 
 
 def test_animated_pictures_are_shown_as_pictures(tmp_path):

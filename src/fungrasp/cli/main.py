@@ -19,8 +19,8 @@ from typing import Annotated, Any, NoReturn, Union
 
 from fungrasp.cli.console import STDOUT, Answer
 from fungrasp.cli.start import INTERRUPTED
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.version import __version__
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),

@@ -24,11 +24,10 @@ from fungrasp.media.grasp_pages import (
     quantities,
     use_outcome,
 )
-from fungrasp.media.grasp_scenes import grasp_scene
+from fungrasp.media.grasp_scenes import grasp_scene, look_at_grasp
 from fungrasp.media.page import GraspReport, Page, write_page
 from fungrasp.media.render import render
 from fungrasp.media.video import write_video
-from fungrasp.media.viewpoints import look_at_grasp
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import make_planner

@@ -177,10 +177,6 @@ class GraspReport:
 
     title: str
     """Heading of the grasp, such as "Mug, to drink"."""
-    task: str = ""
-    """What the grasp is for."""
-    object_name: str = ""
-    """Name of the object."""
     object_mass: float | None = None
     """Mass of the object [kg]."""
     success: bool | None = None
@@ -274,10 +270,7 @@ def _contents(grasps: Sequence[GraspReport]) -> list[str]:
 
 
 def _grasp(grasp: GraspReport, name: str, *, first: bool) -> str:
-    facts = [grasp.task, grasp.object_name]
-    if grasp.object_mass is not None:
-        facts.append(f"{1000 * grasp.object_mass:.0f} g")
-    line = " · ".join(escape(fact) for fact in facts if fact)
+    line = "" if grasp.object_mass is None else f"{1000 * grasp.object_mass:.0f} g"
     pictures = figure(grasp.human_picture, "The human grasp; links in contact are orange")
     pictures += figure(grasp.robot_picture, "The robot's grasp")
     lift = f"Film of the robot's grasp: {grasp.title}"
