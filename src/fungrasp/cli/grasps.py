@@ -185,8 +185,13 @@ class CheckGrasps(Answering):
     """Folder of meshes <name>.obj; built-in objects need none."""
 
     def run(self) -> Answer:
-        from fungrasp.grasps.anatomy import check_anatomy, grouped
-        from fungrasp.grasps.diagnosis import hand_remarks, pose_remarks, table_remarks
+        from fungrasp.grasps.diagnosis import (
+            check_anatomy,
+            grouped,
+            hand_remarks,
+            pose_remarks,
+            table_remarks,
+        )
         from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
 
         fields = read_grasp_fields(self.file)

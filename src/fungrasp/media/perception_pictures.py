@@ -13,7 +13,7 @@ from fungrasp.grasps.human_hand import BONES, HUMAN_FINGERS, mirror_points
 from fungrasp.media.grasp_scenes import grasp_scene
 from fungrasp.media.pictures import four_views
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.mirroring import mirrored_object
+from fungrasp.objects.object_variants import mirrored_object
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
 from fungrasp.perception.hand.joint_confidence import SURE
 from fungrasp.perception.object_pose.known_object import MeshRays

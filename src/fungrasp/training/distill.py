@@ -19,11 +19,11 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch.utils.tensorboard import SummaryWriter
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, TrainingData
@@ -208,7 +208,6 @@ def train_student(
         environment.student_layout,
         (),
         environment.settings.residual,
-        1 / environment.protocol.control_period,
         Budget(trainer.steps + done.steps, trainer.seconds + done.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=teacher.data,

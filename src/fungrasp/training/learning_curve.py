@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.checks import read_bytes
 from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, as_hand, hand_files
 from fungrasp.policies import policy_files
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
@@ -243,7 +243,6 @@ def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], s
         environment.student_layout if trainer.settings.sees == "history" else environment.layout,
         environment.privileged_layout if teacher else (),
         spec.environment.residual.shrunk(spec.shrink),
-        1 / environment.protocol.control_period,
         Budget(trainer.steps, trainer.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
