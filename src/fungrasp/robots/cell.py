@@ -12,8 +12,8 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.core.formats.toml_file import read_toml
+from fungrasp.core.formats.checks import guarded
+from fungrasp.core.formats.text_files import read_toml
 from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.hands.arm import Mount, arm_spec
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
