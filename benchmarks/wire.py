@@ -13,7 +13,6 @@ import numpy as np
 
 from benchmarks.command import check_positive, main
 from benchmarks.fault_series.wire_trial import ControlProcess
-from benchmarks.processor_time import processor_time
 from benchmarks.twins.twin_episode import deploy_where_reached
 from fungrasp.cli.console import table
 from fungrasp.core.errors import FungraspError
@@ -30,7 +29,6 @@ from fungrasp.evaluation.result_files import Row, read_result, write_result
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.device import JointDriver
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
 from fungrasp.robots.twin.parameters import cell_twin
@@ -66,8 +64,6 @@ class EmulationRecord:
 
     samples: list[HoldSample]
     """Every 20 ms."""
-    processor_time: float
-    """Of the process meanwhile [s]."""
     seconds: float
     """Meanwhile [s]."""
     late: float
@@ -113,11 +109,11 @@ def run_emulation(task: EmulationTask, pipe: Connection) -> None:
     try:
         with CellEmulation(task.cell, world, task.thing.name) as emulation:
             pipe.send(("ready", True))
-            began, busy = time.monotonic(), time.process_time()
+            began = time.monotonic()
             while not pipe.poll(SAMPLE_PERIOD):
                 samples.append(hold_sample(world, settled))
-            spent, twin = time.process_time() - busy, emulation.twin
-            record = EmulationRecord(samples, spent, time.monotonic() - began, twin.latest, twin.lost)
+            twin = emulation.twin
+            record = EmulationRecord(samples, time.monotonic() - began, twin.latest, twin.lost)
         pipe.send(("truth", record))
     except FungraspError as error:
         pipe.send(("error", str(error)))
@@ -153,9 +149,6 @@ class WireRun:
     """How far the twin fell behind the clock at worst [ms]."""
     twin_lost_ms: float
     """Time that the twin lost in all [ms]."""
-    cores: dict[str, float]
-    """Processor time by time, of the processes: control (planning included), arm driver, hand driver,
-    emulators."""
     placements: int = 0
     """Placements of the object; of all but the last the robot said that it can't reach the grasp."""
     seconds: float = 0.0
@@ -192,10 +185,9 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
 
 def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
     """A run with the object at a placement, shape [7]."""
-    meter = _ProcessMeter()
     with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
         try:
-            result = deploy_on_robot(task, [meter])
+            result = deploy_on_robot(task, [_Alone()])
         except UnreachableError:
             process.end()
             raise
@@ -204,7 +196,6 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
             raise FungraspError(f"twin {twin}: {error}") from error
         record = process.end()
     held = _held(result, record)
-    cores = {**meter.cores(), "emulators": record.processor_time / record.seconds}
     return WireRun(
         object=task.thing.name,
         twin=twin,
@@ -219,7 +210,6 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
         longest_silence_ms={name: 1e3 * s for name, s in result.longest_silence.items()},
         twin_latest_ms=1e3 * record.late,
         twin_lost_ms=1e3 * record.lost,
-        cores=cores,
         attempts=result.attempts,
     )
 
@@ -241,7 +231,6 @@ def _not_begun(task: DeploymentTask, twin: int, fault: str, placements: int, sec
         longest_silence_ms={},
         twin_latest_ms=0.0,
         twin_lost_ms=0.0,
-        cores={},
         placements=placements,
         seconds=seconds,
     )
@@ -267,47 +256,12 @@ def _latest(monitor: DeadlineMonitor) -> float:
     return 1e3 * max(monitor.lateness, default=-1e-3)
 
 
-class _ProcessMeter(DeploymentObserver):
-    """Processor time of this process and of the drivers', from the first motion to the end."""
-
-    def __init__(self) -> None:
-        self._drivers: dict[str, JointDriver] = {}
-        self._began: tuple[float, dict[str, float]] | None = None
-        self._cores: dict[str, float] = {}
-
-    def connected(self, robot: Robot) -> None:
-        """See ``DeploymentObserver.connected``."""
-        self._drivers = {"arm driver": robot.arm, "hand driver": robot.hand_driver}
+class _Alone(DeploymentObserver):
+    """Nobody is there who would say that the hand may let go."""
 
     def hold(self, robot: Robot) -> bool:
-        """See ``DeploymentObserver.hold``: nobody is there."""
+        """See ``DeploymentObserver.hold``."""
         return True
-
-    def phase(self, time: float, phase: Phase) -> None:
-        """See ``DeploymentObserver.phase``."""
-        self._note(phase)
-
-    def fault(self, time: float, reason: str) -> None:
-        """See ``DeploymentObserver.fault``."""
-        self._note(Phase.FAULT)
-
-    def _note(self, phase: Phase) -> None:
-        now = time.monotonic(), self._times()
-        if phase is Phase.MOVE_TO_START:
-            self._began = now
-        elif phase in (Phase.DONE, Phase.FAULT) and self._began is not None:
-            elapsed = now[0] - self._began[0]
-            self._cores = {name: (value - self._began[1][name]) / elapsed for name, value in now[1].items()}
-
-    def cores(self) -> dict[str, float]:
-        """Share of a core by process; empty where nothing has moved."""
-        return self._cores
-
-    def _times(self) -> dict[str, float]:
-        times = {"control": time.process_time()}
-        for name, driver in self._drivers.items():
-            times[name] = processor_time(getattr(driver, "process_id", None))
-        return times
 
 
 @dataclass(frozen=True)
@@ -355,11 +309,8 @@ class BenchWire:
             print(_line(run), flush=True)
         rows = [("lateness", "10 Hz", "50 Hz")]
         for name in runs[0].ticks_10hz:
-            slow, fast = (
-                sum(run.ticks_10hz[name] for run in runs),
-                sum(run.ticks_50hz[name] for run in runs),
-            )
-            rows.append((name, str(slow), str(fast)))
+            both = [run.ticks_10hz[name] for run in runs], [run.ticks_50hz[name] for run in runs]
+            rows.append((name, *(str(sum(ticks)) for ticks in both)))
         print(table(rows))
         lifted = sum(run.success for run in runs)
         home = sum(run.success and not run.fault for run in runs)
@@ -384,18 +335,18 @@ def _read_run(row: Row) -> WireRun:
             values[name] = value
         elif value is not None:
             values.setdefault(name, {})[part] = value
-    # Of a run in which nothing moved these are empty.
-    return WireRun(**{"longest_silence_ms": {}, "cores": {}, **values})
+    # Of a run in which nothing moved it is empty. Series of before say shares of a core as well.
+    values.pop("cores", None)
+    return WireRun(**{"longest_silence_ms": {}, **values})
 
 
 def _line(run: WireRun) -> str:
-    cores = ", ".join(f"{name} {share:.0%}" for name, share in run.cores.items())
     silence = " / ".join(f"{value:.0f}" for value in run.longest_silence_ms.values())
     outcome = f"{'' if run.success else 'not '}lifted, {100 * run.height_m:.1f} cm"
     ticks = f"latest tick {run.latest_10hz_ms:.1f} ms at 10 Hz, {run.latest_50hz_ms:.1f} ms at 50 Hz"
     return (
         f"twin {run.twin}: {outcome}{', then: ' * bool(run.fault)}{run.fault}; {ticks}; silent for "
-        f"{silence} ms; the twin lost {run.twin_lost_ms:.0f} ms; of a core: {cores}; {run.seconds:.0f} s"
+        f"{silence} ms; the twin lost {run.twin_lost_ms:.0f} ms; {run.seconds:.0f} s"
     )
 
 

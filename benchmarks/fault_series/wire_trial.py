@@ -1,5 +1,5 @@
-"""A fault over emulated wires, on the clock of the wall: a deployment in a process of its own, which is spoiled
-from outside."""
+"""A fault over emulated wires, on the clock of the wall: a deployment in a process of its own, which is
+spoiled from outside."""
 
 from __future__ import annotations
 
