@@ -307,7 +307,7 @@ class BenchWire:
             if self.json is not None:
                 write_result(self.json, {**header, **run_record(0)}, [asdict(run) for run in runs])
             print(_line(run), flush=True)
-        rows = [("lateness", "10 Hz", "50 Hz")]
+        rows: list[tuple[str, ...]] = [("lateness", "10 Hz", "50 Hz")]
         for name in runs[0].ticks_10hz:
             both = [run.ticks_10hz[name] for run in runs], [run.ticks_50hz[name] for run in runs]
             rows.append((name, *(str(sum(ticks)) for ticks in both)))
