@@ -23,7 +23,6 @@ from fungrasp.core.version import __version__
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
     "perceive": ("fungrasp.cli.perceive", "turn an image with depth of a held object into a human grasp"),
-    "scan": ("fungrasp.cli.scan", "make a mesh of an object from a few images with depth of it"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
     "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),

@@ -195,7 +195,7 @@ def perception_verdict(
     sure = thing.accepted and probability >= ACCEPTED_HAND and not doubt
     advice = object_help(thing, given)
     if fitted and not thing.accepted:
-        advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object (fungrasp scan)")
+        advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object")
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
     return PerceptionVerdict(sure, thing.score, probability, tuple(evidence), advice, fitted, doubt)
