@@ -13,9 +13,8 @@ from PIL import Image
 from fungrasp.media.perception_pictures import drawn_over, grasp_from_four_sides
 from fungrasp.media.pictures import grid
 from fungrasp.objects import builtin_object
-from fungrasp.perception.builtin_image import builtin_truth
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
-from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.io.scene_folders import builtin_truth, read_folder
 from fungrasp.perception.pipeline import perceive
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"

@@ -20,8 +20,7 @@ import numpy as np
 import fungrasp
 from fungrasp.cli.main import main as main_program
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.builtin_image import builtin_truth
-from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE
+from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE, builtin_truth
 from fungrasp.viewer.choose_page import perceived_capture
 from fungrasp.viewer.server import Viewer
 

@@ -232,11 +232,6 @@ def _mark_fingertip(
     swell[rows] += scale * (0.0003 * nail - 0.0004 * rim)
 
 
-def back_of_hand(joints: np.ndarray) -> np.ndarray:
-    """Unit vector out of the back of a right hand, shape [3]. joints: [m], shape [21, 3]."""
-    return _unit(_dorsal(joints)[:4, 0].mean(axis=0))
-
-
 def _dorsal(joints: np.ndarray) -> np.ndarray:
     """Unit vector out of the back of each finger link, shape [5, 3, 3]."""
     result = np.empty((5, 3, 3))

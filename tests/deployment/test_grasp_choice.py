@@ -15,7 +15,7 @@ from fungrasp.grasps import HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 
-VERDICT = SimpleNamespace(words="not sure: 40 %")
+VERDICT = SimpleNamespace(summary=lambda: "not sure: 40 %")
 
 
 def seen(name: str, confident: bool, *warnings: str) -> Any:
@@ -23,7 +23,7 @@ def seen(name: str, confident: bool, *warnings: str) -> Any:
     grasp = SimpleNamespace(object_name=name)
     model = SimpleNamespace(name="mug")
     return SimpleNamespace(
-        grasp=grasp, object_model=model, confident=confident, warnings=warnings, verdict=VERDICT
+        grasp=grasp, object_model=model, confident=confident, warnings=warnings, acceptance=VERDICT
     )
 
 
@@ -50,7 +50,7 @@ def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
         object_model=model,
         objects={model.name: model},
         confident=True,
-        verdict=VERDICT,
+        acceptance=VERDICT,
         warnings=(),
     )
 
@@ -58,7 +58,7 @@ def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
         asked.append((folder, mesh, mass, options["seed"]))
         return found
 
-    monkeypatch.setattr("fungrasp.perception.builtin_image.perceive_folder", perceive)
+    monkeypatch.setattr("fungrasp.perception.pipeline.perceive_folder", perceive)
     choice = GraspChoice(image="photo", mesh="mug", mass=0.3)
     human, objects = choice.human(seed=4)
     assert asked == [("photo", "mug", 0.3, 4)]

@@ -14,20 +14,17 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import HeldObject, ObjectModel, builtin_object
-from fungrasp.perception import Capture, ObjectEstimate
-from fungrasp.perception import pipeline as room
-from fungrasp.perception.estimates import PerceptionWarning
+from fungrasp.perception import Capture, ObjectEstimate, pipeline
+from fungrasp.perception.acceptance import SURE_JOINT, joint_probabilities, plausibility_warnings
 from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
-from fungrasp.perception.hand.joint_confidence import SURE, joint_confidences, joint_features
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.mediapipe_models import have_weights
+from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import write_folder
-from fungrasp.perception.object_pose.evidence import PoseEvidence
-from fungrasp.perception.object_pose.known_object import MeshRays
+from fungrasp.perception.object_pose.object_template import MeshRays
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
-from fungrasp.perception.plausibility import plausibility_warnings
 from fungrasp.perception.scene.table import table_under
 
 MUG_ROW, BOWL_ROW = 0, 36
@@ -100,8 +97,8 @@ def test_an_image_becomes_a_grasp():
     quality = perceived.quality
     assert quality.reprojection_px < 10 and quality.hand_residual_m < 0.008
     assert quality.depth_residual_m < 0.003 and quality.penetration_m < 0.012
-    verdict = perceived.verdict
-    assert verdict.sure and verdict.object == perceived.object.score > 0.8 and not verdict.help
+    judged = perceived.acceptance
+    assert judged.sure and judged.object == perceived.object.score > 0.8 and not judged.help
 
 
 def test_the_world_is_that_of_the_architecture():
@@ -243,8 +240,8 @@ def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
         near = np.linalg.norm(hand.pixels.mean(axis=0) - middle) < 5
         return known(scene, 0.95 if near else 0.4)
 
-    monkeypatch.setattr(room, "search_object_pose", estimate)
-    monkeypatch.setattr(room, "best_estimate", lambda found: found)
+    monkeypatch.setattr(pipeline, "search_object_pose", estimate)
+    monkeypatch.setattr(pipeline, "best_estimate", lambda found: found)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(larger, detected))
     np.testing.assert_array_equal(perceived.hand.pixels, detected.pixels)
     assert "2 hands are in the image; the one that holds" in str(perceived.warnings[0])
@@ -268,8 +265,8 @@ def test_a_hand_hidden_by_somebody_elses_is_looked_for(monkeypatch):
         held = np.abs(hand.pixels - detected.pixels).max() < 1
         return known(scene, score=0.8) if held else dataclasses.replace(known(scene, 0.3), accepted=False)
 
-    monkeypatch.setattr(room, "search_object_pose", search)
-    monkeypatch.setattr(room, "best_estimate", lambda found: found)
+    monkeypatch.setattr(pipeline, "search_object_pose", search)
+    monkeypatch.setattr(pipeline, "best_estimate", lambda found: found)
     perceived = perceive(scene.capture, scene.model, detector=StopsAtTheFirst())
     assert len(looks) == 2 and perceived.object.accepted
     error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
@@ -288,8 +285,8 @@ def test_no_other_hand_is_looked_for_where_this_one_rather_holds_the_object(monk
             return [detected] if len(looks) == 1 else []
 
     not_accepted = dataclasses.replace(known(scene, score), accepted=False)
-    monkeypatch.setattr(room, "search_object_pose", lambda *_, **__: not_accepted)
-    monkeypatch.setattr(room, "best_estimate", lambda found: found)
+    monkeypatch.setattr(pipeline, "search_object_pose", lambda *_, **__: not_accepted)
+    monkeypatch.setattr(pipeline, "best_estimate", lambda found: found)
     assert not perceive(scene.capture, scene.model, detector=FindsOne()).object.accepted
     assert len(looks) == looked
 
@@ -357,8 +354,8 @@ def test_what_is_cut_off_at_the_edge_is_not_sure():
         cut, model, detector=StandIn(dataclasses.replace(detected, pixels=detected.pixels - [first, 0]))
     )
     assert found.object.accepted and not found.confident
-    assert found.verdict.doubt.endswith("is cut off at the left edge of the image")
-    assert found.hand.confidence.max() < SURE < seen().hand.confidence.max()
+    assert found.acceptance.doubt.endswith("is cut off at the left edge of the image")
+    assert found.hand.confidence.max() < SURE_JOINT < seen().hand.confidence.max()
 
 
 def test_a_hand_without_depth():
@@ -390,26 +387,27 @@ def test_the_wrong_mesh_is_not_believed():
     perceived = perceive(
         scene.capture.with_object(object_pixels()), builtin_object("hammer"), detector=StandIn(detected)
     )
-    assert not perceived.confident and perceived.verdict.help
-    record = perceived.as_json()["verdict"]
+    assert not perceived.confident and perceived.acceptance.help
+    record = perceived.as_json()["acceptance"]
     assert record["sure"] is False and record["object"] == perceived.object.score
-    assert [row["name"] for row in record["evidence"]] == [one.name for one in perceived.verdict.evidence]
+    assert [row["name"] for row in record["evidence"]] == [one.name for one in perceived.acceptance.evidence]
     assert perceived.grasp.object_name == "hammer"
 
 
 def test_joints_that_nothing_speaks_for_are_not_sure():
     scene, _ = mug()
     found = seen()
-    features = joint_features(scene.capture, found.trace.candidate.hand, found.hand, True)
-    np.testing.assert_array_equal(joint_confidences(features), found.hand.confidence)
+    fitted = found.trace.candidate.hand
+    same = joint_probabilities(scene.capture, fitted, found.hand, True)
+    np.testing.assert_array_equal(same, found.hand.confidence)
     behind = found.hand.joints_camera.copy()
     behind[17:] += 0.055 * behind[17:] / np.linalg.norm(behind[17:], axis=1, keepdims=True)
     behind[17:, 0] += 0.02
     moved = dataclasses.replace(found.hand, joints_camera=behind)
-    wrong = joint_confidences(joint_features(scene.capture, found.trace.candidate.hand, moved, True))
+    wrong = joint_probabilities(scene.capture, fitted, moved, True)
     assert wrong[17:].mean() < 0.6 < found.hand.confidence[17:].min()
     assert (wrong < found.hand.confidence).all()
-    unknown = joint_confidences(joint_features(scene.capture, found.trace.candidate.hand, found.hand, False))
+    unknown = joint_probabilities(scene.capture, fitted, found.hand, False)
     assert (unknown < found.hand.confidence).all()
 
 
@@ -463,7 +461,7 @@ def test_a_hand_of_low_score_is_not_believed():
     scene, detected = mug()
     unlikely = dataclasses.replace(detected, score=0.3)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene))
-    assert not perceived.confident and "more of the hand" in perceived.verdict.help[-1]
+    assert not perceived.confident and "more of the hand" in perceived.acceptance.help[-1]
 
 
 def test_a_wall_is_no_table():
@@ -527,7 +525,6 @@ def test_the_record_goes_on_and_says_what_happened():
     trace = found.trace
     assert trace.detected == (detected,) and len(trace.candidates) == 1 and trace.candidate.holds
     np.testing.assert_array_equal(trace.candidate.answers.poses[0], found.object.pose_camera_object)
-    assert set(trace.candidate.evidence) == {one.name for one in dataclasses.fields(PoseEvidence)}
     stages = ["mesh", "detection", "hand", "table", "object", "refinement", "grasp"]
     assert list(trace.seconds) == stages
     assert all(seconds.wall > 0 for seconds in trace.seconds.values())
@@ -563,7 +560,7 @@ def test_a_hand_of_another_size_tells_of_a_wrong_scale():
     # A shape that is fitted takes any size: the hand's is all that is known of the scale.
     shape = perceive(capture, "unknown", detector=StandIn(large))
     (warning,) = (one for one in shape.warnings if one.code == "hand_size")
-    assert not shape.confident and shape.verdict.doubt == str(warning)
+    assert not shape.confident and shape.acceptance.doubt == str(warning)
 
 
 @pytest.mark.parametrize("factor", [4.0, 0.25])
@@ -578,11 +575,11 @@ def test_a_side_that_the_image_denies_is_not_sure():
     said = perceive(scene.capture, scene.model, detector=StandIn(detected), side="left")
     assert (
         not said.confident
-        and said.verdict.doubt == "the hand looks like a right one, not a left one as was said"
+        and said.acceptance.doubt == "the hand looks like a right one, not a left one as was said"
     )
     doubtful = dataclasses.replace(detected, side_score=0.6)
     said = perceive(scene.capture, scene.model, detector=StandIn(doubtful), side="left")
-    assert not said.verdict.doubt and said.warnings[0].code == "side_not_as_given"
+    assert not said.acceptance.doubt and said.warnings[0].code == "side_not_as_given"
 
 
 def test_an_object_far_from_the_hand_or_its_origin_ends_with_a_word():
@@ -621,7 +618,7 @@ def test_what_looks_wrong_with_the_files_is_in_the_answer():
     shifted = PerceptionWarning.of("depth_shifted", across=16, down=0)
     capture = dataclasses.replace(scene.capture, warnings=(shifted,))
     said = perceive(capture, scene.model, detector=StandIn(detected)).as_json()
-    assert not said["sure"] and said["doubts"][0] == said["verdict"]["doubt"] == str(shifted)
+    assert not said["sure"] and said["doubts"][0] == said["acceptance"]["doubt"] == str(shifted)
     assert said["warnings"][0]["values"] == {"across": 16, "down": 0}
 
 

@@ -127,8 +127,8 @@ class Demo(Answering):
     def _seen(self, policy: str) -> tuple[Perceived, Opening]:
         """What is in the image, and what the page says of it."""
         from fungrasp.media.perception_page import perceived_opening, true_errors
-        from fungrasp.perception.builtin_image import builtin_truth, perceive_folder
-        from fungrasp.perception.image_source import BUILTIN
+        from fungrasp.perception.io.scene_folders import BUILTIN, builtin_truth
+        from fungrasp.perception.pipeline import perceive_folder
 
         folder = self.from_image
         assert folder is not None
@@ -147,7 +147,7 @@ class Demo(Answering):
         write_perception_page(page, seen, page_provenance(opening.source or {}, self.seed))
         for warning in seen.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
-        print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
+        print(f"fungrasp: {seen.acceptance.summary()}: the robot does not try it", file=sys.stderr)
         return Answer({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:

@@ -8,9 +8,9 @@ from fungrasp.media.page_parts import figure
 from fungrasp.media.perception_pictures import pose_over
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture
-from fungrasp.perception.object_pose.confidence import CLOSE, RIVAL_DISTANCE, TURNED
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
+from fungrasp.perception.object_pose.pose_evidence import CLOSE, RIVAL_DISTANCE, TURNED
 from fungrasp.perception.perceived import Perceived
 
 SAME = 0.002
@@ -30,7 +30,7 @@ def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> 
         return '<p class="outcome">No other pose of the object was worth considering.</p>'
     poses = np.stack([thing.pose_camera_object, *(pose for pose, _ in thing.alternatives)])
     scores = [thing.score, *(score for _, score in thing.alternatives)]
-    points = known_object(model).surface.samples[:POINTS]
+    points = object_template(model).surface.samples[:POINTS]
     apart, turned = _differences(points, poses, poses[0])
     rows = [f'<tr><th scope="row">The answer</th><td class="number">{thing.score:.2f}</td></tr>']
     pictures, shown = [], poses[:1]

@@ -17,8 +17,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
 from fungrasp.grasps.joint_orders import MANO, OPENPOSE
 from fungrasp.perception.adapters import read_hand_estimate
-from fungrasp.perception.adapters.hand_fields import read_fields
-from fungrasp.perception.adapters.hand_file import hands_of
+from fungrasp.perception.adapters.hand_file import hands_of, read_fields
 from fungrasp.perception.adapters.hand_placement import _common_factor
 
 JOINTS = true_hand()

@@ -6,13 +6,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.perception.acceptance import ACCEPT
 from fungrasp.perception.adapters import (
     entry_point,
     load_hand_estimator,
     load_object_pose_estimator,
     read_object_pose,
 )
-from fungrasp.perception.object_pose.confidence import ACCEPT
 
 TURN = Rotation.from_rotvec([0.4, -1.2, 2.0])
 PLACE = np.array([0.05, -0.02, 0.62])

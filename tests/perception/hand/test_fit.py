@@ -13,9 +13,9 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.fit import fit_hand, refine_hand
 from fungrasp.perception.hand.fit_problem import image_agreement
+from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.hand.skeleton import HandEvidence
 
 ROWS = range(0, 24, 4)

@@ -10,8 +10,14 @@ from PIL import Image
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.io.capture_checks import check_alignment, check_hints
-from fungrasp.perception.io.image_files import parse_box, read_capture, read_color, read_mask
+from fungrasp.perception.io.image_files import (
+    check_alignment,
+    check_hints,
+    parse_box,
+    read_capture,
+    read_color,
+    read_mask,
+)
 
 
 def test_files_become_a_capture_in_metres(tmp_path, caplog):

@@ -6,8 +6,8 @@ from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
 from PIL import Image
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.image_source import ImageSource
 from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.image_source import ImageSource
 from fungrasp.perception.io.scene_folders import read_bop, read_dexycb, read_folder, write_folder
 
 
@@ -69,8 +69,8 @@ def test_a_unit_that_is_given_counts_for_every_kind_of_folder(tmp_path):
         (tmp_path / "own", 1e-4),
         (a_dexycb_camera(tmp_path / "dexycb"), 1e-3),
     ):
-        as_it_says = ImageSource(folder=folder).read(None)
-        doubled = ImageSource(folder=folder, depth_unit=2 * unit).read(None)
+        as_it_says = ImageSource(folder=folder).read()
+        doubled = ImageSource(folder=folder, depth_unit=2 * unit).read()
         np.testing.assert_allclose(doubled.depth, 2 * as_it_says.depth, rtol=1e-5)
 
 

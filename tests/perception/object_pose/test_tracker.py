@@ -5,7 +5,7 @@ from object_pose_scenes import CAMERA
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector
 from fungrasp.objects import load_object
-from fungrasp.perception.object_pose.known_object import MeshRays
+from fungrasp.perception.object_pose.object_template import MeshRays
 from fungrasp.perception.object_pose.pose_error import add
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
 

@@ -7,10 +7,10 @@ from scipy import ndimage
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.objects import load_object
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.object_view import cleaned_mask, view_of_object
 from fungrasp.perception.scene.pixel_classes import NEVER
-from fungrasp.perception.scene.segmentation import MASK_SURE, pointed_pieces, segment, told_odds
+from fungrasp.perception.scene.segmentation import MASK_SURE, hinted_odds, pointed_pieces, segment
 
 MUG = load_object("mug")
 SCENE = scene(MUG, MUG.rest_pose(0.3), np.array([0.05, 0.0, 0.04]))
@@ -23,7 +23,7 @@ def square(low: int, high: int) -> np.ndarray:
 
 
 def test_odds_of_a_mask_fall_across_its_border() -> None:
-    prior, samples = told_odds(SCENE.capture.with_object(mask=square(80, 140)), 0.16)
+    prior, samples = hinted_odds(SCENE.capture.with_object(mask=square(80, 140)), 0.16)
     along = prior[110, 60:112]
     assert (np.diff(along) >= 0).all() and along[0] == NEVER
     assert prior[110, 110] == MASK_SURE
@@ -32,9 +32,9 @@ def test_odds_of_a_mask_fall_across_its_border() -> None:
 
 
 def test_odds_of_a_box_and_of_a_point() -> None:
-    prior, samples = told_odds(SCENE.capture.with_object(box=(80.0, 90.0, 100.0, 110.0)), 0.16)
+    prior, samples = hinted_odds(SCENE.capture.with_object(box=(80.0, 90.0, 100.0, 110.0)), 0.16)
     assert prior[100, 90] == 0 and prior[100, 101] == NEVER and not samples.any()
-    prior, samples = told_odds(SCENE.capture.with_object(point=(90.0, 100.0)), 0.05)
+    prior, samples = hinted_odds(SCENE.capture.with_object(point=(90.0, 100.0)), 0.05)
     assert samples[100, 90] and prior[100, 90] == MASK_SURE
     assert prior[200, 300] == NEVER
 
@@ -71,7 +71,7 @@ def test_background_in_a_mask_is_left_out() -> None:
     assert not cleaned[rows[some], columns[some]].any() and extent < 12.0
     assert cleaned.sum() == SCENE.mask.sum() - len(some)
     view, problem = view_of_object(
-        known_object(MUG),
+        object_template(MUG),
         replace(capture, depth=depth, mask=wrong),
         SCENE.hand.joints_camera,
         SCENE.table,

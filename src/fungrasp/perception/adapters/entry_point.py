@@ -10,8 +10,8 @@ import trimesh
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate
 
 HAND_GROUP = "fungrasp.hand_estimators"
 OBJECT_POSE_GROUP = "fungrasp.object_pose_estimators"

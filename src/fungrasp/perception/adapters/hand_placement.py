@@ -16,15 +16,14 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.guarded import guarded
 from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
-from fungrasp.perception.adapters.hand_fields import read_fields
-from fungrasp.perception.adapters.hand_file import hands_of, turn_to
-from fungrasp.perception.estimates import HandEstimate, Side
+from fungrasp.perception.adapters.hand_file import hands_of, read_fields, turn_to
 from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand
 from fungrasp.perception.hand.fit_problem import joint_confidence
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
+from fungrasp.perception.hand.hand_hypotheses import object_box
 from fungrasp.perception.hand.hand_measurements import HandMeasurements
-from fungrasp.perception.hand.meant_hands import object_box
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.estimates import HandEstimate, Side
 
 AGREEMENT = 0.012
 """Depths so near to each other [m] agree: thickness of the hand, errors of shape and camera."""

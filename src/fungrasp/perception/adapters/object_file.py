@@ -13,9 +13,9 @@ from fungrasp.core.formats.file_bytes import read_text
 from fungrasp.core.formats.guarded import guarded
 from fungrasp.core.formats.json_file import read_json
 from fungrasp.core.formats.numpy_files import read_npy
-from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
+from fungrasp.perception.acceptance import ACCEPT
 from fungrasp.perception.io.capture import DEPTH_LIMIT
-from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception.io.estimates import ObjectEstimate, PerceptionWarning
 
 SUFFIXES = (".txt", ".npy", ".json")
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.anatomy import joint_bends
-from fungrasp.perception.camera.frames import CameraFrame
-from fungrasp.perception.estimates import PerceptionWarning, Side
-from fungrasp.perception.io.capture import Box, Capture
+from fungrasp.perception.io.capture import Box, CameraFrame, Capture
+from fungrasp.perception.io.estimates import PerceptionWarning, Side
 
 HAND_LENGTH = 0.19
 """Length of an adult's hand from wrist to fingertips [m]."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.grasps.hand_thickness import FINGER_RADII
-from fungrasp.perception.hand.anatomy_evidence import finger_overlap
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import HandView
+from fungrasp.perception.hand.physical_evidence import finger_overlap
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,

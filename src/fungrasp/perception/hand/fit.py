@@ -17,9 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.hand_thickness import FINGER_RADII, WRIST_RADIUS
-from fungrasp.perception.estimates import HandEstimate, Side
-from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit_problem import (
@@ -34,6 +31,7 @@ from fungrasp.perception.hand.hand_measurements import (
     hand_view,
     mirror_estimate,
 )
+from fungrasp.perception.hand.physical_evidence import HandSurroundings, anatomy_evidence
 from fungrasp.perception.hand.skeleton import (
     BASES,
     SIZE,
@@ -43,6 +41,7 @@ from fungrasp.perception.hand.skeleton import (
     normal_equations,
 )
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.estimates import HandEstimate, Side
 
 FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03)))
 """Stages of a fit without the object."""

@@ -104,14 +104,14 @@ def nearest_capsules(
     """
     # Importing Numba takes half a second: not before it is needed.
     from fungrasp.geometry.compiling import plain
-    from fungrasp.perception import capsule_loops
+    from fungrasp.perception import compiled_loops
 
     hands = first.shape[:-2]
     shape = (int(np.prod(hands)), len(points))
     which = np.empty(shape, np.int64)
     distance, along, normal = np.empty(shape), np.empty(shape), np.empty((*shape, 3))
     ends = (plain(end.reshape(-1, *end.shape[-2:])) for end in (first, last))
-    capsule_loops.nearest_capsules(
+    compiled_loops.nearest_capsules(
         plain(points), *ends, plain(radius), FAR_SIDE, FAR_SIDE_PENALTY, which, distance, along, normal
     )
     whole = (*hands, len(points))

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps.human_hand import BONES
-from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.hand_capsules import offsets_from_lines
 from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES
+from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.estimates import HandEstimate
 
 DEEPEST = 0.16
 """Largest depth of a hand, nearest to farthest joint [m]: now and then the landmark model says a quarter of a

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from PIL import Image
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.yaml_file import read_yaml
-from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
@@ -23,8 +22,9 @@ COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json",
 FINE, COARSE = 0.0001, 0.001
 """Units [m] in which depth is written: the coarse one where the fine one does not reach."""
 
-BUILTIN_CAPTURE = Path(__file__).parent / "builtin_capture"
-"""A rendered image of a person who holds the built-in spray bottle, and the truth about it."""
+BUILTIN, BUILTIN_CAPTURE = "builtin", Path(__file__).parent / "builtin_capture"
+"""Stands for the image that comes with the package, where no folder has this name: a rendered one of a person
+who holds the built-in spray bottle, and the truth about it."""
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
@@ -153,6 +153,27 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None)
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
     unit = MILLIMETRE if depth_unit is None else depth_unit
     return read_capture(color, depth, lens.intrinsics, depth_unit=unit)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltinTruth:
+    """What is known about the built-in image because it was made."""
+
+    object_name: str
+    """Name of the built-in object."""
+    task: str
+    """What the grasp is for."""
+    pose_camera_object: np.ndarray
+    """Pose of the object in the camera frame, shape [7]."""
+    joints_camera: np.ndarray
+    """Joints of the hand [m], camera frame, shape [21, 3]."""
+
+
+def builtin_truth() -> BuiltinTruth:
+    """The truth about the image in ``BUILTIN_CAPTURE``."""
+    truth = json.loads((BUILTIN_CAPTURE / "truth.json").read_text())
+    pose, joints = np.array(truth["pose_camera_object"]), np.array(truth["joints_camera"])
+    return BuiltinTruth(truth["object_name"], truth["task"], pose, joints)
 
 
 def _found(folder: str | Path) -> Path:

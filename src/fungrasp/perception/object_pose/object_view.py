@@ -8,10 +8,10 @@ import numpy as np
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.io.capture import Capture, Intrinsics, depth_noise
-from fungrasp.perception.object_pose.icp import ObjectEvidence, free_space
-from fungrasp.perception.object_pose.known_object import KnownObject
+from fungrasp.perception.object_pose.object_template import ObjectTemplate
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
-from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.object_pose.search import ObjectEvidence, free_space
+from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import Segmentation, segment
 
 LEAST_PIXELS = 80
@@ -42,7 +42,7 @@ WIDEST = 960
 class ObjectView:
     """What an image says about the object. ``view_of_object`` makes it."""
 
-    known: KnownObject
+    known: ObjectTemplate
     """The object that is looked for."""
     capture: Capture
     """The image with its depth and intrinsics."""
@@ -93,7 +93,7 @@ def thinned(capture: Capture) -> Capture:
 
 
 def view_of_object(
-    known: KnownObject,
+    known: ObjectTemplate,
     capture: Capture,
     joints: np.ndarray | None,
     table: np.ndarray | None,
@@ -178,7 +178,9 @@ def object_evidence(
     return ObjectEvidence(points, free, np.maximum(spread, 1.0))
 
 
-def explained_mask(known: KnownObject, capture: Capture, pose: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+def explained_mask(
+    known: ObjectTemplate, capture: Capture, pose: np.ndarray, allowed: np.ndarray
+) -> np.ndarray:
     """Pixels whose depth is that of the mesh, shape [H, W] bool.
 
     Args:

@@ -10,8 +10,8 @@ import numpy as np
 from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
 from fungrasp.grasps.hand_thickness import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
-from fungrasp.perception.object_pose.known_object import KnownObject
-from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.object_pose.object_template import ObjectTemplate
+from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 
 UNSEEN = 0.1
@@ -68,7 +68,7 @@ class PoseScores:
 class PoseScorer:
     """Rays through the image, to score poses with. ``pose_scorer`` makes it."""
 
-    known: KnownObject
+    known: ObjectTemplate
     """The object whose poses are scored."""
     directions: np.ndarray
     """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
@@ -149,7 +149,7 @@ class PoseScorer:
 
 
 def pose_scorer(
-    known: KnownObject,
+    known: ObjectTemplate,
     capture: Capture,
     view: Segmentation,
     masks: Sequence[np.ndarray],
@@ -201,7 +201,7 @@ def pose_scorer(
 
 
 def color_agreement(
-    known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
+    known: ObjectTemplate, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
     """Correlation of the mesh's colors with those of the image, over the visible surface samples and the
     three channels together: it does not depend on the brightness and the tint of the light.
@@ -227,7 +227,7 @@ def color_agreement(
 
 
 def _seen_colors(
-    known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
+    known: ObjectTemplate, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Of each pose the mesh's colors and the image's at the samples that are seen, RGB 0 to 1, shape [S, 3]
     each; empty ones where fewer than ``LEAST_SAMPLES`` are seen; nothing for meshes without colors."""

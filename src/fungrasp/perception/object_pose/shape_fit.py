@@ -16,7 +16,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.objects import plain_shape
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, cleaned_mask, thinned
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
 from fungrasp.perception.scene.segmentation import segment
@@ -96,7 +96,7 @@ def fit_shape(
     found: list[tuple[float, FittedShape]] = []
     for kind, numbers in SHAPES.items():
         size = "x".join(["100"] * (max(numbers) + 1))
-        known = known_object(plain_shape(f"{kind}:{size}", 1.0))
+        known = object_template(plain_shape(f"{kind}:{size}", 1.0))
         scorer = pose_scorer(known, capture, view, masks, table, joints, RAYS)
         for owner, mask in enumerate(masks):
             rows, columns = np.nonzero(mask & capture.measured & (view.classes.thing > 0.5))

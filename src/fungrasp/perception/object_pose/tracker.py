@@ -22,8 +22,8 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.io.capture import Intrinsics, depth_noise
-from fungrasp.perception.object_pose.icp import IcpSettings, ObjectEvidence, fit_poses, free_space
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_template import object_template
+from fungrasp.perception.object_pose.search import IcpSettings, ObjectEvidence, fit_poses, free_space
 from fungrasp.perception.scene.pixel_classes import color_cells, table_of_colors
 
 RAYS = 900
@@ -94,7 +94,7 @@ class ObjectTracker:
         self.pose = np.array(pose, dtype=float)
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():
             raise FungraspError("ObjectTracker: pose must be 7 finite numbers")
-        self._known, self._intrinsics = known_object(mesh), intrinsics
+        self._known, self._intrinsics = object_template(mesh), intrinsics
         self._rng = np.random.default_rng(seed)
         self._motion: np.ndarray | None = None
         self._colors: tuple[np.ndarray, np.ndarray] | None = None

@@ -16,12 +16,13 @@ from scipy import ndimage
 from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Box, Capture, Pixel
-from fungrasp.perception.scene.depth_edges import depth_spread, edge_width
 from fungrasp.perception.scene.pixel_classes import (
     NEVER,
     PixelClasses,
     PixelEvidence,
     classify,
+    depth_spread,
+    edge_width,
     hand_in_image,
     palm_pixels,
 )
@@ -109,7 +110,7 @@ def _distance_from_capsules(
 ) -> np.ndarray:
     # Importing Numba takes half a second: not before it is needed.
     from fungrasp.geometry.compiling import plain
-    from fungrasp.perception.capsule_loops import line_distances
+    from fungrasp.perception.compiled_loops import line_distances
 
     distance = np.empty(len(points))
     line_distances(plain(points), plain(near), plain(far), plain(radii), distance)
@@ -134,15 +135,15 @@ def segment(
         mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
     """
     points = capture.points()
-    prior, samples = told_odds(capture, size)
-    told = capture.mask is not None or capture.box is not None or capture.point is not None
+    prior, samples = hinted_odds(capture, size)
+    hinted = capture.mask is not None or capture.box is not None or capture.point is not None
     measured = capture.measured & (capture.depth < FARTHEST)
     width = edge_width(capture.depth)
     spread = depth_spread(capture.depth, width)
     height = np.full(measured.shape, np.nan)
     if table is not None:
         height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
-    if joints is not None and not told:
+    if joints is not None and not hinted:
         tips = joints[list(TIPS)]
         reach = _distance_from_capsules(points.reshape(-1, 3), tips, tips, np.zeros(len(tips)))
         prior = np.where(measured & (reach.reshape(prior.shape) < size + 0.03), prior, NEVER)
@@ -162,7 +163,7 @@ def segment(
     elif capture.point is not None:
         masks = pointed_pieces(_pieces(seen, capture.depth), capture.point)
     else:
-        masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not told)
+        masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not hinted)
     if capture.mask is None:
         for margin in MARGINS if joints is not None else (0.0,):
             pieces = _pieces(candidate & (clear > margin), capture.depth)
@@ -265,7 +266,7 @@ CLICK = 3.0
 """Pixels so near to the one that was clicked at show the same."""
 
 
-def told_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
+def hinted_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
     """What mask, box or point say about each pixel. size: longest distance within the object [m].
 
     Returns:
