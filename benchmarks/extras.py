@@ -140,7 +140,6 @@ TRIALS = {
     "pose": Trial("python -m benchmarks.faults --devices tracker --trials 1"),
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
     "realsense": Trial("fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera|libusb"),
-    "sapien": Trial("python -m benchmarks.engines audit episodes --engine sapien", RECORDED),
     "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
     "ur": Trial(f"{DRIVER} ur"),
     "viewer": Trial("python page.py", f"{GRASPS}\nopen('page.py', 'w').write({PAGE!r})"),

@@ -22,7 +22,7 @@ from fungrasp.policies.checkpoint.checkpoint_file import read_card
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "fungrasp"
 
-BENCHMARKS = ("bench", "drake", "sapien")
+BENCHMARKS = ("bench", "drake")
 """Extras of what measures the product."""
 DEVELOPMENT = (*BENCHMARKS, "dev", "docs")
 """Extras that the product does not need."""

@@ -9,8 +9,8 @@ from enum import StrEnum
 from benchmarks.fault_series.moments import Moment
 from fungrasp.robots.arms.ur import URSettings
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.task.setpoints import SETPOINT_PERIOD
+from fungrasp_emulators.emulator import Fault
 
 BRAKING = 0.1
 """An arm at its largest speed is at rest after this time [s]."""

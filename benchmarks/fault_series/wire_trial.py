@@ -14,11 +14,11 @@ from benchmarks.fault_series.wire_session import WireSession, run_wire_session
 from benchmarks.faults.control_bench import private_cell
 from benchmarks.faults.control_process import ControlProcess
 from fungrasp.deployment.phases import Phase
-from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
-from fungrasp.robots.twin.emulation import CellEmulation
 from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
+from fungrasp_emulators.cell import CellEmulation
+from fungrasp_emulators.ur import URControllerEmulator
 
 SAMPLE = 0.02
 """Time between two looks at the truth [s]."""

@@ -10,9 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from benchmarks.faults.emulated_devices import torque_controlled_fingers
-from benchmarks.faults.plants import ServoPlant, TorquePlant
-from benchmarks.faults.tracker_emulator import TrackerEmulator, TrackerErrors
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
 from fungrasp.deployment.twin_deployment import reachable_placement
@@ -23,11 +20,13 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.robots.assembly import arm_driver, hand_driver
 from fungrasp.robots.cell import DeviceSettings, RobotCell
 from fungrasp.robots.device import JointDriver
-from fungrasp.robots.emulators.allegro_can import AllegroEmulator
-from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
-from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+from fungrasp_emulators.allegro import AllegroEmulator
+from fungrasp_emulators.devices import torque_controlled_fingers
+from fungrasp_emulators.emulator import Emulator, Plant, PlantCommand
+from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.plants import ServoPlant, TorquePlant
+from fungrasp_emulators.tracker import TrackerEmulator, TrackerErrors
+from fungrasp_emulators.ur import URControllerEmulator
 
 CONTROL = {
     "control-allegro": ("ur5e-allegro-emulated", "wine_glass"),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from benchmarks.faults.control_bench import ControlBench
     from benchmarks.faults.reaction_times import ReactionTrial
-    from fungrasp.robots.emulators.emulator import Fault
+    from fungrasp_emulators.emulator import Fault
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,11 @@ class BenchFaults:
         from benchmarks.faults.control_bench import CONTROL
         from benchmarks.faults.control_faults import control_reactions
         from benchmarks.faults.control_session import ControlFault
-        from benchmarks.faults.emulated_devices import EMULATED, known_devices
         from benchmarks.faults.reaction_times import PROCESS_KILLED
         from benchmarks.faults.tracker_faults import FAULTS, TRACKER, tracker_reactions
         from fungrasp.robots.cell import load_cell
-        from fungrasp.robots.emulators.emulator import Fault
+        from fungrasp_emulators.devices import EMULATED, known_devices
+        from fungrasp_emulators.emulator import Fault
 
         rng, count = np.random.default_rng(self.seed), self.trials
         plan: list[tuple[str, str, Callable[[], Iterable[ReactionTrial]]]] = []
@@ -118,8 +118,8 @@ def _trials(
     name: str, patience: float, fault: Fault | str, count: int, rng: np.random.Generator
 ) -> Iterator[ReactionTrial]:
     """Trials of one fault of a device, which is made for them."""
-    from benchmarks.faults.emulated_devices import EMULATED
     from benchmarks.faults.reaction_times import reaction_trials
+    from fungrasp_emulators.devices import EMULATED
 
     yield from reaction_trials(EMULATED[name](patience), fault, count, rng)
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.faults.emulated_devices import EmulatedDevice
 from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+from fungrasp_emulators.devices import EmulatedDevice
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.ur import URControllerEmulator
 
 PROCESS_KILLED = "driver's process killed"
 """Besides what emulators show."""

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.faults.reaction_times import ReactionTrial
-from benchmarks.faults.tracker_emulator import TrackerEmulator
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.pose.stream import PoseStream
 from fungrasp.robots.safety import check_pose
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.tracker import TrackerEmulator
 
 TRACKER = "tracker"
 """Name of the device."""

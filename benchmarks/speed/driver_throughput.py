@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.faults.emulated_devices import EmulatedDevice
 from benchmarks.processor_time import processor_time
+from fungrasp_emulators.devices import EmulatedDevice
 
 
 @dataclass(frozen=True)

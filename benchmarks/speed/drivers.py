@@ -21,11 +21,11 @@ class BenchRobot:
     """Write the numbers here (.json, with a .csv beside)."""
 
     def run(self) -> None:
-        from benchmarks.faults.emulated_devices import EMULATED, known_devices
         from benchmarks.speed.driver_throughput import driver_speed
         from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
         from fungrasp.robots.process_priority import raise_priority
+        from fungrasp_emulators.devices import EMULATED, known_devices
 
         # Real devices don't wait for a computer's other work.
         raise_priority()

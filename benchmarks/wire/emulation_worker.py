@@ -24,11 +24,11 @@ from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.process_priority import raise_priority
-from fungrasp.robots.twin.emulation import CellEmulation
 from fungrasp.robots.twin.judge import HoldSample, hold_sample
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.robots.worker_environment import worker_environment
+from fungrasp_emulators.cell import CellEmulation
 
 LENGTH = struct.Struct("<I")
 SAMPLE_PERIOD = 0.02

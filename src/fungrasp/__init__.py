@@ -20,7 +20,7 @@ from fungrasp.core.version import __version__ as __version__
 _NAMES = {
     "deployment.deploy": "deploy",
     "deployment.deployment_result": "DeploymentSpec",
-    "evaluation": "LiftTestSpec compare_methods evaluate static_quality",
+    "evaluation": "LiftTestSpec evaluate static_quality",
     "evaluation.plans": "plan",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "

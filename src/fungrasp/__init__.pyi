@@ -5,7 +5,6 @@ from fungrasp.core.jobs import RayCluster as RayCluster
 from fungrasp.deployment.deploy import deploy as deploy
 from fungrasp.deployment.deployment_result import DeploymentSpec as DeploymentSpec
 from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
-from fungrasp.evaluation import compare_methods as compare_methods
 from fungrasp.evaluation import evaluate as evaluate
 from fungrasp.evaluation import static_quality as static_quality
 from fungrasp.evaluation.plans import plan as plan

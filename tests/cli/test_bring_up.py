@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
-from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.plants import ServoPlant
 
 pytest.importorskip("pymodbus")
 

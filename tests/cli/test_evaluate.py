@@ -13,7 +13,6 @@ from PIL import Image
 from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import lift_test_job, replay
 from fungrasp.grasps import save_human_grasps
-from fungrasp.grasps.grasp_files import builtin_grasps
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 
 
@@ -91,67 +90,13 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     assert {path.name for path in tmp_path.iterdir()} == {"one.json", "two.json", "trials", "p.png"}
 
 
-def test_methods_side_by_side(human, tmp_path, capsys):
+def test_another_method_and_its_static_quality(human, tmp_path, capsys):
     path = tmp_path / "e.json"
-    status, out, _ = run(
-        capsys, "evaluate", "--grasps", human, "--method", "contact", "angle-copy", "--json", path, "--static"
-    )
-    assert status == 0
-    assert [line.split()[0] for line in out.splitlines()[-5:-2]] == ["method", "contact", "angle-copy"]
-    assert out.count("six directions:") == 2 and out.count("contact gap") == 2
-    methods = json.loads(path.read_text())["methods"]
-    assert list(methods) == ["contact", "angle-copy"]
-    assert {"six_directions", "quality", "trials", "without_adaptation"} <= set(methods["contact"])
-    assert "without adaptation to the settled object:" in out
-    assert methods["contact"]["without_adaptation"]["count"] == len(methods["contact"]["trials"])
-
-
-def test_without_adaptation_is_the_same_alone_and_in_a_comparison(human, tmp_path, capsys):
-    path = tmp_path / "e.json"
-    status, _, _ = run(capsys, "evaluate", "--grasps", human, "--no-adapt", "--json", path)
-    assert status == 0
-    alone = json.loads(path.read_text())
-    assert "without_adaptation" not in alone
-    status, _, _ = run(
-        capsys,
-        "evaluate",
-        "--grasps",
-        human,
-        "--method",
-        "contact",
-        "dexgraspnet",
-        "--json",
-        path.with_name("m.json"),
-    )
-    assert status == 0
-    compared = json.loads(path.with_name("m.json").read_text())["methods"]["contact"]
-    assert compared["without_adaptation"]["contact_ratio"] == pytest.approx(alone["contact_ratio"])
-    slip = "sim_distance_hand_mm_s"
-    assert compared["without_adaptation"][slip] == pytest.approx(alone[slip])
-    assert compared[slip] != pytest.approx(alone[slip], rel=1e-3)
-
-
-def test_refinement_mends_failures_and_leaves_successes_alone(tmp_path, capsys):
-    builtin = builtin_grasps()
-    rows = [
-        np.flatnonzero(builtin.object_name == name)[0]
-        for name in ("box", "can", "hammer", "screwdriver", "spatula")
-    ]
-    save_human_grasps(tmp_path / "g.npz", builtin.select(np.array(rows)))
-    plain, refined = tmp_path / "plain.json", tmp_path / "refined.json"
-    assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--json", plain)[0] == 0
-    assert run(capsys, "evaluate", "--grasps", tmp_path / "g.npz", "--refine", 8, "--json", refined)[0] == 0
-    pairs = list(zip(trials(plain), trials(refined), strict=True))
-    assert any(before["success"] for before, _ in pairs) and not all(b["success"] for b, _ in pairs)
-    for before, after in pairs:
-        if before["success"]:
-            assert after == before
-        else:
-            assert abs(after["refined_tries"]) in range(2, 9)
-        assert after["success"] == (after["refined_tries"] > 0), (
-            "the trial that counts agrees with the search"
-        )
-    assert any(after["success"] and not before["success"] for before, after in pairs)
+    options = ("--method", "angle-copy", "--no-adapt", "--static", "--json", path)
+    status, out, _ = run(capsys, "evaluate", "--grasps", human, *options)
+    assert status == 0 and "contact gap" in out
+    numbers = json.loads(path.read_text())
+    assert numbers["quality"]["contact_gap_mm"]["mean"] > 0 and numbers["spec"]["adapt"] is False
 
 
 def test_conditions_and_seeds(human, tmp_path, capsys):
@@ -226,26 +171,6 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     assert run(capsys, "evaluate", "--grasps", human, "--json", plain)[0] == 0
     assert trials(plain) == numbers["trials"]
     assert conditions["nominal"]["success_rate"] == numbers["success_rate"]
-
-
-def test_grasps_are_refined_once_for_all_conditions(human, tmp_path, capsys, monkeypatch):
-    from fungrasp.planning.selection import refinement
-
-    refined = []
-
-    def refine(grasps, *others, seed, **more):
-        refined.append(seed)
-        return dataclasses.replace(grasps, extra={"refined_tries": np.full(len(grasps), 7)})
-
-    monkeypatch.setattr(refinement, "refine_grasps", refine)
-    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", dict(list(SOME.items())[:2]))
-    path = tmp_path / "r.json"
-    options = ("--refine", 7, "--seed", 0, 1, "--protocol", "robustness", "--json", path)
-    assert run(capsys, "evaluate", "--grasps", human, *options)[0] == 0
-    assert refined == [0, 1]
-    numbers = json.loads(path.read_text())
-    assert [trial["refined_tries"] for trial in numbers["trials"]] == [7] * 4
-    assert [condition["count"] for condition in numbers["robustness"].values()] == [4, 4]
 
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
@@ -326,7 +251,6 @@ def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
         (("--attempts", 2, "--policy", "student", "--record", "r"), "--record keeps one attempt"),
         (("--seed", 1, 1), "each once"),
         (("--seed", -1), "must not be negative"),
-        (("--refine", -1), "must not be negative"),
         (("--mass-scale", 0), "mass must be positive"),
         (("--pose-noise", "nan", 0), "object position error must be finite"),
         (("--friction", -0.5), "friction must be positive"),

@@ -13,7 +13,6 @@ from fungrasp.cli.main import every_command, main
 
 WITHOUT = {
     "view": "serves a page until it is ended",
-    "completion": "prints a script of a shell",
     "robots bring-up": "a conversation; its log is the answer",
     "robots emulate": "runs until it is ended",
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -99,6 +100,42 @@ finally:
 def test_commands_keep_the_order_of_the_table_and_leave_out_what_is_not_installed(install):
     install(Greet)
     assert list(cli.available_commands()) == ["greet"]
+
+
+def test_words_that_left_say_what_to_use_now(capsys, monkeypatch):
+    monkeypatch.setattr(cli, "LEFT", {"greet": "say", "hands dance": "show", "hands list --slow": "wait"})
+    for words, said in (
+        (["greet"], "'greet' is no longer part of fungrasp: say"),
+        (["hands", "dance"], "'hands dance' is no longer part of fungrasp: show"),
+        (["hands", "list", "--slow=3"], "'hands list --slow' is no longer part of fungrasp: wait"),
+    ):
+        assert cli.main(words) == 2
+        assert capsys.readouterr().err == f"fungrasp: error: {said}\n"
+
+
+ASK = """
+source "$0"; shift 0
+COMP_WORDS=(fungrasp "$@"); COMP_CWORD=$#
+_tyro_fungrasp fungrasp "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"
+echo "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_bash_completes_commands_and_options(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--tyro-print-completion", "bash"])
+    assert not stop.value.code
+    script = tmp_path / "completion"
+    script.write_text(capsys.readouterr().out)
+
+    def offered(*words: str) -> list[str]:
+        asked = ["bash", "-c", ASK, str(script), *words]
+        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split()
+
+    assert offered("hand") == ["hands"]
+    assert offered("hands", "ex") == ["export"]
+    assert offered("retarget", "--ha") == ["--hand"]
 
 
 def test_version(capsys):

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from grasp_files import run, some_grasps
 
-from fungrasp.cli.sweep import draw_each_curve, each_training
 from fungrasp.cli.train import Train
 from fungrasp.grasps import load_objects, save_human_grasps, save_robot_grasps
 from fungrasp.hands import load_hand
@@ -32,13 +31,7 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--environment.widen", 9, 4), "to a later one, not 9 to 4"),
         (("train", "--ppo.imitate", 100), "to imitate them, give --environment.residual.base guided"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
-        (("train", "--sweep", "ppo.noise"), "SETTING=VALUE,VALUE..."),
-        (("train", "--sweep", "ppo.nose=1,2"), "Did you mean 'ppo.noise'?"),
-        (("train", "--sweep", "ppo.noise=0.1,much"), "'much' is no value of ppo.noise"),
-        (("train", "--sweep", "ppo.noise=0.1,0.1"), "each value once"),
-        (("train", "--sweep", "ppo.noise=1,2", "ppo.noise=3"), "each setting once"),
-        (("train", "--sweep", "hand=a/x.toml,b/x.toml"), "two trainings would be kept"),
-        (("train", "--sweep", "steps=10,0"), "--steps must be at least 1"),
+        (("train", "--seeds", 0, 1), "'train --seeds' is no longer part of fungrasp: give --seed"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
     ],
 )
@@ -76,17 +69,6 @@ def test_what_differs_from_an_interrupted_training_is_named(tmp_path, capsys):
         assert status == 2 and err.count("\n") == 1 and words in err and str(out) in err
 
 
-def test_a_sweep_is_every_combination_with_every_seed(tmp_path):
-    sweep = ("ppo.hidden=64,32 16", "sees=nothing,contacts", "environment.history=True")
-    each = each_training(Train(tmp_path, seeds=(3, 5), sweep=sweep, shrink=0.5))
-    assert len(each) == 2 * 2 * 2 and all(one.sweep == one.seeds == () for one in each)
-    last = each[-1]
-    assert last.out == tmp_path / "ppo.hidden=32-16,sees=contacts,environment.history=True" / "seed-5"
-    assert (last.ppo.hidden, last.sees, last.environment.history) == ((32, 16), "contacts", True)
-    assert (last.seed, last.shrink, last.ppo.noise) == (5, 0.5, Train(tmp_path).ppo.noise)
-    assert [one.out for one in each_training(Train(tmp_path, seeds=(7,)))] == [tmp_path / "seed-7"]
-
-
 def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):
     pytest.importorskip("rsl_rl")
     import fungrasp.training.run as training
@@ -107,19 +89,6 @@ def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):
         with pytest.raises(Enough):
             Train(tmp_path / "out", (str(grasps),), worlds=worlds).run()
     assert [one.randomization for one in asked] == [REALITY, MODERATE]
-
-
-def test_curves_of_several_trainings_are_in_one_drawing(tmp_path):
-    pytest.importorskip("rsl_rl")
-    each = each_training(Train(tmp_path, seeds=(3, 5)))
-    for one in each:
-        one.out.mkdir()
-        (one.out / "curve.csv").write_text(
-            "steps,seconds,success,contact_ratio,slip_mm_s\n9,1.0,0.5,0.2,nan\n"
-        )
-    draw_each_curve(each, tmp_path)
-    drawing = (tmp_path / "curve.svg").read_text()
-    assert "seed-3" in drawing and "seed-5" in drawing
 
 
 def test_a_training_has_a_folder_of_its_own_if_none_is_given():

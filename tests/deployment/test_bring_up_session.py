@@ -198,10 +198,10 @@ def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         pytest.importorskip(module)
     from emulated_robots import ADDRESSES
 
-    from benchmarks.faults.plants import ServoPlant
-    from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-    from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
     from fungrasp.robots.pose.stream import PosePublisher
+    from fungrasp_emulators.inspire import InspireEmulator
+    from fungrasp_emulators.plants import ServoPlant
+    from fungrasp_emulators.ur import URControllerEmulator
 
     monkeypatch.setattr(single_devices, "JOG_SPEED", 0.4)
     monkeypatch.setattr(steps, "HOLD_TIME", 0.3)

@@ -14,7 +14,7 @@ from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.phases import Phase
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.emulators.emulator import Fault
+from fungrasp_emulators.emulator import Fault
 
 for module in ("rtde_control", "ruckig", "pymodbus", "mink"):
     pytest.importorskip(module)

@@ -53,9 +53,7 @@ def test_the_json_has_every_number_and_they_agree(recorded):
     )
     trials = numbers["trials"]
     assert [trial["index"] for trial in trials] == [0, 1, 2, 3]
-    assert {"object", "task", "success", "lifted_height_m", "reason", "contact_f1", "refined_tries"} <= set(
-        trials[0]
-    )
+    assert {"object", "task", "success", "lifted_height_m", "reason", "contact_f1"} <= set(trials[0])
     rate = np.mean([trial["success"] for trial in trials])
     assert numbers["success_rate"] == rate and numbers["unstable"] == 0
     low, high = numbers["success_interval"]
@@ -170,23 +168,6 @@ def test_digests_tell_inputs_apart():
         digest(np.arange(3), {"a": np.zeros(2), "b": 1}, "texts"),
     ]
     assert len({base, *others}) == 5
-
-
-def test_a_refinement_is_applied_before_the_trials(good, things, monkeypatch):
-    """One that takes the hand away."""
-    seeds = []
-
-    def away(grasps, *others, seed, **more):
-        seeds.append(seed)
-        extra = {"refined_tries": np.full(len(grasps), -3)}
-        wrist = grasps.wrist_pose + np.array([0, 0, 0.3, 0, 0, 0, 0])
-        return dataclasses.replace(grasps, wrist_pose=wrist, extra=extra)
-
-    monkeypatch.setattr("fungrasp.planning.selection.refinement.refine_grasps", away)
-    result = evaluate(good.select([2]), things, spec=LiftTestSpec(seeds=(4, 5), refine=3))
-    assert seeds == [4, 5] and result.seed.tolist() == [4, 5]
-    assert not result.outcomes.success.any() and (result.refined_tries == -3).all()
-    assert result_json(result)["seed"] == [4, 5]
 
 
 def test_unknown_policies_and_other_hands(good, things, allegro):

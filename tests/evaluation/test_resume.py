@@ -67,7 +67,6 @@ def test_the_same_is_not_simulated_again(tried, runs):
         {"seeds": (1,)},
         {"lift": replace(SHORT, hold_time=0.3)},
         {"randomization": Randomization(mass=(2.0, 2.0))},
-        {"refine": 1},
     ],
 )
 def test_other_settings_are_tried_anew(tried, runs, change):

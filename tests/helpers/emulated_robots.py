@@ -13,16 +13,16 @@ from typing import Any, Self
 
 import numpy as np
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.assembly import arm_driver, hand_driver
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.clock import WallClock
 from fungrasp.robots.device import TrackedPose, TrackingStatus
-from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
-from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
 from fungrasp.robots.robot import Robot
+from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.plants import ServoPlant
+from fungrasp_emulators.ur import URControllerEmulator
 
 ADDRESSES = (f"127.1.{os.getpid() % 200 + 1}.{n}" for n in itertools.count(2))
 

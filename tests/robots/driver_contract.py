@@ -12,8 +12,7 @@ import pytest
 
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointState, RobotError, StopKind
-from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.plant import Plant
+from fungrasp_emulators.emulator import Emulator, Plant
 
 PATIENCE = 10.0
 """A busy machine may stop a process for seconds; tests wait so long before they call it a failure [s]."""

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from benchmarks.faults.plants import TorquePlant
 from fungrasp.robots.can_bus import open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.emulators.allegro_can import AllegroEmulator
-from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
+from fungrasp_emulators.allegro import AllegroEmulator
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.plants import TorquePlant
 
 Message = pytest.importorskip("can").Message
 

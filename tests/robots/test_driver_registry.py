@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
@@ -29,9 +28,10 @@ from fungrasp.robots.assembly import (
 )
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus
-from fungrasp.robots.emulators.plant import PlantCommand
 from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp_emulators.emulator import PlantCommand
+from fungrasp_emulators.plants import ServoPlant
 
 PAGE = Path(__file__).parents[2] / "docs" / "robots" / "drivers.md"
 

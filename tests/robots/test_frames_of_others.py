@@ -17,14 +17,15 @@ import numpy as np
 import pytest
 from driver_contract import wait_for
 
-from benchmarks.faults import dynamixel_packets as wire
-from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
 from fungrasp.robots.arms.ur import URSettings, ur_driver
-from fungrasp.robots.codecs import dynamixel, inspire, modbus, rtde
-from fungrasp.robots.emulators.ur_rtde import URControllerEmulator
+from fungrasp.robots.codecs import dynamixel, inspire, rtde
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+from fungrasp_emulators import dynamixel_packets as wire
+from fungrasp_emulators import modbus
+from fungrasp_emulators.leap import DynamixelEmulator
+from fungrasp_emulators.plants import ServoPlant
+from fungrasp_emulators.ur import URControllerEmulator
 
 HOME = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0])
 ADDRESSES = (f"127.2.{os.getpid() % 200 + 1}.{n}" for n in itertools.count(2))

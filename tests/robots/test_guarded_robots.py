@@ -11,14 +11,12 @@ import pytest
 from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object, placed
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.assembly import guarded_hand, wired_robot
 from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 from fungrasp.robots.guarded_driver import GuardedDriver
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
@@ -28,6 +26,8 @@ from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
+from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.plants import ServoPlant
 
 pytest.importorskip("mink")
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.robots.codecs import inspire as codec
 from fungrasp.robots.codecs import inspire_serial as own
-from fungrasp.robots.codecs import modbus
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.inspire_modbus import InspireEmulator
 from fungrasp.robots.hands.inspire import InspireLoop, InspireSettings, inspire_driver
 from fungrasp.robots.hands.inspire_link import open_link
+from fungrasp_emulators import modbus
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.plants import ServoPlant
 
 pytest.importorskip("pymodbus")
 

@@ -12,14 +12,14 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.faults import dynamixel_packets as wire
-from benchmarks.faults.dynamixel_emulator import DynamixelEmulator
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.hands import load_hand
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+from fungrasp_emulators import dynamixel_packets as wire
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.leap import DynamixelEmulator
+from fungrasp_emulators.plants import ServoPlant
 
 pytest.importorskip("dynamixel_sdk")
 SERVOS = tuple(int(name) for name in load_hand("leap").actuators)

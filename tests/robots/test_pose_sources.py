@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from driver_contract import wait_for
 
-from benchmarks.faults.tracker_emulator import TrackerEmulator, TrackerErrors
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import RobotCell, TrackerSettings
 from fungrasp.robots.codecs.pose_message import PoseMessage, message_entries, read_message
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-from fungrasp.robots.emulators.emulator import Fault
 from fungrasp.robots.pose.stream import PosePublisher, PoseStream
 from fungrasp.robots.safety import check_pose
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.tracker import TrackerEmulator, TrackerErrors
 
 IDENTITY = np.array([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
 MESSAGE = PoseMessage(

@@ -17,18 +17,18 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots.arms.ur import URSettings, ur_driver
 from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
 from fungrasp.robots.codecs import rtde as codec
 from fungrasp.robots.codecs.ur_primary import decode_kinematics, encode_kinematics
 from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.ur_kinematics import UR5, UR5E, tool_pose
-from fungrasp.robots.emulators.ur_rtde import DASHBOARD_PORT, URControllerEmulator
 from fungrasp.robots.kinematics.dh_parameters import DHParameters
 from fungrasp.robots.kinematics.flange_chain import flange_chain
+from fungrasp_emulators.emulator import Fault
+from fungrasp_emulators.plants import ServoPlant
+from fungrasp_emulators.ur import DASHBOARD_PORT, URControllerEmulator
+from fungrasp_emulators.ur_kinematics import UR5, UR5E, tool_pose
 
 for module in ("rtde_control", "ruckig"):
     pytest.importorskip(module)

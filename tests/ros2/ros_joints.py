@@ -10,8 +10,7 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from fungrasp.hands.arm import arm_spec
-from fungrasp.robots.emulators.emulator import Emulator
-from fungrasp.robots.emulators.plant import Plant, PlantCommand
+from fungrasp_emulators.emulator import Emulator, Plant, PlantCommand
 from fungrasp_ros2.joint_loop import TopicSettings
 from fungrasp_ros2.ros_side import RosSide
 

@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from benchmarks.faults.plants import ServoPlant
 from fungrasp.deployment.deploy import deployment_task
 from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.grasp_choice import GraspChoice
@@ -33,6 +32,7 @@ from fungrasp.robots.cell import load_cell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 from fungrasp.robots.worker_environment import worker_environment
+from fungrasp_emulators.plants import ServoPlant
 
 rclpy = pytest.importorskip("rclpy")
 # Before the first context: nobody else's topics.

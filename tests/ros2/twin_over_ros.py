@@ -16,10 +16,10 @@ from ros_joints import RosJoints
 from fungrasp.hands import load_hand
 from fungrasp.robots.process_priority import raise_priority
 from fungrasp.robots.twin.clocks import RealTimeTwin
-from fungrasp.robots.twin.emulation import TwinArmPlant, TwinHandPlant
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
+from fungrasp_emulators.cell import TwinArmPlant, TwinHandPlant
 from fungrasp_ros2.conversions import fill, stamp_fields
 from fungrasp_ros2.ros_side import RosSide
 

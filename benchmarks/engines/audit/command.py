@@ -19,9 +19,8 @@ class Audit:
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Episodes that `fungrasp evaluate --record` wrote in the nominal world, or folders of them."""
-    engine: Literal["drake", "sapien", "mujoco"] = "drake"
-    """Drake (extra "drake"), PhysX 5 through SAPIEN (extra "sapien"), or MuJoCo built anew from what was
-    recorded: the control."""
+    engine: Literal["drake", "mujoco"] = "drake"
+    """Drake (extra "drake"), or MuJoCo built anew from what was recorded: the control."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     use: bool = False

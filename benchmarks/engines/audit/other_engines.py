@@ -1,4 +1,4 @@
-"""Recorded grasps in other physics engines: which hold there as well, how much slips, and what differs."""
+"""Recorded grasps in another physics engine: which hold there as well, how much slips, and what differs."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.objects import ObjectModel
 from fungrasp.simulation import Scene
 
-EngineName = Literal["mujoco", "drake", "sapien"]
-"""MuJoCo built anew from what was recorded, as the control; Drake; PhysX 5 through SAPIEN."""
+EngineName = Literal["mujoco", "drake"]
+"""MuJoCo built anew from what was recorded, as the control; Drake."""
 
-PACKAGES = {"drake": "pydrake", "sapien": "sapien", "mujoco": "mujoco"}
+PACKAGES = {"drake": "pydrake", "mujoco": "mujoco"}
 
 
 @dataclass(frozen=True)
@@ -116,10 +116,6 @@ def world_maker(engine: EngineName) -> Callable[[EpisodeBundle], EpisodeWorld]:
         from benchmarks.engines.audit.drake_world import DrakeWorld
 
         return DrakeWorld
-    if engine == "sapien":
-        from benchmarks.engines.audit.sapien_world import SapienWorld
-
-        return SapienWorld
     from benchmarks.engines.audit.mujoco_world import MujocoWorld
 
     return MujocoWorld

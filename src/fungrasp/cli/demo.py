@@ -51,11 +51,8 @@ class Demo(Answering):
     policy: str | None = None
     """What moves the hand: "reference" (the planned motion, open loop) or a policy (`fungrasp policies
     list`). By default the freely licensed student of the hand, or "reference" if there is none."""
-    refine: int = 8
-    """Under the reference, try this many variations of a grasp in simulation until one holds; 0: only the
-    grasp as it is. A learned policy chooses among candidates by itself, in simulated rollouts."""
     seed: int = 0
-    """Seed of the variations."""
+    """Seed of what is perceived in an image."""
     out: Path = Path("demo")
     """Folder for the film and the page."""
     threads: int = 0
@@ -95,7 +92,6 @@ class Demo(Answering):
             policy,
             self.out,
             opening=Opening(source=source),
-            refine=self.refine,
             seed=self.seed,
             threads=self.threads,
             stages=progress_bar,
@@ -118,7 +114,6 @@ class Demo(Answering):
             policy,
             self.out,
             opening=opening,
-            refine=self.refine,
             seed=self.seed,
             threads=self.threads,
             stages=progress_bar,
@@ -153,7 +148,7 @@ class Demo(Answering):
     def _check(self) -> None:
         from fungrasp.core.errors import FungraspError
 
-        least = {"count": 1, "refine": 0, "seed": 0, "threads": 0}
+        least = {"count": 1, "seed": 0, "threads": 0}
         for name, value in least.items():
             if getattr(self, name) < value:
                 raise FungraspError(f"--{name} must be at least {value}, not {getattr(self, name)}")

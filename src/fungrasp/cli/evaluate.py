@@ -33,11 +33,8 @@ class Evaluate:
     policy: str = "reference"
     """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
     student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
-    refine: int = 0
-    """First try this many variations of each grasp in simulation, and keep the best."""
-    method: tuple[str, ...] = ("contact",)
-    """How human grasps are retargeted: contact, angle-copy, dexgraspnet; several are compared, with and
-    without adaptation of the grasps to the settled object."""
+    method: str = "contact"
+    """How human grasps are retargeted: contact, angle-copy, dexgraspnet."""
     adapt: bool = True
     """Fit the grasps to the object as it has settled: a little optimization by the planner, which also
     repairs grasps that were retargeted badly."""
@@ -54,7 +51,7 @@ class Evaluate:
     picture: Path | None = None
     """Draw some of the grasps, and whether they held, to this PNG file."""
     static: bool = False
-    """Measure the static quality too (of retargeted human grasps), and run the six-direction test."""
+    """Measure the static quality of the retargeted human grasps too."""
     use: bool = False
     """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
     and say how many objects stay in the hand and how many fingers lie where the person's did."""
@@ -103,7 +100,7 @@ class Evaluate:
 
         from fungrasp.core.errors import FungraspError
         from fungrasp.core.jobs import PartStore
-        from fungrasp.evaluation import compare_methods, evaluate
+        from fungrasp.evaluation import evaluate
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps
         from fungrasp.media.grasp_pictures import draw_grasps
         from fungrasp.retargeting import RetargetSpec, method_name, retarget
@@ -117,38 +114,33 @@ class Evaluate:
         given = grasps if isinstance(grasps, RobotGraspSet) else None
         name = self.hand or (RetargetSpec.hand if given is None else given.hand_file or given.hand)
         hand = identified_hand(name, self.hand_dynamics)
-        methods = tuple(map(method_name, self.method))
-        if given is not None and methods != (RetargetSpec.method,):
-            raise FungraspError(f"--method {' '.join(self.method)}: {self.grasps} holds robot grasps already")
+        method = method_name(self.method)
+        if given is not None and method != RetargetSpec.method:
+            raise FungraspError(f"--method {self.method}: {self.grasps} holds robot grasps already")
         if self.mirror:
             if isinstance(grasps, RobotGraspSet):
                 raise FungraspError(f"--mirror: {self.grasps} holds robot grasps; give it to 'retarget'")
             grasps = mirrored_grasps(grasps)
         objects = load_objects(grasps, self.objects)
         robot, human = given, None if isinstance(grasps, RobotGraspSet) else grasps
-        if human is not None and len(methods) == 1:
-            with progress_bar(f"retargeting to {hand.name} ({methods[0]})", 1.0) as show:
-                robot = retarget(human, objects, hand, methods[0], threads=self.threads, progress=show)
+        if robot is None:
+            assert human is not None
+            with progress_bar(f"retargeting to {hand.name} ({method})", 1.0) as show:
+                robot = retarget(human, objects, hand, method, threads=self.threads, progress=show)
         with nullcontext() if file is None else PartStore.beside(file) as store:
             options: Any = {"spec": spec, "record": self.record, "threads": self.threads}
             options |= {"store": store, "ray": cluster}
             with progress_bar(f"lifting with {hand.name}", 1.0) as show:
-                if robot is not None:
-                    result = evaluate(robot, objects, hand=hand, human=human, progress=show, **options)
-                    drawn = robot, result
-                else:
-                    assert human is not None
-                    result = compare_methods(human, objects, hand, methods, progress=show, **options)
-                    drawn = result.grasps[methods[0]], result.results[methods[0]]
+                result = evaluate(robot, objects, hand=hand, human=human, progress=show, **options)
             if path is not None:
                 result.save(path)
             if self.out is not None:
                 result.save(self.out, compact=True)
         print_use(cluster)
         if self.picture is not None:
-            captions = [reason or "success" for reason in drawn[1].outcomes.reason.tolist()]
+            captions = [reason or "success" for reason in result.outcomes.reason.tolist()]
             with progress_bar("drawing", 1.0) as show:
-                draw_grasps(self.picture, drawn[0], objects, captions=captions, progress=show)
+                draw_grasps(self.picture, robot, objects, captions=captions, progress=show)
         lines = [result.table(), f"{result.episodes} episodes in {result.seconds:.1f} s"]
         if path is not None:
             given_as = None if human is not None else self.grasps
@@ -170,7 +162,6 @@ class Evaluate:
             physics=SceneSettings(noslip_iterations=self.noslip, device=device, buffers=buffers),
             adapt=self.adapt,
             rollouts=self.rollouts,
-            refine=self.refine,
             attempts=self.attempts,
             use=self.use,
             static=self.static,

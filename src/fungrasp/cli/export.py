@@ -1,4 +1,4 @@
-"""``fungrasp export``: recorded episodes and grasps for other programs."""
+"""``fungrasp export``: recorded episodes for other programs."""
 
 from __future__ import annotations
 
@@ -22,18 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Export(Answering):
-    """Write recorded episodes (evaluate --record) as a data set of LeRobot's, MCAP files or joint
-    trajectories with a URDF, or robot grasps as DexGraspBench reads them."""
+    """Write recorded episodes (evaluate --record) as a data set of LeRobot's or as MCAP files."""
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Files of episodes (.npz), or folders of them; of dexgraspbench one file of robot grasps."""
+    """Files of episodes (.npz), or folders of them."""
     out: Path = Path("dataset")
     """Folder to be written."""
-    format: Literal["lerobot", "mcap", "urdf", "dexgraspbench"] = "lerobot"
+    format: Literal["lerobot", "mcap"] = "lerobot"
     """What is written."""
     objects: Path | None = None
-    """Folder of meshes <name>.obj, for pictures and for the grasps of dexgraspbench; built-in objects need
-    none."""
+    """Folder of meshes <name>.obj, for films; built-in objects need none."""
     cameras: tuple[CameraName, ...] = ()
     """Films that a data set of LeRobot's has of each episode: front, over the table; wrist, on the hand."""
     size: tuple[int, int] = (320, 240)
@@ -43,16 +41,10 @@ class Export(Answering):
 
     def run(self) -> Answer:
         from fungrasp.evaluation.episode_export import write_mcap_episodes
-        from fungrasp.evaluation.grasp_export import write_joint_trajectories
 
-        if self.format == "dexgraspbench":
-            words, written = self._grasps()
-        elif self.format == "mcap":
+        if self.format == "mcap":
             written = write_mcap_episodes(self._episodes(), self.out)
             words = f"{len(written)} files; Foxglove and Rerun open them"
-        elif self.format == "urdf":
-            written = write_joint_trajectories(self._episodes(), self.out)
-            words = f"a URDF and {len(written)} joint trajectories"
         else:
             words, written = self._lerobot()
         return Answer({"out": self.out, "format": self.format, "written": written}, f"{self.out}: {words}")
@@ -95,17 +87,6 @@ class Export(Answering):
             written = write_lerobot_dataset(lifts, self.out, cameras)
         seen = f", seen from {' and '.join(self.cameras)}" if self.cameras else ""
         return f"{len(lifts)} episodes, format of LeRobot{seen}", [written]
-
-    def _grasps(self) -> tuple[str, list[Path]]:
-        from fungrasp.core.errors import FungraspError
-        from fungrasp.evaluation.grasp_export import write_dexgraspbench
-        from fungrasp.grasps import load_objects, load_robot_grasps
-
-        if len(self.recordings) != 1:
-            raise FungraspError("dexgraspbench needs one file of robot grasps (fungrasp retarget)")
-        grasps = load_robot_grasps(self.recordings[0])
-        written = write_dexgraspbench(grasps, load_objects(grasps, self.objects), self.out)
-        return f"{len(written)} grasps, their objects and hand.xml, for DexGraspBench", written
 
 
 COMMAND = Export

@@ -13,7 +13,8 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
-from typing import Any
+from dataclasses import make_dataclass
+from typing import Annotated, Any, NoReturn, Union
 
 from fungrasp.cli.console import STDOUT, Answer
 from fungrasp.cli.start import INTERRUPTED
@@ -30,7 +31,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
     "view": ("fungrasp.cli.view", "look at grasps, episodes, results, logs, captures and hands in a browser"),
-    "export": ("fungrasp.cli.export", "write episodes and grasps for LeRobot, MCAP, URDF, DexGraspBench"),
+    "export": ("fungrasp.cli.export", "write recorded episodes for LeRobot or as MCAP files"),
     "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
@@ -39,12 +40,25 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
-    "completion": (
-        "fungrasp.cli.completion",
-        "print a script that completes commands and options in a shell",
-    ),
 }
 """Module and summary of every command, in the order of the help."""
+
+LEFT: Mapping[str, str] = {
+    "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "perceive --countdown": "--camera takes its image at once",
+    "perceive --frames": "give one image; where it is not sure, give another from elsewhere",
+    "perceive --page": "--camera takes its image at once; --report shows it",
+    "perceive --no-page": "--camera takes its image at once; --report shows it",
+    "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
+    "train --ray": "start one training for each job of your cluster",
+    "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
+    "train --sweep": "give each value in a loop of your shell, each training its own --out",
+}
+"""What is used now in place of a command, "command subcommand", "command --option" or "command subcommand
+--option" that has left."""
+
+COMPLETION = "--tyro-print-completion"
+"""The option by which tyro prints a script that completes words in a shell."""
 
 USAGE_ERROR = 2
 BROKEN_PIPE = 141
@@ -131,10 +145,47 @@ def _dispatch(arguments: list[str]) -> int:
     if first in ("-V", "--version"):
         print(f"fungrasp {__version__}")
         return 0
+    if first == COMPLETION:
+        _print_completion(arguments)
+    _check_left(first, rest)
     commands = available_commands()
     if first not in commands:
         raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
     return _run(f"fungrasp {first}", importlib.import_module(commands[first][0]).COMMAND, rest)
+
+
+def _check_left(first: str, rest: Sequence[str]) -> None:
+    """Say what is used in place of a word of the command line that has left.
+
+    Raises:
+        FungraspError: there is one.
+    """
+    commands = [first, *(f"{first} {word}" for word in rest[:1] if not word.startswith("-"))]
+    options = [word.partition("=")[0].replace("_", "-") for word in rest if word.startswith("--")]
+    for words in (*commands, *(f"{command} {option}" for command in commands for option in options)):
+        if words in LEFT:
+            raise FungraspError(f"'{words}' is no longer part of fungrasp: {LEFT[words]}")
+
+
+def _print_completion(arguments: list[str]) -> NoReturn:
+    """Print the script that completes all commands and options in a shell."""
+    import tyro
+
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff)
+    tyro.cli(_choices(every_command()), prog="fungrasp", args=arguments, config=config)
+    raise SystemExit(0)
+
+
+def _choices(commands: Mapping[str, Any]) -> Any:
+    """A type of which each command is a choice, and each table of commands one that leads to more."""
+    import tyro
+
+    kinds = []
+    for name, command in commands.items():
+        if isinstance(command, Mapping):
+            command = make_dataclass(f"{name} commands", [("command", _choices(command))])
+        kinds.append(Annotated[command, tyro.conf.subcommand(name)])
+    return Union[tuple(kinds)]  # noqa: UP007 - made at run time
 
 
 def _run(program: str, command: Any, arguments: list[str]) -> int:

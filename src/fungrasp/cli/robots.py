@@ -182,12 +182,13 @@ class Emulate:
         from fungrasp.deployment.twin_deployment import reachable_placement
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
+        from fungrasp.robots.optional_packages import import_emulators
         from fungrasp.robots.process_priority import raise_priority
-        from fungrasp.robots.twin.emulation import CellEmulation
         from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
         from fungrasp.task import LiftProtocol
 
+        emulators = import_emulators("cell")
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
         grasp, objects = self.choice.robot(hand)
@@ -197,7 +198,7 @@ class Emulate:
         world.settle(reachable_placement(cell, hand, thing, grasp))
         rest = world.center_of_mass()[2]
         raise_priority()
-        with CellEmulation(cell, world, thing.name) as emulation:
+        with emulators.CellEmulation(cell, world, thing.name) as emulation:
             print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
             start, highest, up = time.monotonic(), 0.0, 0.0
             try:

@@ -13,7 +13,6 @@ from fungrasp.cli.training_options import (
     predictor_file,
     progress_lines,
 )
-from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.observation_layouts import LayoutName
 from fungrasp.training.environment import EnvironmentSettings
@@ -62,15 +61,6 @@ class Train(Answering):
     "moderate", "wide", or "reality", what the reality protocol of evaluation draws from."""
     seed: int = 0
     """Seed of all random numbers."""
-    seeds: tuple[int, ...] = ()
-    """Several trainings, one with each of these seeds, in <out>/seed-<N>."""
-    sweep: tuple[str, ...] = ()
-    """Several trainings, one with each combination of values: --sweep ppo.noise=0.1,0.2 shrink=0.5,1 makes
-    four, in <out>/ppo.noise=0.1,shrink=0.5 and so on, with --seeds each with every seed."""
-    ray: tuple[str, ...] | None = None
-    """The trainings of --seeds and --sweep at the same time on a Ray cluster: on that of this address
-    ("auto": the one that this machine is part of), or on all processors of this machine where none is given.
-    Every machine must see the same files."""
     threads: int = 0
     """Threads of the simulation; 0 means all processors. The result does not depend on it."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
@@ -84,8 +74,7 @@ class Train(Answering):
     licence: str = ""
     """Licence of the policy, for its card."""
     curve: CurveSettings = field(default_factory=CurveSettings)
-    """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder; of several
-    trainings, <out>/curve.svg shows all."""
+    """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
     """Settings of the worlds that the policy is trained in."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
@@ -95,15 +84,11 @@ class Train(Answering):
 
     @property
     def folder(self) -> Path:
-        """Folder of the training, or of several."""
+        """Folder of the training."""
         return self.out or Path("runs") / Path(self.hand).stem
 
     def run(self) -> Answer:
         check_packages()
-        if self.seeds or self.sweep:
-            return self._run_each()
-        if self.ray is not None:
-            raise FungraspError("--ray spreads several trainings over a cluster: give --seeds or --sweep")
         import torch
 
         from fungrasp.cli.options import device_and_buffers
@@ -155,24 +140,6 @@ class Train(Answering):
             f"{self.folder / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
             f"{seconds / 60:.1f} min",
         )
-
-    def _run_each(self) -> Answer:
-        from contextlib import nullcontext
-
-        from fungrasp.cli.options import on_cluster, print_use
-        from fungrasp.cli.sweep import Trainings, draw_each_curve, each_training, trained
-        from fungrasp.core.jobs import run_job
-
-        each, cluster = each_training(self), on_cluster(self.ray)
-        for training in each:
-            check_numbers(training.steps, training.seed, training.threads)
-        # In this process, trainings print lines of their own.
-        bar = nullcontext(lambda share: None) if cluster is None else progress_bar("on the cluster", 1.0)
-        with bar as show:
-            run_job(Trainings(tuple(each)), ray=cluster, progress=show)
-        print_use(cluster)
-        draw_each_curve(each, self.folder)
-        return trained(each, self.folder)
 
 
 COMMAND = Train

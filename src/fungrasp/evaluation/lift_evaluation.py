@@ -19,7 +19,6 @@ from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.lift_test_job import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
-from fungrasp.evaluation.six_directions import StaticResult, six_direction_test
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, check_objects
@@ -50,9 +49,6 @@ class LiftTestResult:
     """What each grasp is for, shape [N] str."""
     outcomes: Outcomes
     """Outcomes of the N episodes."""
-    refined_tries: np.ndarray
-    """Episodes that refining the grasp took, 1 if it was not refined, negative where none succeeded;
-    shape [N]."""
     rollouts: np.ndarray
     """Episodes that were simulated to plan each grasp, shape [N] int."""
     contact_estimates: ContactEstimates
@@ -61,8 +57,6 @@ class LiftTestResult:
     """Outcomes of the use tests that followed; None if there were none."""
     attempts: AttemptRecord | None = None
     """What became of the attempts; None if there was one only."""
-    six_directions: StaticResult | None = None
-    """Of the grasps, if it was asked for."""
     quality: StaticQuality | None = None
     """Of the grasps, if it was asked for and the human grasps are known."""
     conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
@@ -200,10 +194,8 @@ def evaluate(
         for name in spec.conditions
     }
     result = next(iter(results.values()))
-    if spec.static:
-        six = six_direction_test(robot, objects, job.hand, threads=threads)
-        quality = None if human is None else static_quality(robot, human, objects, job.hand)
-        result = replace(result, six_directions=six, quality=quality)
+    if spec.static and human is not None:
+        result = replace(result, quality=static_quality(robot, human, objects, job.hand))
     conditions = results if len(results) > 1 else {}
     seconds = perf_counter() - start
     return replace(result, conditions=conditions, grasps=robot, objects=objects, seconds=seconds)
@@ -224,7 +216,6 @@ def _result(job: LiftTest, condition: str, parts: list[tuple[Episodes, Arrays]])
         object_name=grasps.object_name[index],
         task=grasps.task[index],
         outcomes=Outcomes.from_arrays(merged),
-        refined_tries=merged["refined_tries"],
         rollouts=merged["rollouts"],
         contact_estimates=ContactEstimates.from_arrays(merged),
         use=UseOutcomes.from_arrays(_without(merged, USE_PREFIX)) if spec.use else None,

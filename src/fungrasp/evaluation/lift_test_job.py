@@ -23,7 +23,7 @@ from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner
-from fungrasp.planning.selection import SearchPlanner, refinement
+from fungrasp.planning.selection import SearchPlanner
 from fungrasp.policies import (
     OpenLoopPolicy,
     StudentPolicy,
@@ -50,7 +50,7 @@ EPISODES = (8, 32)
 enough parts for many processors."""
 
 SEARCHED_EPISODES = (2, 32)
-"""The same where grasps are refined, or plans are searched for, which takes ten times as long and more."""
+"""The same where plans are searched for, which takes ten times as long and more."""
 
 TOGETHER = 128
 """Most episodes that one process simulates together, whose threads have more to share in this way: what it
@@ -110,7 +110,7 @@ class LiftTest(Job[Episodes]):
         if len(spec.seeds) > 1 and not any(map(self._is_random, spec.conditions.values())):
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same episodes: give one "
-                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, --refine, "
+                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, "
                 "a learned policy that chooses plans)"
             )
 
@@ -150,10 +150,6 @@ class LiftTest(Job[Episodes]):
     def _scenes(self) -> dict[str, Scene]:
         return {}
 
-    @cached_property
-    def _refined(self) -> dict[tuple[int, bytes], RobotGraspSet]:
-        return {}
-
     def is_named(self) -> bool:
         """Whether policy and planner have names, so that what they do can be kept and done elsewhere."""
         return self.given_policy is None and (
@@ -180,7 +176,7 @@ class LiftTest(Job[Episodes]):
             {name: self.objects[name] for name in np.unique(grasps.object_name).tolist()},
             (spec.policy, self.policy_digests),
             getattr(self.planner, "key", ""),
-            (spec.lift, spec.conditions[part.condition], spec.physics, spec.refine, spec.attempts),
+            (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
             (part.rows, part.seed),
             [str(file.absolute()) for file in self._files(part)],
             "" if use is None else use.key(part.rows),
@@ -231,12 +227,12 @@ class LiftTest(Job[Episodes]):
             progress: called with the number of them that are done, fractions included.
 
         Returns:
-            fields of ``Outcomes`` and ``ContactEstimates``, ``refined_tries`` and ``rollouts``, with several
+            fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, with several
             attempts those of ``AttemptRecord``, each of shape [W].
         """
         rows, seed, files, spec = part.rows, part.seed, self._files(part), self.spec
         r, p = spec.conditions[part.condition], spec.lift
-        grasps = self._refine(self.grasps.select(rows), rows, seed)
+        grasps = self.grasps.select(rows)
         sample = draw_each(r, seed, rows, len(self.hand.joint_names))
         jitter = [random_stream("sensor jitter", seed, int(row)) for row in rows]
         environment = LiftEnvironment(self._scene(r), len(rows), r, p, jitter, self.threads)
@@ -273,16 +269,12 @@ class LiftTest(Job[Episodes]):
         use = {}
         if self.use_test is not None:
             use = self._use(self.use_test, environment, grasps, rows, outcomes.success, files)
-        none = np.zeros(len(rows), dtype=int)
         return (
             outcomes.arrays()
             | estimates.arrays()
             | use
             | tries
-            | {
-                "refined_tries": grasps.extra.get("refined_tries", none + 1),
-                "rollouts": none if plan.rollouts is None else plan.rollouts,
-            }
+            | {"rollouts": np.zeros(len(rows), dtype=int) if plan.rollouts is None else plan.rollouts}
         )
 
     def _use(
@@ -312,21 +304,9 @@ class LiftTest(Job[Episodes]):
             self._scenes[key] = build_scene(self.hand, objects, self.spec.physics)
         return self._scenes[key]
 
-    def _refine(self, grasps: RobotGraspSet, rows: np.ndarray, seed: int) -> RobotGraspSet:
-        """The best of some variations of each, once for all conditions."""
-        if not self.spec.refine:
-            return grasps
-        key = seed, rows.tobytes()
-        if key not in self._refined:
-            policy, tries = OpenLoopPolicy(), self.spec.refine
-            self._refined[key] = refinement.refine_grasps(
-                grasps, self.objects, self.hand, policy, tries=tries, seed=seed, threads=self.threads
-            )
-        return self._refined[key]
-
     @cached_property
     def _takes_long(self) -> bool:
-        return bool(self.spec.refine) or bool(self.policy_digests[1])
+        return bool(self.policy_digests[1])
 
     @property
     def _part_size(self) -> int:

@@ -3,10 +3,12 @@ kept in the result."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.record_json import record_from_json
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import check_attempts
 from fungrasp.sim2real import NOMINAL, ProtocolName, Randomization, protocol_conditions
@@ -37,15 +39,13 @@ class LiftTestSpec:
     """Whether policies that choose among candidate plans try them in simulated rollouts first."""
     selection: SelectionSettings | None = None
     """How plans are chosen among candidates; what suits protocol, rollouts and use if None."""
-    refine: int = 0
-    """Variations of each grasp that are tried first, the best of which is kept; 0 for none."""
     attempts: int = 1
     """Most attempts of an episode: a policy that watches tries again, by another plan, where it is seen to
     have failed. The published protocol is one."""
     use: bool = False
     """Whether the use test of the grasp's task follows every lift test that is passed."""
     static: bool = False
-    """Whether the six-direction test and the static quality are measured too."""
+    """Whether the static quality is measured too, where the human grasps are known."""
 
     def __post_init__(self) -> None:
         """
@@ -56,13 +56,31 @@ class LiftTestSpec:
             raise UnknownNameError("protocol", self.protocol, get_args(ProtocolName))
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise FungraspError("--seed needs at least one value, and each once")
-        if min(*self.seeds, self.refine) < 0:
-            raise FungraspError("--seed and --refine must not be negative")
+        if min(self.seeds) < 0:
+            raise FungraspError("--seed must not be negative")
         if self.protocol != "nominal" and self.randomization != NOMINAL:
             raise FungraspError(
                 f"--protocol {self.protocol} says how worlds differ: give it or single options"
             )
         check_attempts(self.attempts, watches=True)
+
+    @classmethod
+    def read(cls, data: Any, where: str) -> LiftTestSpec | None:
+        """What ``record_to_json`` has written, of earlier versions too. None where it can't be asked again:
+        its grasps were varied in the test's own world first.
+
+        Args:
+            data: as read.
+            where: begins the messages.
+
+        Raises:
+            FungraspError: it is no such thing.
+        """
+        if not isinstance(data, Mapping):
+            return record_from_json(cls, data, where)
+        if data.get("refine"):
+            return None
+        return record_from_json(cls, {k: v for k, v in data.items() if k != "refine"}, where)
 
     @property
     def conditions(self) -> dict[str, Randomization]:

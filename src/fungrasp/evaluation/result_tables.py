@@ -9,8 +9,6 @@ from typing import Any
 from fungrasp.core.text_table import table
 from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.results import result_json, summary
-from fungrasp.evaluation.six_directions import StaticResult
-from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
 
 HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
@@ -21,8 +19,6 @@ def result_table(result: LiftTestResult) -> str:
     parts = [robustness_table(result.conditions) if result.conditions else _object_table(result)]
     if result.use is not None:
         parts.append(use_table(result))
-    if result.six_directions is not None:
-        parts.append(_six_directions(result.six_directions))
     if result.quality is not None:
         parts.append(result.quality.table())
     return "\n".join(parts)
@@ -90,17 +86,6 @@ def use_table(result: LiftTestResult) -> str:
     return "\n".join(
         [table(rows), *(f"failed: {count:3d} {reason}" for reason, count in reasons.most_common())]
     )
-
-
-def _six_directions(result: StaticResult) -> str:
-    count, passed = len(result.passed), int(result.passed.sum())
-    low, high = wilson_interval(passed, count)
-    return f"six directions: {passed / count:.1%} hold (95 % interval {low:.1%} – {high:.1%})"
-
-
-def comparison_table(results: Mapping[str, LiftTestResult]) -> str:
-    """Methods side by side."""
-    return _side_by_side("method", results)
 
 
 def robustness_table(results: Mapping[str, LiftTestResult]) -> str:

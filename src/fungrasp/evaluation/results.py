@@ -13,7 +13,6 @@ from fungrasp.core.formats.record_json import record_to_json
 from fungrasp.core.provenance import run_record
 from fungrasp.core.version import __version__
 from fungrasp.evaluation.lift_evaluation import LiftTestResult
-from fungrasp.evaluation.six_directions import StaticResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
 from fungrasp.sim2real import protocol_name
@@ -81,7 +80,6 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "task": str(result.task[i]),
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
-            "refined_tries": int(result.refined_tries[i]),
             **{name: values[i] for name, values in attempt_columns.items()},
             **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
@@ -102,11 +100,6 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
             **({} if result.use is None else {"use": use_json(result.use, result.task)}),
-            **(
-                {}
-                if result.six_directions is None
-                else {"six_directions": static_json(result.six_directions)}
-            ),
             **({} if result.quality is None else {"quality": result.quality.summary()}),
             **({} if not result.conditions else {"robustness": robustness_json(result.conditions)}),
             "spec": record_to_json(result.spec),
@@ -146,17 +139,3 @@ def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
         )
         for name, result in results.items()
     }
-
-
-def static_json(result: StaticResult) -> dict[str, Any]:
-    """Rate of the six-direction test, and each grasp's numbers."""
-    count, passed = len(result.passed), int(result.passed.sum())
-    return finite(
-        {
-            "pass_rate": passed / count,
-            "pass_interval": wilson_interval(passed, count),
-            "passed": result.passed,
-            "displacement_m": result.displacement_m,
-            "angle_rad": result.angle_rad,
-        }
-    )

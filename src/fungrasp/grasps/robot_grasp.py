@@ -135,13 +135,6 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         )
 
     @property
-    def squeeze_positions(self) -> np.ndarray:
-        """Targets of the joints that press on the object [rad], in the order of ``joint_names``, shape
-        [N, M]; NaN where a grasp has none of its own."""
-        own = self.extra.get(SQUEEZE)
-        return np.full_like(self.joint_positions, np.nan) if own is None else own
-
-    @property
     def object_mass_spread(self) -> np.ndarray | None:
         """Standard deviation of the logarithm of each object's mass, shape [N]; None where masses are
         known."""

@@ -12,10 +12,6 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.geometry.poses import compose, invert
-from fungrasp.hands.hand import Hand
-
-WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_rx", "wrist_ry", "wrist_rz")
-"""Of a hand that moves freely: along the world's axes, then about x, the turned y and the turned z."""
 
 FAR = 1e3
 """Limit of joints that have none [m, rad]: URDF asks for one."""
@@ -32,35 +28,11 @@ _SHAPES = mujoco.mjtGeom
 _KINDS = {int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic", int(mujoco.mjtJoint.mjJNT_HINGE): "revolute"}
 
 
-def write_hand_urdf(hand: Hand, folder: str | Path, *, free: bool = False) -> Path:
-    """Write ``<hand>.urdf``, and its meshes in ``meshes``.
-
-    Args:
-        hand: any hand.
-        folder: is made.
-        free: whether the palm moves in the world by six joints, ``WRIST_JOINTS``; else it is fixed there.
-
-    Returns:
-        the path of the URDF.
-
-    Raises:
-        FungraspError: a file can't be written.
-    """
-    folder = Path(folder)
-    robot = model_urdf(hand.name, hand.model, folder / "meshes", relative=True, free=free)
-    path = folder / f"{hand.name}.urdf"
-    with atomic_path(path) as temporary:
-        xml.ElementTree(robot).write(temporary, encoding="unicode", xml_declaration=True)
-    return path
-
-
 def model_urdf(
     name: str,
     model: mujoco.MjModel,
     meshes: Path | None,
     *,
-    relative: bool = False,
-    free: bool = False,
     frames: Mapping[str, str] | None = None,
 ) -> xml.Element:
     """URDF of a model. Links are its bodies, with their frames, and joints its joints; coupled ones mimic.
@@ -71,9 +43,7 @@ def model_urdf(
     Args:
         name: of the robot.
         model: its joints are hinges and slides.
-        meshes: folder that meshes are written to; without shapes if None.
-        relative: whether the URDF will lie beside that folder and names it so; else meshes are named by URIs.
-        free: whether the first body moves in the world by six joints, ``WRIST_JOINTS``.
+        meshes: folder that meshes are written to, which are named by URIs; without shapes if None.
         frames: links of no mass to add, by the site that each is at.
 
     Raises:
@@ -81,11 +51,10 @@ def model_urdf(
     """
     robot = xml.Element("robot", name=name)
     xml.SubElement(robot, "link", name=_WORLD)
-    tree = _Tree(robot, model, meshes, relative)
+    tree = _Tree(robot, model, meshes)
     for body in range(1, model.nbody):
         above = int(model.body_parentid[body])
-        root = _free_wrist(robot) if free and body == 1 else _WORLD
-        tree.add(body, tree.links[above] if above else root)
+        tree.add(body, tree.links[above] if above else _WORLD)
     for site, link in (frames or {}).items():
         number = model.site(site).id
         pose = np.concatenate([model.site_pos[number], model.site_quat[number]])
@@ -99,8 +68,8 @@ def model_urdf(
 class _Tree:
     """Links and joints as they are added, parents first."""
 
-    def __init__(self, robot: xml.Element, model: mujoco.MjModel, meshes: Path | None, relative: bool):
-        self._robot, self._model, self._meshes, self._relative = robot, model, meshes, relative
+    def __init__(self, robot: xml.Element, model: mujoco.MjModel, meshes: Path | None):
+        self._robot, self._model, self._meshes = robot, model, meshes
         self.links: dict[int, str] = {}
 
     def add(self, body: int, parent: str) -> None:
@@ -191,19 +160,7 @@ class _Tree:
         with atomic_path(path) as temporary:
             solid = trimesh.Trimesh(vertices, faces, process=False)
             solid.export(str(temporary), "obj", include_normals=False, digits=9)
-        return f"{path.parent.name}/{path.name}" if self._relative else path.resolve().as_uri()
-
-
-def _free_wrist(robot: xml.Element) -> str:
-    """Six joints in the world; the link at their end."""
-    parent, limits = _WORLD, np.array([-FAR, FAR])
-    for number, name in enumerate(WRIST_JOINTS):
-        child, axis = f"{name}_link", np.eye(3)[number % 3]
-        kind = "prismatic" if number < 3 else "revolute"
-        _moving(robot, name, kind, parent, child, _IDENTITY, axis, limits, FAR)
-        _light_link(robot, child)
-        parent = child
-    return parent
+        return path.resolve().as_uri()
 
 
 def _light_link(robot: xml.Element, name: str) -> None:

@@ -21,11 +21,6 @@ from fungrasp.media.grasp_demo import grasp_report, grasp_title
 from fungrasp.media.page import GraspReport, Page, write_page
 from fungrasp.media.video import write_video
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionSettings
-from fungrasp.planning.selection import SelectionSettings
-from fungrasp.planning.selection.refinement import refine_grasps
-from fungrasp.policies import OpenLoopPolicy, make_planner
-from fungrasp.policies.registry import REFERENCE
 from fungrasp.retargeting import retarget
 
 FPS, SPEED = 12.0, 2.0
@@ -91,7 +86,6 @@ def demonstrate(
     out: Path,
     *,
     opening: Opening | None = None,
-    refine: int = 0,
     seed: int = 0,
     threads: int = 0,
     stages: Stages = no_stages,
@@ -105,8 +99,7 @@ def demonstrate(
         policy: name or file of what moves it.
         out: folder for ``film.mp4`` and ``index.html``; nothing is in it until they are whole.
         opening: of the page; the usual one if None.
-        refine: under the reference policy, try this many variations of a grasp until one holds.
-        seed: of the variations.
+        seed: that the page names.
         threads: 0 means all processors.
         stages: told what is being done.
 
@@ -124,16 +117,6 @@ def demonstrate(
         with stages(f"retargeting to {hand.name}", 1.0) as show:
             robot = retarget(human, objects, hand, threads=threads, progress=show)
         quality = static_quality(robot, human, objects, hand)
-        refined = bool(refine) and policy == REFERENCE
-        if refined:
-            with stages("trying variations", len(robot)) as show:
-                player = OpenLoopPolicy()
-                robot = refine_grasps(
-                    robot, objects, hand, player, tries=refine, seed=seed, threads=threads, progress=show
-                )
-        # Refined grasps are played as they were tried: with the squeeze for the lift alone.
-        motions = MotionSettings(for_use=not refined)
-        selection = SelectionSettings.for_protocol("nominal", for_use=True)
         with stages("lifting and using", 1.0) as show:
             result = evaluate(
                 robot,
@@ -141,7 +124,6 @@ def demonstrate(
                 policy,
                 spec=LiftTestSpec(use=True),
                 human=human,
-                planner=make_planner(policy, hand, objects, selection, threads=threads, motions=motions),
                 threads=threads,
                 record=folder,
                 progress=show,

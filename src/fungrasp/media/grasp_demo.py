@@ -80,7 +80,6 @@ def grasp_report(
         outcome=outcome_words(
             trajectory.success,
             trajectory.reason,
-            int(result.refined_tries[row]),
             bool(result.rollouts[row]),
         ),
         human_picture=pictures[0],
@@ -94,22 +93,18 @@ def grasp_report(
     )
 
 
-def outcome_words(success: bool, reason: str, tries: int, rollouts: bool = False) -> str:
+def outcome_words(success: bool, reason: str, rollouts: bool = False) -> str:
     """How an episode ended, in a sentence.
 
     Args:
         success: whether the object was lifted and held.
         reason: why not, as a phrase.
-        tries: episodes that refining took, negative if none succeeded.
         rollouts: whether the plan was chosen in simulated rollouts.
     """
     if not success:
-        tried = f"None of {-tries} variations held" if tries < -1 else "It did not hold"
-        return f"{tried}: {reason}."
-    if tries <= 1:
-        how = "with a plan that was chosen in simulated rollouts" if rollouts else "at the first try"
-        return f"Lifted and held for 3 s, {how}."
-    return f"Lifted and held for 3 s, by one of {tries} variations tried in simulation."
+        return f"It did not hold: {reason}."
+    how = "with a plan that was chosen in simulated rollouts" if rollouts else "at the first try"
+    return f"Lifted and held for 3 s, {how}."
 
 
 def use_outcome(use: UseOutcomes, row: int) -> str:

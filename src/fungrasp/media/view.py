@@ -86,7 +86,6 @@ def _write_result(path: Path, result: LiftTestResult) -> None:
             outcome_words(
                 bool(result.success[row]),
                 str(result.outcomes.reason[row]),
-                int(result.refined_tries[row]),
                 bool(result.rollouts[row]),
             ),
         )

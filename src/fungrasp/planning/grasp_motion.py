@@ -248,7 +248,7 @@ def _follow_path(
 
 
 def _setting(grasps: RobotGraspSet, name: str, default: float) -> np.ndarray:
-    """A number that refinement may have set for each grasp, shape [N, 1]."""
+    """A number that a grasp may bring with it, shape [N, 1]."""
     return np.asarray(grasps.extra.get(name, np.full(len(grasps), default)))[:, None]
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.optional_packages import import_client, import_emulators
 
 SERIAL_ADAPTERS = ("pcan", "kvaser", "ixxat", "slcan", "gs_usb")
 """Interfaces that set the bit rate themselves; that of "socketcan" is set with ``ip link``."""
 
 
 LOOPBACK = "loopback"
-"""Interface of emulated devices."""
+"""Interface of emulated devices (``fungrasp_emulators``)."""
 
 BUS_ERROR, BUS_OFF = 0x80, 0x40
 """Classes in the identifier of an error frame, as SocketCAN sets them (``linux/can/error.h``)."""
@@ -40,9 +40,6 @@ def open_can_bus(interface: str, channel: str, bitrate: int = 1_000_000) -> Any:
 
 
 def _loopback(channel: str) -> Any:
-    # Here, because it imports python-can.
-    from fungrasp.robots.loopback_can_bus import LoopbackCanBus
-
     if not channel.isdecimal() or not 1024 <= int(channel) <= 65535:
         raise RobotError(f"a channel of {LOOPBACK} is a port of UDP from 1024 to 65535, not '{channel}'")
-    return LoopbackCanBus(int(channel))
+    return import_emulators("loopback_can_bus").LoopbackCanBus(int(channel))

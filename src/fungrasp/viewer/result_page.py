@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.record_json import record_from_json
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, ResultFile, replay
 from fungrasp.grasps import RobotGraspSet, load_objects, load_robot_grasps
 from fungrasp.objects import ObjectModel
@@ -90,7 +89,7 @@ class ShownResult:
             objects = load_objects(grasps, _beside(path, options.get("--objects")))
         except FungraspError as error:
             missing = str(error)
-        read = None if spec is None else record_from_json(LiftTestSpec, spec, f"{path}: spec")
+        read = None if spec is None else LiftTestSpec.read(spec, f"{path}: spec")
         return cls(title, rows, read, grasps, objects, recordings, missing)
 
 

@@ -1,5 +1,5 @@
-"""Recorded episodes in other engines. MuJoCo, built anew from what was recorded, is the control; Drake and
-SAPIEN are tried where they are installed."""
+"""Recorded episodes in other engines. MuJoCo, built anew from what was recorded, is the control; Drake is
+tried where it is installed."""
 
 from __future__ import annotations
 
@@ -122,14 +122,13 @@ def test_what_can_not_be_replayed_is_refused_in_words(folder, tmp_path, monkeypa
     with pytest.raises(FungraspError, match="no recorded episodes"):
         bundles_of(tmp_path / "none")
     monkeypatch.setattr(other_engines, "find_spec", lambda name: None)
-    status, _, err = run_benchmark(capsys, "engines", "audit", first, "--engine", "sapien")
-    assert status == 2 and 'not installed: pip install "fungrasp[sapien]"' in err
+    status, _, err = run_benchmark(capsys, "engines", "audit", first, "--engine", "drake")
+    assert status == 2 and 'not installed: pip install "fungrasp[drake]"' in err
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("engine", "package"), [("drake", "pydrake"), ("sapien", "sapien")])
-def test_good_grasps_hold_in_other_engines(engine, package, folder):
-    pytest.importorskip(package, reason=f'the extra "{engine}" is not installed')
+def test_good_grasps_hold_in_drake(folder):
+    pytest.importorskip("pydrake", reason='the extra "drake" is not installed')
     for hand in ("allegro", "inspire"):
-        result = audit(bundles_of(recorded(hand, folder)), engine)
+        result = audit(bundles_of(recorded(hand, folder)), "drake")
         assert all(one.success for one in result.episodes if one.recorded), result.table()

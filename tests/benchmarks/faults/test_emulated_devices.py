@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.faults.emulated_devices import STOPS, emulated_allegro, torque_controlled_fingers
 from benchmarks.faults.reaction_times import reaction_trials
-from fungrasp.robots.emulators.emulator import Fault
-from fungrasp.robots.emulators.plant import PlantCommand
 from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp_emulators.devices import STOPS, emulated_allegro, torque_controlled_fingers
+from fungrasp_emulators.emulator import Fault, PlantCommand
 
 
 def test_fingers_that_keep_their_torques_end_at_their_stops() -> None:

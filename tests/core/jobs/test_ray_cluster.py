@@ -158,39 +158,8 @@ def test_synthesis_with_a_machine_lost_equals_that_of_one_process(cluster, tmp_p
     assert sorted(path.name for path in tmp_path.iterdir()) == ["many.npz", "one.npz"]
 
 
-@pytest.mark.slow
-def test_trainings_with_a_machine_lost_equal_those_of_one_process(cluster, tmp_path):
-    pytest.importorskip("rsl_rl")
-    from fungrasp.training.checkpoint import read_checkpoint
-
-    human = builtin_grasps().select([0])
-    grasps = tmp_path / "g.npz"
-    save_robot_grasps(grasps, retarget(human, load_objects(human), load_hand("allegro"), threads=1))
-    numbers = ["--steps", "384", "--environment.worlds", "8", "--ppo.steps", "2", "--ppo.warm-up", "2"]
-    small = ["--ppo.hidden", "16", "8", "--variety.copies", "1"]
-    command = ["train", "--grasps", str(grasps), *numbers, *small, "--sweep", "ppo.noise=0.1,0.2"]
-    command += ["--seeds", "0", "1"]
-    assert fungrasp([*command, "--out", str(tmp_path / "one"), "--threads", "1"]) == 0
-    killing = kill_after(cluster, lambda: any((tmp_path / "many").glob("*/*/checkpoint.pt")))
-    assert fungrasp([*command, "--out", str(tmp_path / "many"), "--ray", cluster.address]) == 0
-    killing.join()
-    files = [path.relative_to(tmp_path / "one") for path in (tmp_path / "one").glob("*/*/checkpoint.pt")]
-    folders = sorted(str(file.parent) for file in files)
-    assert folders == [f"ppo.noise={noise}/seed-{seed}" for noise in (0.1, 0.2) for seed in (0, 1)]
-    networks = []
-    for file in files:
-        one, many = (read_checkpoint(tmp_path / name / file) for name in ("one", "many"))
-        assert one["steps"] == many["steps"] == 384
-        networks.append(one["actor_state_dict"])
-        for name, weights in networks[-1].items():
-            np.testing.assert_array_equal(weights, many["actor_state_dict"][name], err_msg=f"{file}: {name}")
-    assert len({weights["mlp.0.weight"].numpy().tobytes() for weights in networks}) == 4
-
-
 def test_what_does_not_go_with_a_cluster(tmp_path, capsys):
     assert fungrasp(["evaluate", "--ray"]) == 2
     assert "give --json or --out too" in capsys.readouterr().err
-    assert fungrasp(["train", "--out", str(tmp_path), "--ray"]) == 2
-    assert "give --seeds or --sweep" in capsys.readouterr().err
     assert fungrasp(["retarget", "--out", str(tmp_path / "a.npz"), "--ray", "a", "b"]) == 2
     assert "takes one address" in capsys.readouterr().err
