@@ -35,6 +35,9 @@ _NAMES = {
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
+    "training.settings": "TrainSpec",
+    "training.train": "train",
+    "training.training_sets": "TrainingSet",
     "viewer.view": "view",
     "task": "Action Belief GraspPlan LiftEnvironment Observation Policy play",
 }

@@ -39,6 +39,9 @@ from fungrasp.task import LiftEnvironment as LiftEnvironment
 from fungrasp.task import Observation as Observation
 from fungrasp.task import Policy as Policy
 from fungrasp.task import play as play
+from fungrasp.training.settings import TrainSpec as TrainSpec
+from fungrasp.training.train import train as train
+from fungrasp.training.training_sets import TrainingSet as TrainingSet
 from fungrasp.viewer.view import view as view
 
 __version__: str

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.training.checkpoint import read_checkpoint, write_checkpoint
+from fungrasp.training.folder import read_checkpoint, write_checkpoint
 
 
 @pytest.fixture

@@ -12,8 +12,9 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, redirect_stdout
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import make_dataclass
+from io import StringIO
 from typing import Annotated, Any, NoReturn, Union
 
 from fungrasp.cli.console import STDOUT, Answer
@@ -26,9 +27,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "perceive": ("fungrasp.cli.perceive", "turn an image with depth of a held object into a human grasp"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
-    "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
+    "predictor": ("fungrasp.cli.train:TrainPredictor", "learn which variations of a grasp will hold"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
-    "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
+    "distill": ("fungrasp.cli.train:Distill", "train a student, that sees what a robot has, from a teacher"),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
     "view": ("fungrasp.cli.view", "look at grasps, episodes, results, logs, captures and hands in a browser"),
     "export": ("fungrasp.cli.export", "write recorded episodes for LeRobot or as MCAP files"),
@@ -41,7 +42,8 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
 }
-"""Module and summary of every command, in the order of the help."""
+"""Where every command is (a module's ``COMMAND``, or "module:name") and its summary, in the order of the
+help."""
 
 LEFT: Mapping[str, str] = {
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
@@ -120,14 +122,18 @@ def _status(work: Callable[[], int]) -> int:
 
 def available_commands() -> dict[str, tuple[str, str]]:
     """The commands whose module is installed, in the order of ``COMMANDS``; nothing is imported."""
-    return {name: entry for name, entry in COMMANDS.items() if importlib.util.find_spec(entry[0]) is not None}
+    return {
+        name: entry
+        for name, entry in COMMANDS.items()
+        if importlib.util.find_spec(entry[0].partition(":")[0]) is not None
+    }
 
 
 def every_command() -> dict[str, Any]:
     """Each command, or a table of its subcommands, with all modules imported."""
     commands: dict[str, Any] = {}
-    for name, (module, _) in available_commands().items():
-        command = importlib.import_module(module).COMMAND
+    for name, (place, _) in available_commands().items():
+        command = _loaded(place)
         if isinstance(command, Mapping):
             command = {sub: _loaded(one) for sub, one in command.items()}
         commands[name] = command
@@ -151,7 +157,7 @@ def _dispatch(arguments: list[str]) -> int:
     commands = available_commands()
     if first not in commands:
         raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
-    return _run(f"fungrasp {first}", importlib.import_module(commands[first][0]).COMMAND, rest)
+    return _run(f"fungrasp {first}", _loaded(commands[first][0]), rest)
 
 
 def _check_left(first: str, rest: Sequence[str]) -> None:
@@ -212,7 +218,19 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
     config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
     if not getattr(command, "option_prefixes", False):
         config.append(tyro.conf.OmitArgPrefixes)
-    return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
+    said = StringIO()
+    try:
+        with redirect_stderr(said):
+            return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
+    except SystemExit as stop:
+        error: BaseException | None = stop
+        while error is not None:
+            # A spec has found an impossible value: in one line, as all our errors.
+            if isinstance(error, FungraspError):
+                raise error from None
+            error = error.__context__
+        sys.stderr.write(said.getvalue())
+        raise
 
 
 def _loaded(command: Any) -> Any:
@@ -220,7 +238,7 @@ def _loaded(command: Any) -> Any:
     if not isinstance(command, str):
         return command
     module, _, name = command.partition(":")
-    return getattr(importlib.import_module(module), name)
+    return getattr(importlib.import_module(module), name or "COMMAND")
 
 
 def _help() -> str:

@@ -29,7 +29,6 @@ SOURCES = (
     "geometry/signed_distance.py",
     "optimization/*.py",
     "perception/compiled_loops.py",
-    "media/pixel_loops.py",
 )
 """Files that the loops are made from."""
 

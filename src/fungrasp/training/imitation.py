@@ -11,8 +11,7 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.networks import played, tensors
-from fungrasp.training.student import StudentModel
+from fungrasp.training.networks import StudentModel, played, tensors
 
 PLANNED_ROUNDS = 2
 """Rounds at the beginning in which the planned motions act."""

@@ -1,0 +1,168 @@
+"""What hands are to solve, in the object's frame: what they may collide with, and whom they imitate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+
+from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.compiling import plain
+from fungrasp.geometry.distance_queries import gradient_derivatives, nearest_surfaces
+from fungrasp.geometry.poses import invert, rotate, transform_points
+from fungrasp.grasps import HumanGraspSet
+from fungrasp.hands.correspondence import Correspondence
+from fungrasp.objects import ObjectModel
+from fungrasp.objects.resting_pose import settled_up
+
+GRAVITY = 9.81
+"""[m/s^2]."""
+
+
+@dataclass(frozen=True)
+class CollisionScene:
+    """What N hands may collide with: an object each, and the table, in the object's frame."""
+
+    bank: SignedDistanceBank
+    """Signed-distance grids of the objects."""
+    grid: np.ndarray
+    """Index of each hand's object in the bank, shape [N]."""
+    up: np.ndarray
+    """Normals of the planes to stay above, shape [N, T, 3]."""
+    height: np.ndarray
+    """Height of the object's origin above each plane [m], shape [N, T]: a point p is at up . p + height."""
+
+    @classmethod
+    def settled(
+        cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
+    ) -> CollisionScene:
+        """One plane per hand: the table under an object that has settled.
+
+        Args:
+            names: name of each hand's object, length N.
+            pose: of the objects, world frame, shape [N, 7].
+            objects: by name.
+        """
+        known = sorted(set(names))
+        up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
+        grid = np.array([known.index(name) for name in names])
+        return cls(
+            SignedDistanceBank([objects[name].signed_distance for name in known]),
+            grid,
+            up[:, None],
+            pose[:, 2:3],
+        )
+
+    @classmethod
+    def measured_and_settled(
+        cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
+    ) -> CollisionScene:
+        """Two planes per hand: the table at the measured, noisy rest pose of its object, and at the pose in
+        which the object settles.
+
+        Args: as for ``settled``.
+        """
+        measured = cls.settled(names, pose, objects)
+        up, height = np.empty((len(measured), 3)), np.empty(len(measured))
+        for number, name in enumerate(sorted(set(names))):
+            rows = measured.grid == number
+            up[rows] = settled_up(objects[name], measured.up[rows, 0])
+            height[rows] = -np.min(up[rows] @ objects[name].vertices.T, axis=1)
+        return replace(
+            measured,
+            up=np.stack([measured.up[:, 0], up], axis=1),
+            height=np.stack([measured.height[:, 0], height], axis=1),
+        )
+
+    def rows(self, which: slice | np.ndarray) -> Self:
+        """The scene of some of the hands: a slice or indices."""
+        parts = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name != "bank"}
+        return replace(self, **parts)
+
+    def __len__(self) -> int:
+        return len(self.grid)
+
+
+@dataclass(frozen=True)
+class RetargetingProblem(CollisionScene):
+    """N human grasps to imitate, in their objects' frames, and what the hands may collide with."""
+
+    joints: np.ndarray
+    """Human joints [m], shape [N, 21, 3]."""
+    contacts: np.ndarray
+    """Which robot links should touch, palm first, shape [N, L] bool."""
+    surface: np.ndarray
+    """Surface point nearest to each human joint [m], shape [N, 21, 3]."""
+    normals: np.ndarray
+    """Outward surface normal there, shape [N, 21, 3]."""
+    center: np.ndarray
+    """Center of mass of each object [m], shape [N, 3]."""
+    extent: np.ndarray
+    """Half of each object's diagonal [m], shape [N]: the unit of lever arms in force closure."""
+    weight: np.ndarray
+    """Weight of each object [N], shape [N]."""
+
+    @classmethod
+    def from_grasps(
+        cls, grasps: HumanGraspSet, objects: Mapping[str, ObjectModel], match: Correspondence
+    ) -> RetargetingProblem:
+        """Bring grasps into their objects' frames.
+
+        Args:
+            grasps: N human grasps.
+            objects: by name, each object of the grasps.
+            match: which robot link stands for which human one.
+        """
+        names = grasps.object_name.tolist()
+        scene = CollisionScene.measured_and_settled(names, grasps.object_rest_pose, objects)
+        joints = transform_points(invert(grasps.object_pose), grasps.hand_joints)
+        surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+        return cls(
+            **{f.name: getattr(scene, f.name) for f in fields(scene)},
+            joints=joints,
+            contacts=match.link_contacts(grasps.link_contacts),
+            surface=surface,
+            normals=normals,
+            center=np.array([objects[name].center_of_mass for name in names]),
+            extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+            weight=GRAVITY * grasps.object_mass,
+        )
+
+
+def project_to_surface(
+    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, iterations: int = 3
+) -> tuple[np.ndarray, np.ndarray]:
+    """Surface points nearest to points, by Newton steps ``p - d(p) n(p)`` down the signed distance.
+
+    Args:
+        bank: signed-distance grids.
+        grid: index of each row's grid in the bank, shape [N].
+        points: [m], shape [N, P, 3], object frame.
+        iterations: number of steps.
+
+    Returns:
+        surface points [m] and outward unit normals, each shape [N, P, 3].
+    """
+    surface, normal = np.empty(points.shape), np.empty(points.shape)
+    nearest_surfaces(bank.arrays, plain(grid, np.int64), plain(points), iterations, surface, normal)
+    return surface, normal
+
+
+def gradient_derivative(
+    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, reach: float
+) -> np.ndarray:
+    """Derivative of the signed distances' gradient by central differences, which also smooth edges.
+
+    Args:
+        bank, grid: as for ``project_to_surface``.
+        points: [m], shape [N, P, 3], object frame.
+        reach: half width of the differences [m].
+
+    Returns:
+        [1/m], shape [N, P, 3, 3]; the last axis is that of the point.
+    """
+    derivative = np.empty((*points.shape, 3))
+    gradient_derivatives(bank.arrays, plain(grid, np.int64), plain(points), reach, derivative)
+    return derivative
