@@ -9,7 +9,6 @@ from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception.acceptance import (
     ACCEPT,
     ACCEPTED_HAND,
-    OBJECT_WEIGHTS,
     Acceptance,
     Logistic,
     judge,
@@ -134,12 +133,6 @@ def test_shares_add_up_to_the_odds():
     shares = weights.shares({"a": 0.3, "b": 0.5})
     assert shares == pytest.approx({"a": 0.4, "b": -0.3})
     assert weights.probability({"a": 0.3, "b": 0.5}) == pytest.approx(1 / (1 + np.exp(-0.6)))
-
-
-def test_each_number_counts_one_way_only():
-    against = ("larger", "off", "left_over", "mask_piece", "other_size", "other_side", "rival")
-    assert all(weight <= 0 for name, (weight, _) in OBJECT_WEIGHTS.terms.items() if name in against)
-    assert all(weight >= 0 for name, (weight, _) in OBJECT_WEIGHTS.terms.items() if name not in against)
 
 
 def test_a_fitted_shape_is_said_to_be_one():

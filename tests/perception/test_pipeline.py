@@ -7,18 +7,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-import trimesh
 from hand_scenes import CAMERA, HandScene, hand_scene
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps.human_hand import mirror_points
-from fungrasp.objects import HeldObject, ObjectModel, builtin_object
+from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate, pipeline
 from fungrasp.perception.acceptance import SURE_JOINT, joint_probabilities, plausibility_warnings
 from fungrasp.perception.hand.detected_hand import DetectedHand, settle_side
-from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import write_folder
 from fungrasp.perception.object_pose.object_template import MeshRays
@@ -291,16 +288,6 @@ def test_no_other_hand_is_looked_for_where_this_one_rather_holds_the_object(monk
     assert len(looks) == looked
 
 
-def test_a_side_that_was_said_counts():
-    scene, detected = mug()
-    unlikely = dataclasses.replace(detected, side="left", side_score=0.6)
-    perceived = perceive(
-        scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene), side="right"
-    )
-    assert perceived.hand.side == "right" and perceived.grasp.object_name == "mug"
-    assert any("left one, not a right one as was said" in str(warning) for warning in perceived.warnings)
-
-
 def test_fingers_tell_which_hand_it_is_where_the_model_is_in_doubt():
     _, detected = mug()
     assert settle_side(detected)[0] is detected
@@ -358,30 +345,6 @@ def test_what_is_cut_off_at_the_edge_is_not_sure():
     assert found.hand.confidence.max() < SURE_JOINT < seen().hand.confidence.max()
 
 
-def test_a_hand_without_depth():
-    scene, detected = mug()
-    depth = scene.capture.depth.copy()
-    low, high = detected.pixels.min(axis=0).astype(int) - 30, detected.pixels.max(axis=0).astype(int) + 30
-    depth[low[1] : high[1], low[0] : high[0]] = 0
-    capture = Capture(scene.capture.color, depth, CAMERA)
-    with pytest.raises(FungraspError, match="no depth where the hand is"):
-        perceive(capture, scene.model, detector=StandIn(detected))
-
-
-def test_holes_in_depth_do_little_harm():
-    scene, detected = mug()
-    depth = scene.capture.depth.copy()
-    rng = np.random.default_rng(3)
-    for v, u in rng.integers(0, [CAMERA.height, CAMERA.width], (150, 2)):
-        depth[v : v + 16, u : u + 16] = 0
-    assert (depth == 0).mean() > 0.1
-    perceived = perceive(
-        Capture(scene.capture.color, depth, CAMERA, object_pixels()), scene.model, detector=StandIn(detected)
-    )
-    error = add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object)
-    assert error < 0.01 or not perceived.confident
-
-
 def test_the_wrong_mesh_is_not_believed():
     scene, detected = mug()
     perceived = perceive(
@@ -419,21 +382,12 @@ def test_a_mesh_in_millimetres_is_refused():
             perceive(scene.capture, model, detector=Forbidden())
 
 
-def test_an_object_out_of_view_is_not_believed():
-    scene, detected = mug()
-    nowhere = np.zeros((CAMERA.height, CAMERA.width), bool)
-    nowhere[:6, :6] = True
-    perceived = perceive(scene.capture.with_object(mask=nowhere), scene.model, detector=StandIn(detected))
-    assert not perceived.confident and any(
-        "pixels with depth" in str(warning) for warning in perceived.warnings
-    )
-
-
 def test_a_hand_too_faint_to_lead_to_the_table_is_kept_above_it():
     scene, detected = mug()
     faint = dataclasses.replace(detected, score=0.35)
     perceived = perceive(scene.capture, scene.model, detector=StandIn(faint), object_estimate=known(scene))
     assert perceived.table_found and not perceived.confident
+    assert "more of the hand" in perceived.acceptance.help[-1]
     np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
     assert np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1).mean() < 0.012
 
@@ -457,13 +411,6 @@ def test_without_a_table_the_world_is_a_guess():
     assert lowest == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_hand_of_low_score_is_not_believed():
-    scene, detected = mug()
-    unlikely = dataclasses.replace(detected, score=0.3)
-    perceived = perceive(scene.capture, scene.model, detector=StandIn(unlikely), object_estimate=known(scene))
-    assert not perceived.confident and "more of the hand" in perceived.acceptance.help[-1]
-
-
 def test_a_wall_is_no_table():
     """A wall close behind fills more of the image than the table."""
     scene, _ = mug()
@@ -483,37 +430,6 @@ def test_a_wall_is_no_table():
     found = table_under(walled, scene.joints, np.random.default_rng(0))
     assert found is not None
     np.testing.assert_allclose(found, scene.table, atol=0.01)
-
-
-def test_moving_the_camera_does_not_move_the_hand_on_the_object():
-    """Two views of one grasp: joints in the object's frame agree as well as they agree with the truth."""
-    rng = np.random.default_rng(5)
-    scene = hand_scene(MUG_ROW, rng)
-    first, second = (
-        perceive(view.capture, view.model, detector=StandIn(detected), object_estimate=known(view))
-        for view, detected in (mug(), (scene, scene.detected(rng)))
-    )
-    apart = np.linalg.norm(in_object(first) - in_object(second), axis=1)
-    assert apart.mean() < 0.02
-
-
-def test_the_mesh_may_have_colors():
-    scene, detected = mug()
-    paint = np.random.default_rng(0).integers(0, 255, (len(scene.model.vertices), 3))
-    colored = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
-    perceived = perceive(
-        scene.capture.with_object(object_pixels()),
-        HeldObject(scene.model, colored),
-        detector=StandIn(detected),
-    )
-    assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.006
-
-
-@pytest.mark.skipif(not have_weights(), reason="the hand models are not set up (fungrasp setup perception)")
-def test_without_a_hand_in_the_picture_the_real_detector_says_so():
-    scene, _ = mug()
-    with pytest.raises(FungraspError, match="no hand was found"):
-        perceive(scene.capture, scene.model, detector=MediaPipeHandDetector(threads=1))
 
 
 def test_the_record_goes_on_and_says_what_happened():
@@ -579,6 +495,7 @@ def test_a_side_that_the_image_denies_is_not_sure():
     )
     doubtful = dataclasses.replace(detected, side_score=0.6)
     said = perceive(scene.capture, scene.model, detector=StandIn(doubtful), side="left")
+    assert said.hand.side == "left" and said.grasp.object_name == "mug_mirrored"
     assert not said.acceptance.doubt and said.warnings[0].code == "side_not_as_given"
 
 
@@ -620,9 +537,3 @@ def test_what_looks_wrong_with_the_files_is_in_the_answer():
     said = perceive(capture, scene.model, detector=StandIn(detected)).as_json()
     assert not said["sure"] and said["doubts"][0] == said["acceptance"]["doubt"] == str(shifted)
     assert said["warnings"][0]["values"] == {"across": 16, "down": 0}
-
-
-def test_a_seed_is_not_negative():
-    scene, _ = mug()
-    with pytest.raises(FungraspError, match="seed must be 0 or more, not -1"):
-        perceive(scene.capture, scene.model, detector=Forbidden(), seed=-1)

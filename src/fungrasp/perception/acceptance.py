@@ -142,9 +142,7 @@ def joint_probabilities(
     the fit know nothing of wrong landmarks, nor of what a finger is behind.
 
     Args:
-        capture: the image.
         fitted: the hand before the object was known.
-        hand: as it was refined.
         object_known: whether the object's pose was accepted, and the hand touches it.
     """
     pixels = capture.intrinsics.project(hand.joints_camera)
@@ -296,8 +294,6 @@ def judge(
     """Whether object and hand can be used.
 
     Args:
-        thing: the object's pose.
-        hand: as it was refined.
         fitted: shape that stands for an object without a mesh.
         doubt: what speaks against it whatever the probabilities are.
         given: whether the pose came from elsewhere and was not looked for.
@@ -346,9 +342,7 @@ AGAINST = -0.5
 def object_help(thing: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
     """What would make an object's pose surer, most useful first; nothing where it is accepted.
 
-    Args:
-        thing: the object's pose.
-        given: whether it came from elsewhere.
+    given: whether it came from elsewhere.
     """
     e = thing.evidence
     if e is None or thing.accepted:
@@ -394,7 +388,6 @@ def check_held(hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel, *,
     Args:
         hand: camera frame.
         thing: the object's pose, camera frame.
-        model: the object.
         hinted: whether it was said where the object is.
 
     Raises:

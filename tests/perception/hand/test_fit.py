@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hand_scenes import CAMERA, hand_scene
 
-from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
@@ -49,29 +48,6 @@ def test_confidence_falls_where_the_covariance_grows(scenes):
     assert fit_hand(vague, scene.capture).score < hand.score
 
 
-def test_a_left_hand_is_the_mirror_image_of_a_right_one(scenes):
-    scene, detected = scenes[1]
-    right = fit_hand(detected, scene.capture)
-    mirror = np.array([-1.0, 1.0, 1.0])
-    seen = Capture(
-        scene.capture.color,
-        np.ascontiguousarray(scene.capture.depth[:, ::-1]),
-        dataclasses.replace(CAMERA, cx=CAMERA.width - 1 - CAMERA.cx),
-    )
-    left = fit_hand(
-        dataclasses.replace(
-            detected,
-            pixels=[CAMERA.width - 1, 0] + detected.pixels * mirror[:2],
-            shape_camera=detected.shape_camera * mirror,
-            side="left",
-        ),
-        seen,
-    )
-    assert left.side == "left"
-    np.testing.assert_allclose(left.joints_camera, right.joints_camera * mirror, atol=1e-6)
-    np.testing.assert_allclose(left.covariance[:, 0, 1], -right.covariance[:, 0, 1], atol=1e-9)
-
-
 def test_agreement_counts_landmarks_and_skin_that_is_seen_through():
     none = np.zeros((4, 1))
     landmarks = HandEvidence(np.zeros(4), none, outlier=4.0, group=2)
@@ -79,15 +55,6 @@ def test_agreement_counts_landmarks_and_skin_that_is_seen_through():
     assert image_agreement(landmarks, half) == 0.5
     assert image_agreement(landmarks, HandEvidence(np.zeros(0), np.zeros((0, 1)), outlier=np.zeros(0))) == 0.0
     assert image_agreement(HandEvidence(np.full(4, 99.0), none, outlier=4.0, group=2), half) < 1e-3
-
-
-def test_no_depth_at_the_hand_is_an_error(scenes):
-    scene, detected = scenes[0]
-    depth = scene.capture.depth.copy()
-    u, v = detected.pixels.mean(axis=0).astype(int)
-    depth[max(v - 150, 0) : v + 150, max(u - 150, 0) : u + 150] = 0
-    with pytest.raises(FungraspError, match="no depth where the hand is"):
-        fit_hand(detected, Capture(scene.capture.color, depth, CAMERA))
 
 
 def test_metres_come_from_depth_alone(scenes):

@@ -13,18 +13,12 @@ from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture
 from fungrasp.perception.hand import fit
 from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
-from fungrasp.perception.hand.fit import fit_held_hand as fit_held
-from fungrasp.perception.hand.fit import skeleton_through
+from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, explained_part, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import hand_view
 from fungrasp.perception.hand.image_evidence import point_evidence
 from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.hand.skeleton import SIZE
-
-
-def fit_held_hand(detected, capture, surroundings, joints, **options):
-    """The hand of least cost."""
-    return fit_held(detected, capture, surroundings, joints, **options)
 
 
 @pytest.fixture(scope="module")

@@ -27,13 +27,6 @@ def test_deprojecting_what_was_projected_gives_the_point(x, y, z):
     np.testing.assert_allclose(LENS.deproject(LENS.project(point), z), point, atol=1e-9)
 
 
-def test_projection_is_that_of_the_matrix():
-    point = np.array([0.2, -0.1, 0.8])
-    homogeneous = LENS.matrix @ point
-    np.testing.assert_allclose(LENS.project(point), homogeneous[:2] / homogeneous[2])
-    np.testing.assert_allclose(LENS.project(np.array([0, 0, 2.0])), [31.0, 24.5])
-
-
 def test_points_behind_the_camera_have_no_pixel():
     assert np.isnan(LENS.project(np.array([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0]]))).all()
 
@@ -71,6 +64,7 @@ def test_points_are_in_the_camera_frame_and_holes_are_nan():
         ({"mask": np.ones((48, 64), np.uint8)}, "array of bool"),
         ({"box": (10, 10, 5, 20)}, "x0 < x1"),
         ({"box": (100, 10, 120, 20)}, "outside the image"),
+        ({"box": (0.3, 0.2, 0.7, 0.6)}, "smaller than a pixel: it must be in pixels"),
     ],
 )
 def test_what_is_no_capture_is_refused_in_words(changes, words):
@@ -90,11 +84,3 @@ def test_what_is_no_capture_is_refused_in_words(changes, words):
 def test_what_is_no_lens_is_refused_in_words(field, value, words):
     with pytest.raises(FungraspError, match=words):
         dataclasses.replace(LENS, **{field: value})
-
-
-def test_the_object_may_be_marked_later():
-    mask = np.zeros((48, 64), bool)
-    mask[5:9, 5:9] = True
-    marked = a_capture().with_object(mask=mask, box=(5, 5, 9, 9))
-    assert marked.mask is mask
-    assert marked.box == (5, 5, 9, 9)

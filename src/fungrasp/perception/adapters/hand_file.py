@@ -24,11 +24,11 @@ from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.io.capture import Intrinsics
 from fungrasp.perception.io.estimates import Side
 
-VERSION = 1
-"""Version of the file format."""
+VERSION = 1  # Version of the file format.
 
 SOURCES = ("hamer", "wilor", "joints")
 
+# Our name of each field, and what the programs call it.
 ALIASES = {
     "joints": ("pred_keypoints_3d", "pred_3d_joints"),
     "translation": ("pred_cam_t_full", "transl"),
@@ -38,7 +38,6 @@ ALIASES = {
     "image_size": ("img_size",),
     "score": (),
 }
-"""Our name of each field, and what the programs call it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,14 +142,10 @@ def _content(path: Path) -> Mapping[str, Any]:
     raise FungraspError(f"{path}: a hand file is .json or .npz, not '{suffix}'{hint}")
 
 
-SIZES = (0.4, 2.0)
-"""Smallest and largest hand as a part of an adult's; beyond, the unit is wrong."""
-
+SIZES = (0.4, 2.0)  # Smallest and largest hand as a part of an adult's; beyond, the unit is wrong.
+# Fingers bent back by more than this in the mean [rad] belong to a hand of the other side.
 BENT_BACK = np.radians(20.0)
-"""Fingers bent back by more than this in the mean [rad] belong to a hand of the other side."""
-
-ASPECT = 0.02
-"""Part by which the shapes of two images that are the same one may differ."""
+ASPECT = 0.02  # Part by which the shapes of two images that are the same one may differ.
 
 
 def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
@@ -158,7 +153,6 @@ def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
 
     Args:
         fields: of the file; docs/adapters.md has them.
-        intrinsics: of the image.
 
     Returns:
         Landmarks in the image; shapes as if the hand were in the middle of it, as of our own detector; scores

@@ -26,12 +26,10 @@ from fungrasp.perception.hand.detected_hand import (
 from fungrasp.perception.io.capture import Box, CameraFrame, Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 
-MOST = 2
-"""So many hands of an image are looked at more closely."""
-
+MOST = 2  # So many hands of an image are looked at more closely.
+# A hand with no joint so near to the object's surface [m] does not hold it: joints of a finger that touches
+# are 6 to 11 mm from it, and estimated to 10 to 30 mm.
 HOLDING = 0.05
-"""A hand with no joint so near to the object's surface [m] does not hold it: joints of a finger that touches
-are 6 to 11 mm from it, and estimated to 10 to 30 mm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +53,7 @@ def hand_hypotheses(
     the two largest of the side.
 
     Args:
-        capture: the image.
-        hands: those found in it.
         near: box around the object [pixels], if its place is known.
-        side: which hand it is, if that is known.
         detector: found them; where there are none, it is asked for one of another size.
 
     Raises:
@@ -116,14 +111,7 @@ def hands_elsewhere(
     capture: Capture, known: Sequence[DetectedHand], side: Side | None, detector: HandDetector
 ) -> list[HandHypothesis]:
     """More hands, where those known are painted over: detectors stop at a hand that is easy to see, which may
-    be somebody else's. Empty if there are none.
-
-    Args:
-        capture: the image.
-        known: hands that were found and don't hold the object.
-        side: which hand it is, if that is known.
-        detector: finds hands.
-    """
+    be somebody else's. Empty if there are none. known: hands that were found and don't hold the object."""
     color, depth = capture.color.copy(), capture.depth.copy()
     ground = np.median(color.reshape(-1, 3), axis=0).astype(np.uint8)
     for hand in known:

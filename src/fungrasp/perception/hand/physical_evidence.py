@@ -32,21 +32,15 @@ from fungrasp.perception.hand.skeleton import (
     Skeleton,
 )
 
-SIZE_SPREAD = 0.1
-"""Standard deviation of the logarithm of adults' hand sizes: both sexes together."""
-
+SIZE_SPREAD = 0.1  # Standard deviation of the logarithm of adults' hand sizes: both sexes together.
+# Standard deviation of the logarithm of a bone's length in hands of one size, and what different makers of
+# landmarks mean by the same joint.
 BONE_SPREAD = 0.06
-"""Standard deviation of the logarithm of a bone's length in hands of one size, and what different makers of
-landmarks mean by the same joint."""
-
-BASE_SPREAD = 0.005
-"""Standard deviation of where a finger's base is in the palm [m]."""
-
+BASE_SPREAD = 0.005  # Standard deviation of where a finger's base is in the palm [m].
+# A joint bent beyond its limit by this much [rad] is one standard deviation out.
 LIMIT_SOFTNESS = np.radians(5.0)
-"""A joint bent beyond its limit by this much [rad] is one standard deviation out."""
-
+# Soft tissue gives way by so much [m]: nine in ten of the human grasps at hand have at most that.
 OVERLAP_SLACK = 0.0015
-"""Soft tissue gives way by so much [m]: nine in ten of the human grasps at hand have at most that."""
 
 
 def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
@@ -167,17 +161,14 @@ def _slopes(jacobian: np.ndarray, capsules: np.ndarray, part: np.ndarray) -> np.
     return (1 - part) * jacobian[HAND_CAPSULES.near[capsules]] + part * jacobian[HAND_CAPSULES.far[capsules]]
 
 
+# Gaps between skin and surface below which a link touches [m]: the last links of the fingers, all others.
+# Fingertips are on the object in nearly all grasps, only their estimate is off; other links pass by near it
+# and touch when they are pressed in. Against D-Grasp's labels, on 30 rendered captures of 16 YCB objects,
+# contacts have with these an F1 of 0.83 with the hands that were found, 0.87 with those fitted to the true
+# landmarks and noise; with 5 mm for all links 0.71 and 0.75.
 FINGERTIP_TOLERANCE, OTHER_TOLERANCE = 0.010, -0.005
-"""Gaps between skin and surface below which a link touches [m]: the last links of the fingers, all others.
-
-Fingertips are on the object in nearly all grasps, only their estimate is off; other links pass by near it and
-touch when they are pressed in. Against D-Grasp's labels, on 30 rendered captures of 16 YCB objects, contacts
-have with these an F1 of 0.83 with the hands that were found, 0.87 with those fitted to the true landmarks and
-noise; with 5 mm for all links 0.71 and 0.75.
-"""
-
+# Largest gap at which each of ``HUMAN_LINKS`` counts as touching [m].
 TOLERANCES = np.array([OTHER_TOLERANCE] + [OTHER_TOLERANCE, OTHER_TOLERANCE, FINGERTIP_TOLERANCE] * 5)
-"""Largest gap at which each of ``HUMAN_LINKS`` counts as touching [m]."""
 
 
 @dataclass(frozen=True)
@@ -186,12 +177,9 @@ class HandContactSettings:
 
     spread: float = 0.004
     """Standard deviation of the gap between a touching finger's skin and the surface [m]."""
-    reach: float = 0.008
-    """A gap beyond this [m] is likelier no contact."""
-    pad: float = 0.6
-    """Part of the hand's thickness that is between bone and surface when a finger presses."""
-    bone: float = 0.4
-    """Part of the hand's thickness that nothing goes into."""
+    reach: float = 0.008  # A gap beyond this [m] is likelier no contact.
+    pad: float = 0.6  # Part of the hand's thickness that is between bone and surface when a finger presses.
+    bone: float = 0.4  # Part of the hand's thickness that nothing goes into.
     penetration_spread: float = 0.003
     """Standard deviation of how deep that part is in the object or the table [m]."""
 
@@ -242,10 +230,7 @@ def contact_evidence(
 ) -> list[HandEvidence]:
     """Each finger's last link touches the object where it is nearest, if it is near; no part is inside.
 
-    Args:
-        hand, joints, jacobian: the skeleton, its joints and their derivatives.
-        surroundings: object and table.
-        settings: weights of that.
+    hand, joints, jacobian: the skeleton, its joints and their derivatives.
     """
     points, slopes = SURFACE_SAMPLES.place(joints, jacobian)
     radius = SURFACE_SAMPLES.radius * np.exp(hand.size)

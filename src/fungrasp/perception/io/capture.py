@@ -16,8 +16,8 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.estimates import PerceptionWarning
 
+# Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far.
 DEPTH_LIMIT = 20.0
-"""Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far."""
 
 Box = tuple[float, float, float, float]
 """``x0, y0, x1, y1`` [pixels]: left, top, right and bottom edge."""

@@ -16,6 +16,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import HUMAN_JOINTS
 
+# Sentence of each code, with the names of its values.
 MESSAGES: Mapping[str, str] = {
     # The files.
     "depth_shifted": (
@@ -60,7 +61,6 @@ MESSAGES: Mapping[str, str] = {
         "no table was seen: the camera was taken to be level and the table to be right below the grasp"
     ),
 }
-"""Sentence of each code, with the names of its values."""
 
 
 @dataclass(frozen=True)

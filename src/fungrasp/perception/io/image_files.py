@@ -20,8 +20,8 @@ from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
 from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
+# Images with a longer side [pixels] are made smaller: more pixels cost time and tell nothing more.
 LONGEST_SIDE = 1920
-"""Images with a longer side [pixels] are made smaller: more pixels cost time and tell nothing more."""
 
 _DEPTH_MODES = ("I", "I;16", "I;16B", "I;16L")
 _log = logging.getLogger(__name__)
@@ -41,14 +41,11 @@ def read_capture(
     """Read a color image, the depth aligned to it and the camera's intrinsics.
 
     Args:
-        color: PNG or JPEG.
         depth: 16-bit PNG (or TIFF with 16-bit or float pixels, or ``.npy``), 0 where nothing was measured;
             floats are metres if ``depth_unit`` is not given.
         intrinsics: JSON, see ``read_intrinsics``.
         depth_unit: metres per unit of the depth image; None takes what the intrinsics file says.
         mask: image that is not 0 where the object is.
-        box: round the object [pixels].
-        point: a pixel that shows the object.
         image: number of the image, for intrinsics of many images.
 
     Returns:
@@ -144,7 +141,6 @@ def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
     """Read an image that is not 0 where the object is.
 
     Args:
-        path: the image.
         shape: rows and columns it must have.
 
     Returns:
@@ -230,40 +226,21 @@ def _within(point: Pixel, stride: int, size: tuple[int, int]) -> Pixel:
     return min(u / stride, size[0] - 1.0), min(v / stride, size[1] - 1.0)
 
 
-DEPTH_RANGE = (0.1, 8.0)
-"""Where the middle of a capture's depth must lie [m]."""
-
-USUAL_DEPTH = (0.25, 3.0)
-"""Where it mostly lies [m]."""
-
-UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)
-"""Units of depth that cameras and data sets use [m]."""
-
-SHIFTS = np.arange(-28, 29, 4)
-"""Shifts between color and depth that are tried [pixels at 640 x 480]."""
-
-SHIFT_GAIN = 1.4
-"""How much better than where it is the depth must fit elsewhere to be called shifted."""
-
-STEP = 0.05
-"""Neighboring pixels whose depth differs by this [m] are the edge of a thing."""
-
+DEPTH_RANGE = (0.1, 8.0)  # Where the middle of a capture's depth must lie [m].
+USUAL_DEPTH = (0.25, 3.0)  # Where it mostly lies [m].
+UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)  # Units of depth that cameras and data sets use [m].
+SHIFTS = np.arange(-28, 29, 4)  # Shifts between color and depth that are tried [pixels at 640 x 480].
+SHIFT_GAIN = 1.4  # How much better than where it is the depth must fit elsewhere to be called shifted.
+STEP = 0.05  # Neighboring pixels whose depth differs by this [m] are the edge of a thing.
+# Only things nearer than this [m] count: farther away, noise makes steps where nothing ends.
 EDGES_WITHIN = 1.5
-"""Only things nearer than this [m] count: farther away, noise makes steps where nothing ends."""
-
-LEAST_EDGE = 100
-"""Least number of pixels of edges [at 640 x 480] for the alignment to be checked."""
-
+LEAST_EDGE = 100  # Least number of pixels of edges [at 640 x 480] for the alignment to be checked.
+# Columns and rows of parts of the image that are asked one by one, and pixels of edges that each must have
+# [at 640 x 480]: depth that is shifted is so everywhere, while stripes beside the edge of one thing, such as
+# the next finger, are in one place only.
 TILES, LEAST_TILE = 8, 20
-"""Columns and rows of parts of the image that are asked one by one, and pixels of edges that each must have
-[at 640 x 480]: depth that is shifted is so everywhere, while stripes beside the edge of one thing, such as
-the next finger, are in one place only."""
-
-TELLING = 0.2
-"""Parts in which the edges are stronger or weaker by less than this part are not asked."""
-
-AGREEING = 0.75
-"""Part of them in which the depth must fit better where it is said to belong."""
+TELLING = 0.2  # Parts in which the edges are stronger or weaker by less than this part are not asked.
+AGREEING = 0.75  # Part of them in which the depth must fit better where it is said to belong.
 
 
 def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
@@ -272,7 +249,6 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
     Args:
         depth: [m], shape [H, W].
         unit: metres per unit that was used.
-        where: name of the file, for messages.
 
     Raises:
         FungraspError: no measurement, or not plausible in metres; the message names the unit that would be.

@@ -16,11 +16,9 @@ from fungrasp.core.formats.json_file import read_json
 from fungrasp.perception.io.capture import Intrinsics
 from fungrasp.perception.io.estimates import PerceptionWarning
 
+# A camera's optical axis lies at most this part of the image's width or height from the image's middle.
 OFF_CENTRE = 0.3
-"""A camera's optical axis lies at most this part of the image's width or height from the image's middle."""
-
-FOCAL_RANGE = (0.25, 6.0)
-"""A camera's focal length, as a part of the image's longer side."""
+FOCAL_RANGE = (0.25, 6.0)  # A camera's focal length, as a part of the image's longer side.
 
 MILLIMETRE = 0.001
 
@@ -56,7 +54,6 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
       with ``width`` and ``height`` if wanted.
 
     Args:
-        path: the JSON file.
         size: of the color image, width and height [pixels].
         image: number of the image, for BOP's ``scene_camera.json``.
 

@@ -19,23 +19,13 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.capture import CameraFrame, Capture, Intrinsics
 from fungrasp.perception.io.image_files import check_depth_range
 
-RECORDINGS = (".bag", ".db3")
-"""Kinds of files in which a camera's images are recorded."""
-
-FIRST_WAIT = 5000
-"""Longest time that the first images may take [ms]: a camera has to start."""
-
-WAIT = 2000
-"""Longest time that each further one may take [ms]; a recording that gives none is at its end."""
-
+RECORDINGS = (".bag", ".db3")  # Kinds of files in which a camera's images are recorded.
+FIRST_WAIT = 5000  # Longest time that the first images may take [ms]: a camera has to start.
+WAIT = 2000  # Longest time that each further one may take [ms]; a recording that gives none is at its end.
+# Formats of color that are understood, and where red, green and blue are in them.
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-"""Formats of color that are understood, and where red, green and blue are in them."""
-
-LARGEST_AGE = 1.0
-"""A time stamp of longer ago [s] is of a clock that was set meanwhile."""
-
-DISTORTION = 1e-6
-"""Coefficients below this are none."""
+LARGEST_AGE = 1.0  # A time stamp of longer ago [s] is of a clock that was set meanwhile.
+DISTORTION = 1e-6  # Coefficients below this are none.
 
 _log = logging.getLogger(__name__)
 

@@ -16,15 +16,13 @@ from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
 
+# Names of the files in a capture's own folder.
 COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
-"""Names of the files in a capture's own folder."""
-
+# Units [m] in which depth is written: the coarse one where the fine one does not reach.
 FINE, COARSE = 0.0001, 0.001
-"""Units [m] in which depth is written: the coarse one where the fine one does not reach."""
-
+# Stands for the image that comes with the package, where no folder has this name: a rendered one of a person
+# who holds the built-in spray bottle, and the truth about it.
 BUILTIN, BUILTIN_CAPTURE = "builtin", Path(__file__).parent / "builtin_capture"
-"""Stands for the image that comes with the package, where no folder has this name: a rendered one of a person
-who holds the built-in spray bottle, and the truth about it."""
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
@@ -116,8 +114,6 @@ def read_bop(scene: str | Path, image: int, depth_unit: float | None = None) -> 
         <scene>/depth/000000.png
 
     Args:
-        scene: the scene's folder.
-        image: its number.
         depth_unit: meters per unit of depth, in place of the scene's.
 
     Raises:
@@ -139,7 +135,6 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None)
 
     Args:
         camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
-        frame: its number.
         depth_unit: meters per unit of depth, in place of a millimeter.
 
     Raises:

@@ -41,23 +41,13 @@ from fungrasp.perception.scene.table import largest_plane
 if TYPE_CHECKING:
     import trimesh
 
-GOOD = (0.85, 0.6)
-"""Quality of an answer that needs no second search, with and without a mask."""
-
+GOOD = (0.85, 0.6)  # Quality of an answer that needs no second search, with and without a mask.
+# The same where depth is smoothed: no answer is as good there, and polishing makes up for it.
 GOOD_SMOOTHED = 0.55
-"""The same where depth is smoothed: no answer is as good there, and polishing makes up for it."""
-
-COLOR_WEIGHT = 0.15
-"""Quality that full agreement of colors adds, as a part of the best pose's."""
-
-POLISHED = 6
-"""Poses that are polished where depth is smoothed."""
-
-RAYS = 1000
-"""About how many rays that meet a mask an answer is judged by."""
-
-ANSWERS = 5
-"""Most alternatives that are kept."""
+COLOR_WEIGHT = 0.15  # Quality that full agreement of colors adds, as a part of the best pose's.
+POLISHED = 6  # Poses that are polished where depth is smoothed.
+RAYS = 1000  # About how many rays that meet a mask an answer is judged by.
+ANSWERS = 5  # Most alternatives that are kept.
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +81,9 @@ def estimate_object_pose(
     ``accepted`` False and warnings.
 
     Args:
-        capture: color and depth.
         mesh: the object [m]; a trimesh with colors settles which way round a nearly symmetric object is.
-        hand: what holds it, if known.
         table: plane ``[nx ny nz d]`` with ``n . x + d`` the height of a point above it [m], camera frame,
             shape [4]; looked for in the image if None.
-        seed: the same seed gives the same answer.
 
     Raises:
         FungraspError: the mesh has no faces.
@@ -219,8 +206,7 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
     return PoseAnswers(pose[None], none, float("nan"), problem=why)
 
 
-ALLOWED = 0.25
-"""A pixel whose confidence to show a thing is below this is not the object's."""
+ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not the object's.
 
 
 def score_given_pose(
@@ -240,11 +226,7 @@ def score_given_pose(
 
     Args:
         thing: a pose as another program gave it.
-        capture: color and depth.
-        mesh: the object [m].
-        hand: what holds it, if known.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], if known.
-        seed: the same seed gives the same answer.
         improve: whether to give the best fit nearby instead of the pose itself.
 
     Returns:

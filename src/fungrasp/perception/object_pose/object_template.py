@@ -32,8 +32,8 @@ from fungrasp.objects.disk_cache import cached_on_disk
 if TYPE_CHECKING:
     import trimesh
 
+# Rays that meet nothing end so far away [m]; what is farther than the second was not met.
 NOWHERE, BEYOND = 1e6, 1e3
-"""Rays that meet nothing end so far away [m]; what is farther than the second was not met."""
 
 
 class MeshRays:
@@ -95,15 +95,11 @@ class MeshRays:
         return depth
 
 
-SAMPLES = 1000
-"""Surface samples of a known object."""
-
-KNOWN_FORMAT = 1
-"""Goes up when the same mesh should give other samples or symmetries."""
-
+SAMPLES = 1000  # Surface samples of a known object.
+KNOWN_FORMAT = 1  # Goes up when the same mesh should give other samples or symmetries.
+# Channels that differ by less (0 to 1) are gray. A mesh of one gray is likelier without color, as programs
+# write it, than a gray thing.
 GRAY = 0.03
-"""Channels that differ by less (0 to 1) are gray. A mesh of one gray is likelier without color, as programs
-write it, than a gray thing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +283,6 @@ def starting_poses(known: ObjectTemplate, points: np.ndarray, quaternions: np.nd
     the same corner of the other's, nearest point at nearest point.
 
     Args:
-        known: the object.
         points: measured on it [m], camera frame, shape [P, 3].
         quaternions: wxyz, shape [H, 4].
 

@@ -14,28 +14,18 @@ from fungrasp.perception.object_pose.search import ObjectEvidence, free_space
 from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import Segmentation, segment
 
-LEAST_PIXELS = 80
-"""Fewer measured pixels of the object don't tell its pose."""
-
+LEAST_PIXELS = 80  # Fewer measured pixels of the object don't tell its pose.
+# What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
+# size: those of a stick are 0.5 away at most, if its middle is seen.
 TOO_LARGE = 0.6
-"""What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
-size: those of a stick are 0.5 away at most, if its middle is seen."""
-
+# Part of a mask's pixels that may show something else far from the rest: masks drawn in labeling tools have
+# holes and rims.
 BACKGROUND = 0.5
-"""Part of a mask's pixels that may show something else far from the rest: masks drawn in labeling tools have
-holes and rims."""
-
-COMPARED = 400
-"""So many of a mask's points are compared with each other to find where most of them are."""
-
+COMPARED = 400  # So many of a mask's points are compared with each other to find where most of them are.
+# Where depth is smoothed, a surface may be in front of it by so many standard deviations more.
 SMOOTHED = 2.0
-"""Where depth is smoothed, a surface may be in front of it by so many standard deviations more."""
-
-SURE = 0.9
-"""Pixels that show the background by this probability show no object, whatever their depth is."""
-
-WIDEST = 960
-"""Longer images [pixels] are thinned out: more pixels cost time and do not help."""
+SURE = 0.9  # Pixels that show the background by this probability show no object, whatever their depth is.
+WIDEST = 960  # Longer images [pixels] are thinned out: more pixels cost time and do not help.
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +117,6 @@ def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tup
     Args:
         capture: with a mask.
         size: longest distance within the object [m].
-        rng: chooses points that are compared.
 
     Returns:
         the mask, shape [H, W] bool; how large a thing all of it would be [m].
@@ -157,11 +146,9 @@ def object_evidence(
     """What a mask says about the object.
 
     Args:
-        capture: the image.
         mask: pixels that show the object, shape [H, W] bool.
         seen: what each pixel shows, and how certain its depth is.
         table: plane ``[nx ny nz d]``, camera frame, or None.
-        rng: shuffles the points.
     """
     shown = mask & capture.measured
     rows, columns = np.nonzero(shown)
@@ -184,8 +171,6 @@ def explained_mask(
     """Pixels whose depth is that of the mesh, shape [H, W] bool.
 
     Args:
-        known: the object.
-        capture: the image.
         pose: object in the camera frame, shape [7].
         allowed: pixels that may belong to the object, shape [H, W] bool.
     """

@@ -23,25 +23,17 @@ from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.scoring import PoseScorer
 from fungrasp.perception.object_pose.silhouette_edges import silhouette_edges
 
-SIZE_RAYS = 170
-"""About how many rays decide whether another size of the mesh fits as well."""
-
+SIZE_RAYS = 170  # About how many rays decide whether another size of the mesh fits as well.
+# Sizes that are tried of the whole mesh, and of each side alone.
 WHOLE, SIDES = (0.67, 0.82, 1.22, 1.5), (0.75, 1.33)
-"""Sizes that are tried of the whole mesh, and of each side alone."""
-
+# Poses that are tried of each size, one after the other; standard deviations of their shift [m] and turn
+# [degrees].
 SETTLED = ((8, 0.004, 4.0), (5, 0.002, 2.0), (5, 0.001, 1.0))
-"""Poses that are tried of each size, one after the other; standard deviations of their shift [m] and turn
-[degrees]."""
-
+# A pose so far from another (ADD-S [m]), or turned by more than this [degrees], is a different answer,
+# however well it fits.
 RIVAL_DISTANCE, TURNED = 0.01, 30.0
-"""A pose so far from another (ADD-S [m]), or turned by more than this [degrees], is a different answer,
-however well it fits."""
-
-CLOSE = 0.1
-"""Poses whose score is lower by less than this fit almost as well."""
-
-SAME = 0.001
-"""Poses whose surfaces are nearer than this on average [m] look the same: a symmetry."""
+CLOSE = 0.1  # Poses whose score is lower by less than this fit almost as well.
+SAME = 0.001  # Poses whose surfaces are nearer than this on average [m] look the same: a symmetry.
 
 
 def pose_evidence(
@@ -50,12 +42,9 @@ def pose_evidence(
     """The record of one pose.
 
     Args:
-        view: the image.
-        scorer: with many rays.
         pose: object in the camera frame, shape [7].
         owner: the mask that it was fitted to.
         rival: quality of the best different pose.
-        rng: of the tries of other sizes.
     """
     scores = scorer(pose[None], np.array([owner]))
     points = view.evidence[owner].points
@@ -90,11 +79,9 @@ def scale_ambiguity(
     its ends: a mesh that is too short mostly lies at one end of the thing.
 
     Args:
-        scorer: scores poses.
         pose: object in the camera frame, shape [7].
         owner: the mask that it was fitted to.
         anchor: middle of what is seen of the object [m], camera frame, shape [3].
-        rng: of the moves.
 
     Returns:
         Logarithms of the quality over the mesh's own, below 0 where it is worse: of the best other size of
@@ -134,7 +121,6 @@ def best_rival(known: ObjectTemplate, poses: np.ndarray, quality: np.ndarray) ->
     """Quality of the best answer that is another than the first, 0 where there is none.
 
     Args:
-        known: the object.
         poses: shape [H, 7].
         quality: shape [H].
     """

@@ -31,11 +31,10 @@ from fungrasp.perception.object_pose.object_template import (
 )
 from fungrasp.perception.object_pose.scoring import PoseScorer
 
+# A pixel shows something behind the object if it is deeper by this [m] than the object's nearest pixel.
 BEHIND = 0.01
-"""A pixel shows something behind the object if it is deeper by this [m] than the object's nearest pixel."""
-
+# Pixels whose color is the background's forbid the object so far behind what is seen of it [m].
 NOWHERE = 0.2
-"""Pixels whose color is the background's forbid the object so far behind what is seen of it [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,16 +81,11 @@ class ObjectEvidence:
 class IcpSettings:
     """One round of the coarse-to-fine fit."""
 
-    iterations: int
-    """Gauss-Newton steps."""
-    points: int
-    """Number of measured points that are used."""
-    samples: int
-    """Number of surface samples that are used."""
-    scale: float
-    """Distance [m] at which a point's pull has fallen to a quarter."""
-    free_weight: float = 1.0
-    """Weight of a surface sample in free space, in that of a measured point."""
+    iterations: int  # Gauss-Newton steps.
+    points: int  # Number of measured points that are used.
+    samples: int  # Number of surface samples that are used.
+    scale: float  # Distance [m] at which a point's pull has fallen to a quarter.
+    free_weight: float = 1.0  # Weight of a surface sample in free space, in that of a measured point.
     free_scale: float = 0.02
     """Intrusion of a surface sample into free space [m] at which its pull has fallen to a quarter."""
 
@@ -104,10 +98,7 @@ def fit_poses(
     ``rho(r) = r^2 / (1 + (r / scale)^2)``, means over the points or samples used.
 
     Args:
-        surface: the object.
-        evidence: the image.
         poses: starts, object in the camera frame, shape [H, 7].
-        settings: of this round.
 
     Returns:
         poses, shape [H, 7]; the sum before the last step [m^2], shape [H].
@@ -174,7 +165,6 @@ def free_space(
 
     Args:
         depth: [m], shape [H, W]; 0: not measured.
-        intrinsics: of the depth image.
         shown: which pixels show the object, bool, shape [H, W].
         table: its plane, see ``FreeSpace``.
         tolerance: how far a surface may be in front of the measurement, or below the table [m].
@@ -217,14 +207,10 @@ class PoseSearchSettings:
     as many, and of all masks together in the other two."""
 
 
-TYPICAL_SIZE = 0.25
-"""Diagonal of the box round the object for which the settings are made [m]."""
-
+TYPICAL_SIZE = 0.25  # Diagonal of the box round the object for which the settings are made [m].
+# Standard deviations of the random moves of a polished pose: shift [m] and turn [degrees].
 POLISH_STEPS = ((0.006, 12.0), (0.005, 8.0), (0.003, 6.0), (0.002, 4.0), (0.0012, 2.5))
-"""Standard deviations of the random moves of a polished pose: shift [m] and turn [degrees]."""
-
-POLISH_TRIES = 40
-"""Random moves of each pose in each round."""
+POLISH_TRIES = 40  # Random moves of each pose in each round.
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,15 +230,7 @@ def search_poses(
     rng: np.random.Generator,
     settings: PoseSearchSettings,
 ) -> PoseHypotheses:
-    """Poses that explain the image.
-
-    Args:
-        known: the object.
-        evidence: of each mask.
-        scorers: one with few rays, one with many.
-        rng: turns the grid of rotations.
-        settings: how much to try.
-    """
+    """Poses that explain the image. scorers: one with few rays, one with many."""
     growth = float(np.clip(known.size / TYPICAL_SIZE, 0.5, 1.4))
     coarse = [replace(r, scale=growth * r.scale) for r in settings.rounds[:3]]
     pool, owners = [], []

@@ -17,55 +17,33 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.object_pose.object_view import ObjectView
 from fungrasp.perception.scene.table import plane_tolerance
 
-SILHOUETTE_RAYS = 40_000
-"""At most about so many rays draw the silhouette."""
-
+SILHOUETTE_RAYS = 40_000  # At most about so many rays draw the silhouette.
+# Lines across the rim end so far inside and outside [pixels]: the other side of a small thing is farther.
 REACH = 14
-"""Lines across the rim end so far inside and outside [pixels]: the other side of a small thing is farther."""
-
+# Standard deviation of where the color is expected to change from the rim [pixels]: of two changes of one
+# strength the nearer one counts.
 NEAR = 6.0
-"""Standard deviation of where the color is expected to change from the rim [pixels]: of two changes of one
-strength the nearer one counts."""
-
-APART = 2
-"""Colors are compared so far to both sides of a place [pixels]: outlines are a pixel or two wide."""
-
-LINES = 400
-"""At most about so many lines."""
-
-FEWEST = 15
-"""Fewer lines do not tell."""
-
+APART = 2  # Colors are compared so far to both sides of a place [pixels]: outlines are a pixel or two wide.
+LINES = 400  # At most about so many lines.
+FEWEST = 15  # Fewer lines do not tell.
+# Lines are not used where, so near the rim [pixels], something is in front of the object or the image ends on
+# more than this part of them.
 CLEAR, BLOCKED = 8, 0.15
-"""Lines are not used where, so near the rim [pixels], something is in front of the object or the image ends
-on more than this part of them."""
-
+# What is measured nearer than the mesh by more than this [m] and three standard deviations is in front of it.
 IN_FRONT = 0.004
-"""What is measured nearer than the mesh by more than this [m] and three standard deviations is in
-front of it."""
-
-FAINT = 3.0
-"""Lines on which colors change by less [of 255] do not tell: the noise of a camera is more."""
-
-STILL = 5.0
-"""So many lines that say the outline does not move are added: few lines move it little."""
-
+FAINT = 3.0  # Lines on which colors change by less [of 255] do not tell: the noise of a camera is more.
+STILL = 5.0  # So many lines that say the outline does not move are added: few lines move it little.
+# Parts of the outline, by the direction from its middle: too short a mesh is wrong at one end only.
 EIGHTHS = 8
-"""Parts of the outline, by the direction from its middle: too short a mesh is wrong at one end only."""
-
-FEW = 6
-"""Fewer lines do not tell about such a part."""
-
+FEW = 6  # Fewer lines do not tell about such a part.
+# Percentile of the distances of the object's pixels from the silhouette: single pixels are wrong.
 LEFT_OVER = 99.5
-"""Percentile of the distances of the object's pixels from the silhouette: single pixels are wrong."""
-
+# Pixels of a mask so near to the silhouette are its rim, and so are pieces of which no pixel is farther away
+# than the second [pixels]: outlines are a pixel or two wide.
 RIM = 2.5, 5.0
-"""Pixels of a mask so near to the silhouette are its rim, and so are pieces of which no pixel is farther away
-than the second [pixels]: outlines are a pixel or two wide."""
-
+# What is farther from the silhouette, or deeper than the object, by more than this part of the mesh's size is
+# another thing.
 ANOTHER = 0.5
-"""What is farther from the silhouette, or deeper than the object, by more than this part of the mesh's size
-is another thing."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +67,6 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> Silhouet
     """Compare the silhouette of a pose with the image.
 
     Args:
-        view: the image.
         pose: object in the camera frame, shape [7].
         owner: the mask that it was fitted to.
     """

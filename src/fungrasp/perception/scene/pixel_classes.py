@@ -21,34 +21,18 @@ from scipy import ndimage
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.io.capture import Capture, depth_noise
 
-REACH = 12
-"""A step is looked for within so many pixels to both sides [pixels of an image 640 wide]."""
-
-SIDE = 5
-"""Length of the even stretch that must follow on both sides [pixels]."""
-
+REACH = 12  # A step is looked for within so many pixels to both sides [pixels of an image 640 wide].
+SIDE = 5  # Length of the even stretch that must follow on both sides [pixels].
+# Least and largest step that is looked at [m]: smaller ones drown in noise, larger ones are seldom outlines
+# of what is near.
 STEPS = (0.025, 0.35)
-"""Least and largest step that is looked at [m]: smaller ones drown in noise, larger ones are seldom outlines
-of
-what is near."""
-
-FARTHEST = 1.5
-"""Depth beyond this [m] is not looked at."""
-
-LEAST_STEPS = 40
-"""Fewer steps don't tell how wide they are."""
-
-EVEN = 0.15
-"""How much the depth may change beside a step, per pixel, as a part of the step's own mean slope."""
-
-SHARP = 2.0
-"""Width of steps that is taken where they can't be measured [pixels]."""
-
-SMOOTHED = 6.0
-"""Wider steps are worth a warning [pixels]; rendered ones are 0 to 4 pixels wide."""
-
+FARTHEST = 1.5  # Depth beyond this [m] is not looked at.
+LEAST_STEPS = 40  # Fewer steps don't tell how wide they are.
+EVEN = 0.15  # How much the depth may change beside a step, per pixel, as a part of the step's own mean slope.
+SHARP = 2.0  # Width of steps that is taken where they can't be measured [pixels].
+SMOOTHED = 6.0  # Wider steps are worth a warning [pixels]; rendered ones are 0 to 4 pixels wide.
+# Standard deviation of the depth near a step, as a part of the step: of an even mixture of both sides.
 MIXED = 0.3
-"""Standard deviation of the depth near a step, as a part of the step: of an even mixture of both sides."""
 
 
 def filled(depth: np.ndarray) -> np.ndarray:
@@ -112,62 +96,38 @@ def depth_spread(depth: np.ndarray, width: float) -> np.ndarray:
     return np.hypot(noise, MIXED * np.maximum(step - noise, 0.0))
 
 
+# Levels of each channel in a table of colors: fine enough to tell shades of blue, coarse enough for some
+# hundred samples.
 LEVELS = 12
-"""Levels of each channel in a table of colors: fine enough to tell shades of blue, coarse enough for some
-hundred samples."""
-
-UNKNOWN = 0.03
-"""Part of a class's colors that were not among its samples: shadows, highlights, other things."""
-
+UNKNOWN = 0.03  # Part of a class's colors that were not among its samples: shadows, highlights, other things.
+# Beyond the hand's surface by the first, a pixel is as likely skin as not; width of that decision [m]: hands
+# are found to 4 to 7 pixels, some 5 mm.
 SKIN_EDGE = (0.004, 0.005)
-"""Beyond the hand's surface by the first, a pixel is as likely skin as not; width of that decision [m]: hands
-are found to 4 to 7 pixels, some 5 mm."""
-
+# The object may be so high above the table as well as lower [m]: its depth is spread evenly over that.
 HEIGHTS = 0.08
-"""The object may be so high above the table as well as lower [m]: its depth is spread evenly over that."""
-
+# No depth or place speaks more strongly against a class (logarithm): colors may still win by far.
 FARTHEST_OUT = 8.0
-"""No depth or place speaks more strongly against a class (logarithm): colors may still win by far."""
-
+# Standard deviation of a mesh's colors from those of the image: logarithms of red and blue over green. Light
+# and white balance shift them by some tenths.
 TONE = 0.12
-"""Standard deviation of a mesh's colors from those of the image: logarithms of red and blue over green.
-Light and
-white balance shift them by some tenths."""
-
-DARKEST = 8.0
-"""Added to colors, 0 to 255, before the logarithm is taken: darker ones have no tone."""
-
+DARKEST = 8.0  # Added to colors, 0 to 255, before the logarithm is taken: darker ones have no tone.
+# Part of a surface's colors that are brighter or darker than where it was looked at: shadows of the hand.
 SHADED = 0.2
-"""Part of a surface's colors that are brighter or darker than where it was looked at: shadows of the
-hand."""
-
+# Part of the objects that have the color of the hand that holds them, and of those that have the table's: so
+# much colors may say against a pixel, and no more.
 ALIKE = 0.1
-"""Part of the objects that have the color of the hand that holds them, and of those that have the table's:
-so
-much colors may say against a pixel, and no more."""
-
+# Skin is of one tone, overexposed or not, to so many ``TONE``; what else was sampled is in front of it.
 SKIN_TONES = 2.0
-"""Skin is of one tone, overexposed or not, to so many ``TONE``; what else was sampled is in front of it."""
-
-TONE_BINS = 15
-"""Bins of each tone, for +- 1.5."""
-
-ROUNDS = 2
-"""How often the object's colors are learned from what was found: more rounds changed nothing."""
-
-LEAST_SAMPLES = 25
-"""Fewer pixels say nothing about the object's colors."""
-
-NEVER = -16.0
-"""Logarithm of the odds of a pixel that can't show the object."""
-
+TONE_BINS = 15  # Bins of each tone, for +- 1.5.
+ROUNDS = 2  # How often the object's colors are learned from what was found: more rounds changed nothing.
+LEAST_SAMPLES = 25  # Fewer pixels say nothing about the object's colors.
+NEVER = -16.0  # Logarithm of the odds of a pixel that can't show the object.
+# Neighboring pixels (standard deviation) show the same thing: they share their evidence [pixels].
 SMOOTHING = 1.2
-"""Neighboring pixels (standard deviation) show the same thing: they share their evidence [pixels]."""
-
+# Color of each cell, shape [LEVELS^3, 3].
 _CELL_COLORS = (np.stack(np.unravel_index(np.arange(LEVELS**3), (LEVELS,) * 3), axis=-1) + 0.5) * (
     256.0 / LEVELS
 )
-"""Color of each cell, shape [LEVELS^3, 3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +170,7 @@ def classify(
 ) -> PixelClasses:
     """Put colors, depth and place together.
 
-    Args:
-        capture: the image.
-        evidence: of each pixel.
-        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
+    mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
     """
     color = ndimage.gaussian_filter(capture.color.astype(np.float32), (SMOOTHING / 2, SMOOTHING / 2, 0))
     index = color_cells(color)
@@ -320,7 +277,6 @@ def hand_in_image(capture: Capture, joints: np.ndarray, radii: np.ndarray, lines
     shape [H, W].
 
     Args:
-        capture: the image.
         joints: of the hand [m], camera frame, shape [21, 3].
         radii: half the hand's thickness round each line [m], shape [L].
         lines: joints at the ends of each line, shape [L, 2] int.
@@ -345,7 +301,6 @@ def palm_pixels(capture: Capture, joints: np.ndarray, outline: np.ndarray) -> np
     most of those have, so that what is in front of the hand does not count.
 
     Args:
-        capture: the image.
         joints: of the hand [m], camera frame, shape [21, 3].
         outline: distance from its outline in the image, see ``hand_in_image``.
     """
