@@ -28,7 +28,7 @@ from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
 from fungrasp.sim2real import draw
 from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings, build_scene
-from fungrasp.simulation.warp_worlds import MujocoWarpWorlds
+from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
 from fungrasp.task import Belief
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library

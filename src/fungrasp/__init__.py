@@ -19,7 +19,8 @@ from fungrasp.core.version import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
-    "deployment.deployment_result": "DeploymentSpec",
+    "deployment.observer": "DeploymentObserver",
+    "deployment.spec": "DeploymentSpec",
     "evaluation": "LiftTestSpec evaluate static_quality",
     "evaluation.plans": "plan",
     "grasps": (

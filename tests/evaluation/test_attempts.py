@@ -11,7 +11,7 @@ from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, result_json
 from fungrasp.geometry.poses import compose
 from fungrasp.planning import MotionPlanner
-from fungrasp.policies.scripted import plan_step
+from fungrasp.policies.open_loop import plan_step
 from fungrasp.sim2real import REALITY, MeasurementError, Randomization
 from fungrasp.task import Action, GraspPlan, Observation
 

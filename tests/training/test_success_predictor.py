@@ -17,7 +17,7 @@ from fungrasp.policies import make_planner, make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.export import halved, make_card

@@ -11,7 +11,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-from fungrasp.policies.residual_action import Base, ResidualSettings
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.environment import HISTORY, TrainingEnvironment
@@ -31,7 +30,6 @@ from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.folder import check_environment, environment_state, read_checkpoint
 from fungrasp.training.networks import ColoredGaussian, StudentGraph, make_student, tensors
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.settings import PpoSettings
 from fungrasp.training.training_sets import TrainingSet
 
 
@@ -148,20 +146,6 @@ def test_plans_are_chosen_by_how_uncertain_their_success_is():
     assert np.mean(np.array(chosen) == 0) == pytest.approx(0.3 / 0.35, abs=0.07)
 
 
-def test_noise_is_correlated_where_planned_motions_are_corrected_and_nowhere_else():
-    def correlation(base: Base, **settings: Any) -> float:
-        worlds = environment(residual=ResidualSettings(base))
-        noise = Trainer(worlds, PpoSettings(hidden=(8,), **settings)).actor.distribution
-        assert isinstance(noise, ColoredGaussian)
-        noise.update(torch.zeros(8, worlds.actions))
-        samples = torch.stack([noise.sample() for _ in range(400)]).detach()
-        return float((samples[1:] * samples[:-1]).mean() / samples.var())
-
-    assert correlation("plan") == pytest.approx(0.95, abs=0.05)
-    assert correlation("guided") == pytest.approx(0.0, abs=0.05)
-    assert correlation("guided", noise_correlation=0.5) == pytest.approx(0.5, abs=0.05)
-
-
 def test_noise_has_the_stated_correlation_and_spread():
     torch.manual_seed(0)
     noise = ColoredGaussian(3, worlds=400, correlation=0.9, init_std=0.2, std_type="log")
@@ -171,6 +155,9 @@ def test_noise_has_the_stated_correlation_and_spread():
     for lag in (1, 5):
         correlation = (samples[lag:] * samples[:-lag]).mean() / samples.var()
         assert correlation.item() == pytest.approx(0.9**lag, abs=0.05)
+    for base, wanted in (("plan", 0.95), ("guided", 0.0)):
+        chosen = Trainer(environment(residual=ResidualSettings(base)), PPO).actor.distribution
+        assert isinstance(chosen, ColoredGaussian) and chosen._correlation == wanted, base
 
 
 def test_checkpoints_of_other_hands_are_refused(tmp_path):

@@ -37,7 +37,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
-    "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
+    "setup": ("fungrasp.cli.doctor:SETUP", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
@@ -46,15 +46,18 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
+    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
+    "train --ray": "start one training for each job of your cluster",
+    "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
+    "train --sweep": "give each value in a loop of your shell, each training its own --out",
     "perceive --countdown": "--camera takes its image at once",
     "perceive --frames": "give one image; where it is not sure, give another from elsewhere",
     "perceive --page": "--camera takes its image at once; --report shows it",
     "perceive --no-page": "--camera takes its image at once; --report shows it",
     "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
-    "train --ray": "start one training for each job of your cluster",
-    "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
-    "train --sweep": "give each value in a loop of your shell, each training its own --out",
 }
 """What is used now in place of a command, "command subcommand", "command --option" or "command subcommand
 --option" that has left."""

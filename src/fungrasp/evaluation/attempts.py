@@ -27,7 +27,7 @@ from fungrasp.planning.next_attempt import (
     worth_trying,
 )
 from fungrasp.planning.withdrawal import Waypoints, way_off, way_round
-from fungrasp.policies.waypoints import WaypointPolicy
+from fungrasp.policies.open_loop import WaypointPolicy
 from fungrasp.sim2real import random_stream
 from fungrasp.task import Action, Belief, GraspPlan, LiftEnvironment, Outcomes, Policy, PrivilegedPolicy, play
 from fungrasp.task.attempt_judge import AttemptJudge, TrackedFrames

@@ -12,9 +12,8 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
-from fungrasp.policies.residual_policy import check_card, residual_policy
-from fungrasp.policies.scripted import OpenLoopPolicy
-from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.policies.open_loop import OpenLoopPolicy
+from fungrasp.policies.residual_policy import NetworkPredictor, check_card, residual_policy
 from fungrasp.task import LiftProtocol, Policy, PrivilegedPolicy
 
 REFERENCE = "reference"
@@ -101,8 +100,6 @@ def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Po
 
     Args:
         name: as for ``policy_files``.
-        hand: that it moves.
-        objects: by name, all that it may meet.
 
     Raises:
         FungraspError: no such policy, or one for another hand.
@@ -124,8 +121,6 @@ def make_planner(
 
     Args:
         name: of the policy, as for ``policy_files``.
-        hand: that it moves.
-        objects: by name.
         settings: of the selection among candidates; the defaults if None.
         protocol: of the motions; the published one if None.
         threads: 0 means all processors. Plans do not depend on it.

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +29,7 @@ from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
 from fungrasp.sim2real.joint_dynamics import identified_hand
-from fungrasp.training.environment import HISTORY, TrainingEnvironment
+from fungrasp.training.environment import HISTORY, Step, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.folder import (
     RunFolder,
@@ -38,7 +39,8 @@ from fungrasp.training.folder import (
     restore_environment,
     write_checkpoint,
 )
-from fungrasp.training.networks import StudentModel, make_student, played, tensors
+from fungrasp.training.imitation import imitated_round, learn_imitation
+from fungrasp.training.networks import make_student
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import DistillSettings, StudentSpec, TrainSpec
@@ -51,6 +53,9 @@ STUDENT = "student.onnx"
 
 CHECKPOINT_ROUNDS = 10
 """Rounds between two checkpoints."""
+
+LARGEST_GRADIENT = 1.0
+"""Norm to which gradients of all weights together are cut."""
 
 ROUNDS = "rounds"
 """Folder beside the checkpoint with the episodes that are learned from."""
@@ -109,7 +114,6 @@ def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
     """The training in a folder.
 
     Args:
-        folder: that ``train`` made.
         objects: folder of meshes; where they were when it was trained if None.
 
     Raises:
@@ -157,12 +161,6 @@ def train_student(
 ) -> Path:
     """Distill a student, or go on distilling it.
 
-    Args:
-        teacher_folder: of a teacher that sees contacts.
-        folder: of the student.
-        spec: how; the default if None.
-        progress: called after each round.
-
     Returns:
         The student's file, ``student.onnx`` in the folder.
 
@@ -202,8 +200,8 @@ def train_student(
                 events.add_scalar(name, value, p.steps)
             progress(p)
 
-        done = distill(trainer.actor, environment, steps, spec.settings, seed, report, run.checkpoint)
-    played = done.rounds * spec.settings.steps * environment.settings.worlds
+        done = Distillation(trainer.actor, environment, steps, spec.settings, seed)
+        done.learn(run.checkpoint, report)
     card = make_card(
         folder.absolute().name,
         "student",
@@ -212,7 +210,7 @@ def train_student(
         (),
         environment.settings.residual,
         1 / environment.protocol.control_period,
-        Budget(trainer.steps + played, trainer.seconds + done.seconds, machine()),
+        Budget(trainer.steps + done.steps, trainer.seconds + done.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=teacher.data,
         git_revision=git_revision(),
@@ -227,182 +225,124 @@ def train_student(
     return folder / STUDENT
 
 
-def distill(
-    teacher: MLPModel,
-    environment: TrainingEnvironment,
-    steps: int,
-    settings: DistillSettings | None = None,
-    seed: int = 0,
-    progress: Callable[[DistillProgress], None] = lambda p: None,
-    checkpoint: Path | None = None,
-    student: StudentModel | None = None,
-) -> Distillation:
-    """Train a student.
-
-    Args:
-        teacher: whose actions are imitated.
-        environment: that keeps a history.
-        steps: control steps of all worlds together.
-        settings: the defaults if None.
-        seed: of networks and noise.
-        progress: called after each round.
-        checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
-        student: to go on with; a new one that takes over the teacher's network if None.
-
-    Raises:
-        FungraspError: the checkpoint is damaged or of another training, or can't be written.
-    """
-    s = settings or DistillSettings()
-    torch.manual_seed(seed)
-    if student is None:
-        hidden = tuple(layer.out_features for layer in _linear(teacher)[:-1])
-        student = make_student(environment, hidden, s.estimates_contacts)
-        student.take_over(teacher)
-    teacher.eval()
-    student.eval()
-    optimizer = torch.optim.Adam(student.parameters(), lr=s.learning_rate)
-    rounds = max(1, round(steps / (s.steps * environment.settings.worlds)))
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, rounds, 0.1 * s.learning_rate)
-    folder = None if checkpoint is None else checkpoint.with_name(ROUNDS)
-    kept: deque[TensorDict] = deque(maxlen=s.kept_rounds)
-    recent: deque[bool] = deque(maxlen=1000)
-    state = Distillation(student, optimizer, schedule, environment, recent)
-    if checkpoint is not None and checkpoint.exists():
-        state.load(checkpoint)
-        if folder is not None and state.rounds < rounds:
-            kept.extend(read_rounds(folder, range(max(0, state.rounds - s.kept_rounds), state.rounds)))
-    start = perf_counter() - state.seconds
-    for index in range(state.rounds, rounds):
-        actor = teacher if index < s.teacher_rounds else student
-        batch, begun = _collect(actor, teacher, environment, s, recent)
-        kept.append(batch)
-        if folder is not None:
-            write_round(folder / f"{index:06d}.pt", batch, begun)
-        imitation, reconstruction = _learn(student, optimizer, list(kept), s)
-        schedule.step()
-        state.rounds, state.seconds = index + 1, perf_counter() - start
-        progress(
-            DistillProgress(
-                (index + 1) * s.steps * environment.settings.worlds,
-                state.seconds,
-                state.success,
-                imitation,
-                reconstruction,
-            )
-        )
-        if index % CHECKPOINT_ROUNDS == CHECKPOINT_ROUNDS - 1 or index == rounds - 1:
-            if checkpoint is not None:
-                state.save(checkpoint)
-            if folder is not None:
-                for path in sorted(folder.glob("*.pt"))[: -s.kept_rounds]:
-                    path.unlink(missing_ok=True)
-            # As a distillation that goes on from here does: it ends as one that was never interrupted.
-            environment.restart()
-    if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)
-    return state
-
-
-@dataclass
 class Distillation:
-    """Where a distillation stands, with all it needs to go on."""
+    """A student that learns from its teacher."""
 
-    student: StudentModel
-    """The network that learns."""
-    optimizer: torch.optim.Optimizer
-    """Optimizer of its weights."""
-    schedule: torch.optim.lr_scheduler.LRScheduler
-    """Schedule of its learning rate, one step per round."""
-    environment: TrainingEnvironment
-    """The worlds whose episodes are learned from."""
-    recent: deque[bool]
-    """Whether the last episodes succeeded."""
-    rounds: int = 0
-    """Rounds of learning so far."""
-    seconds: float = 0.0
-    """Time of the rounds so far [s]."""
+    def __init__(
+        self,
+        teacher: MLPModel,
+        environment: TrainingEnvironment,
+        steps: int,
+        settings: DistillSettings,
+        seed: int,
+    ):
+        """
+        Args:
+            environment: that keeps a history.
+            steps: control steps of all worlds together.
+        """
+        s = self._settings = settings
+        self._teacher, self._environment = teacher, environment
+        torch.manual_seed(seed)
+        linear = [module for module in teacher.mlp.modules() if isinstance(module, torch.nn.Linear)]
+        hidden = tuple(layer.out_features for layer in linear[:-1])
+        self.student = make_student(environment, hidden, s.estimates_contacts)
+        self.student.take_over(teacher)
+        teacher.eval()
+        self.student.eval()
+        self._optimizer = torch.optim.Adam(self.student.parameters(), lr=s.learning_rate)
+        self._round = s.steps * environment.settings.worlds
+        """Control steps of a round."""
+        self._wanted = max(1, round(steps / self._round))
+        lowest = 0.1 * s.learning_rate
+        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimizer, self._wanted, lowest)
+        self._kept: deque[TensorDict] = deque(maxlen=s.kept_rounds)
+        self._recent: deque[bool] = deque(maxlen=1000)
+        self._rounds = 0
+        self.seconds = 0.0
+        """Time of the rounds so far [s]."""
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far."""
+        return self._rounds * self._round
 
     @property
     def success(self) -> float:
         """Share of the last episodes that succeeded; 0 before any has ended."""
-        return float(np.mean(self.recent)) if self.recent else 0.0
+        return float(np.mean(self._recent)) if self._recent else 0.0
 
-    def save(self, path: Path) -> None:
-        """Keep everything but the episodes that are learned from (see ``write_round``).
+    def learn(self, checkpoint: Path, progress: Callable[[DistillProgress], None]) -> None:
+        """Learn to the end.
 
-        Raises:
-            FungraspError: the file can't be written.
-        """
-        parts = {name: getattr(self, name).state_dict() for name in ("student", "optimizer", "schedule")}
-        counts = {"rounds": self.rounds, "seconds": self.seconds, "recent": torch.tensor(list(self.recent))}
-        write_checkpoint(path, parts | counts | environment_state(self.environment))
-
-    def load(self, path: Path) -> None:
-        """Go on from what was kept.
+        Args:
+            checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
 
         Raises:
-            FungraspError: it can't be read, is damaged, or belongs to another distillation.
+            FungraspError: the checkpoint is damaged or of another training, or can't be written.
         """
+        s, folder = self._settings, checkpoint.with_name(ROUNDS)
+        if checkpoint.exists():
+            self._load(checkpoint)
+            if self._rounds < self._wanted:
+                first = max(0, self._rounds - s.kept_rounds)
+                self._kept.extend(read_rounds(folder, range(first, self._rounds)))
+        start = perf_counter() - self.seconds
+        while self._rounds < self._wanted:
+            batch, begun = self._played()
+            self._kept.append(batch)
+            write_round(folder / f"{self._rounds:06d}.pt", batch, begun)
+            losses = learn_imitation(self.student, self._optimizer, self._kept, s, LARGEST_GRADIENT)
+            self._schedule.step()
+            self._rounds, self.seconds = self._rounds + 1, perf_counter() - start
+            progress(DistillProgress(self.steps, self.seconds, self.success, *losses))
+            if self._rounds % CHECKPOINT_ROUNDS == 0 or self._rounds == self._wanted:
+                self._save(checkpoint)
+                for path in sorted(folder.glob("*.pt"))[: -s.kept_rounds]:
+                    path.unlink(missing_ok=True)
+                # As a distillation that goes on from here does: it ends as one that was never interrupted.
+                self._environment.restart()
+        shutil.rmtree(folder, ignore_errors=True)
+
+    def _played(self) -> tuple[TensorDict, torch.Tensor]:
+        """A round's episodes, shape [S W], and whether a world's episode was new, shape [S, W] bool."""
+        environment, s = self._environment, self._settings
+        actor = self._teacher if self._rounds < s.teacher_rounds else self.student
+        begun = [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
+
+        def choose(observations: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
+            wanted = self._teacher(observations)
+            return wanted if actor is self._teacher else actor(observations), wanted
+
+        def done(step: Step) -> None:
+            self._recent.extend(environment.ended.success.tolist())
+            begun.append(torch.as_tensor(step.done))
+
+        batch = imitated_round(environment, s.steps, s.noise, choose, done)
+        return batch, torch.stack(begun[:-1])
+
+    def _parts(self) -> dict[str, Any]:
+        """What a checkpoint holds the state of, by name."""
+        return {"student": self.student, "optimizer": self._optimizer, "schedule": self._schedule}
+
+    def _save(self, path: Path) -> None:
+        """Keep everything but the episodes that are learned from (see ``write_round``)."""
+        state = {name: part.state_dict() for name, part in self._parts().items()}
+        state |= {"rounds": self._rounds, "seconds": self.seconds, "recent": torch.tensor(list(self._recent))}
+        write_checkpoint(path, state | environment_state(self._environment))
+
+    def _load(self, path: Path) -> None:
         state = read_checkpoint(path)
-        check_environment(path, state, self.environment)
+        check_environment(path, state, self._environment)
         try:
-            for name in ("student", "optimizer", "schedule"):
-                getattr(self, name).load_state_dict(state[name])
-            restore_environment(state, self.environment)
-            self.rounds, self.seconds = int(state["rounds"]), float(state["seconds"])
-            self.recent.extend(state["recent"].bool().tolist())
+            for name, part in self._parts().items():
+                part.load_state_dict(state[name])
+            restore_environment(state, self._environment)
+            self._rounds, self.seconds = int(state["rounds"]), float(state["seconds"])
+            self._recent.extend(state["recent"].bool().tolist())
         except (RuntimeError, ValueError, KeyError) as error:
             words = " ".join(str(error).split())
             raise FungraspError(f"the checkpoint {path} is not of this distillation: {words}") from error
-
-
-def _collect(
-    actor: MLPModel,
-    teacher: MLPModel,
-    environment: TrainingEnvironment,
-    s: DistillSettings,
-    recent: deque[bool],
-) -> tuple[TensorDict, torch.Tensor]:
-    """Let one act, and ask the teacher what it would have done.
-
-    Returns:
-        what the student learns from, shape [S W], and whether a world's episode was new, shape [S, W] bool.
-    """
-    batches, begun = [], [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
-    with torch.no_grad():
-        for _ in range(s.steps):
-            observations = tensors(environment.observations)
-            wanted = teacher(observations)
-            action = wanted if actor is teacher else actor(observations)
-            batches.append(observations.exclude("value").clone().update({"action": wanted}))
-            noisy = action + s.noise * torch.randn_like(action)
-            step = environment.step(played(environment, noisy))
-            recent.extend(environment.ended.success.tolist())
-            begun.append(torch.as_tensor(step.done))
-    return torch.cat(batches), torch.stack(begun[:-1])  # type: ignore[return-value]
-
-
-def _learn(
-    student: StudentModel, optimizer: torch.optim.Optimizer, kept: list[TensorDict], s: DistillSettings
-) -> tuple[float, float]:
-    """Mean losses."""
-    losses = np.zeros(2)
-    for _ in range(s.updates):
-        part = kept[int(torch.randint(len(kept), ()))]
-        batch = part[torch.randint(len(part), (s.minibatch,))].clone()
-        imitation = ((student(batch) - batch["action"]) ** 2).mean()
-        reconstruction = student.reconstruction_loss(batch)
-        optimizer.zero_grad()
-        (imitation + s.reconstruction * reconstruction).backward()
-        torch.nn.utils.clip_grad_norm_(student.parameters(), 1.0)
-        optimizer.step()
-        losses += [float(imitation.detach()), float(reconstruction.detach())]
-    imitation_loss, reconstruction_loss = losses / s.updates
-    return float(imitation_loss), float(reconstruction_loss)
-
-
-def _linear(model: MLPModel) -> list[torch.nn.Linear]:
-    return [m for m in model.mlp.modules() if isinstance(m, torch.nn.Linear)]
 
 
 def write_round(path: Path, batch: TensorDict, begun: torch.Tensor) -> None:
@@ -410,7 +350,6 @@ def write_round(path: Path, batch: TensorDict, begun: torch.Tensor) -> None:
     histories, which are ten times as large as the rest, it holds what they can be made from again.
 
     Args:
-        path: of the file (.pt).
         batch: of S control steps of W worlds, shape [S W].
         begun: whether a world's episode was new, shape [S, W] bool.
 

@@ -127,7 +127,6 @@ class History:
     def __init__(self, worlds: int, size: int, on: Array):
         """
         Args:
-            worlds: W.
             size: H, numbers of a control step.
             on: an array of the library and the device of what is seen.
         """
@@ -188,13 +187,6 @@ class TrainingEnvironment:
         """
         Args:
             library: of plans of ``hand``.
-            objects: by name.
-            hand: the robot hand.
-            settings: the defaults if None.
-            seed: of everything random here.
-            threads: 0 means all processors. Results do not depend on it.
-            device: where the worlds are simulated.
-            buffers: room for contacts on a GPU; found by a probe if None.
         """
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand

@@ -110,15 +110,9 @@ def make_card(
     """A card with what the hand and the training say.
 
     Args:
-        name: of the policy.
         kind: "teacher", "student" or "predictor".
-        hand: that it moves.
-        observation: layout of the observation.
         privileged: layout of the privileged observation; empty but for a teacher.
-        residual: of its actions.
         rate: of control [Hz].
-        budget: of the training.
-        more: further fields of ``PolicyCard``.
     """
     gains = servo_gains(hand)
     sizes = (3, WRIST_ACTIONS - 3, len(gains))

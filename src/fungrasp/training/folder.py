@@ -57,7 +57,6 @@ class RunFolder:
 
         Args:
             settings: of the training; as JSON can hold them.
-            more: besides them.
 
         Raises:
             FungraspError: the folder holds a training with other settings, something else, or can't be

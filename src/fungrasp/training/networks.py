@@ -66,17 +66,12 @@ class StudentModel(MLPModel):
     ):
         """
         Args:
-            obs: an example.
             obs_groups: not looked at.
             obs_set: name of the networks' groups.
             output_dim: numbers in an action.
             layout: of all that it gets (``TrainingEnvironment.student_layout``): the group ``robot``, then
                 what only its encoder needs.
             encoder: what of it the encoder gets.
-            units: of the encoder's layers.
-            layers: of the encoder.
-            estimates: whether it infers the contacts.
-            settings: of the network.
         """
         super().__init__(obs, {obs_set: ["robot", "privileged"]}, obs_set, output_dim, **settings)
         self.robot_size = int(obs["robot"].shape[-1])
@@ -153,15 +148,7 @@ class StudentGraph(torch.nn.Module):
 def make_networks(
     environment: TrainingEnvironment, sees: Sees, hidden: tuple[int, ...], noise: float, correlation: float
 ) -> tuple[MLPModel, MLPModel]:
-    """Actor, whose actions hardly change the plan at first, and value network.
-
-    Args:
-        environment: that they are for.
-        sees: what the actor knows of the contacts.
-        hidden: units of the hidden layers, of both.
-        noise: standard deviation of the actions.
-        correlation: of the noise from one control step to the next.
-    """
+    """Actor, whose actions hardly change the plan at first, and value network."""
     observations = tensors(environment.observations)
     groups = {
         "actor": ["robot", "privileged"] if sees == "contacts" else ["robot"],
@@ -201,13 +188,7 @@ def make_networks(
 def make_student(
     environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN, estimates: bool = True
 ) -> StudentModel:
-    """An untrained student for an environment that keeps a history.
-
-    Args:
-        environment: whose observations it sees.
-        hidden: units of its hidden layers.
-        estimates: whether it infers the contacts.
-    """
+    """An untrained student for an environment that keeps a history."""
     observations = tensors(environment.observations)
     return StudentModel(
         observations,

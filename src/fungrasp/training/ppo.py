@@ -75,9 +75,6 @@ ALONE = Processes()
 def joined(device: Device) -> Iterator[Processes]:
     """Connect the processes that were started together, each with a GPU of its own.
 
-    Args:
-        device: where the worlds of each are simulated.
-
     Raises:
         FungraspError: they find no connection.
     """
@@ -308,9 +305,6 @@ class Trainer(OnPolicyRunner):
     ):
         """
         Args:
-            environment: to learn in.
-            settings: the defaults if None.
-            seed: of the networks and of exploration.
             processes: that learn together, each in an environment of its own.
         """
         torch.manual_seed(seed + processes.number)
@@ -358,7 +352,6 @@ class Trainer(OnPolicyRunner):
 
         Args:
             steps: since the beginning, earlier runs included.
-            progress: called after each update.
             checkpoint: where to keep the state, written atomically.
             every: updates between two checkpoints, at which all episodes begin anew: a training that goes on
                 from one ends as if it had never been interrupted.

@@ -15,7 +15,7 @@ import torch
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.json_file import parse_json
-from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
+from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.core.provenance import machine
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
@@ -140,22 +140,13 @@ def try_plans(
     threads: int = 0,
     *,
     store: PartStore | None = None,
-    ray: RayCluster | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[PlanOutcomes, Layout]:
     """Plan variations of grasps and try each once in physics, open loop.
 
     Args:
-        grasps: of ``hand``.
-        objects: by name.
-        hand: the robot hand.
-        settings: the defaults if None.
-        seed: of the variations.
-        threads: 0 means all processors.
         store: keeps outcomes as they come; those that an interrupted call, or one of fewer variations, has
             left there are not tried again.
-        ray: tries them on a cluster. The result is the same.
-        progress: called with the share that is done, 0 to 1.
 
     Returns:
         The outcomes, and the layout of their features.
@@ -164,7 +155,7 @@ def try_plans(
         FungraspError: a part can't be written.
     """
     job = PlanTrials(grasps, objects, hand, settings or PredictorSettings(), seed, threads)
-    found = run_job(job, store, ray=ray, progress=progress)
+    found = run_job(job, store, progress=progress)
     names = tuple((str(name), int(size)) for name, size in parse_json(str(found[-1][LAYOUT]), "kept layout"))
     columns = [np.concatenate([part[f.name] for part in found]) for f in fields(PlanOutcomes)]
     return PlanOutcomes(*columns), names
@@ -289,11 +280,7 @@ def train_predictor(
     """Train a success predictor, or go on where this was interrupted.
 
     Args:
-        path: of its file (.onnx).
         sets: of grasps of ``hand``, at least one.
-        hand: the robot hand, its name, or the path of its TOML file.
-        spec: how; the default if None.
-        progress: called with the share of the episodes that is done.
 
     Returns:
         The file. ``measured[MEASURED]`` of its card says how it does on grasps that it has not seen.

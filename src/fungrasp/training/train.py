@@ -17,9 +17,8 @@ from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, as_hand, hand_files
 from fungrasp.policies import policy_files
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
-from fungrasp.policies.checkpoint.network import PolicyNetwork
-from fungrasp.policies.success_predictor import NetworkPredictor
+from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
+from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import BufferSizes, Device, found_device
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph
@@ -59,12 +58,9 @@ def train(
     that ``torchrun`` has started each learns in as many worlds, and the first one writes the files.
 
     Args:
-        folder: of the training.
         sets: of grasps of ``hand``, at least one.
-        hand: the robot hand, its name, or the path of its TOML file.
         spec: how; the default if None. The one that the folder was begun with, if it was.
         planning: called with the number of plans that are made.
-        progress: called after each update.
 
     Returns:
         The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take. Beside it

@@ -72,11 +72,7 @@ def load_training_sets(
 
     Args:
         names: of files, or "builtin".
-        folder: of meshes.
-        hand: the robot hand.
-        method: of retargeting.
         terms: one for each name, or none.
-        threads: 0 means all processors.
 
     Raises:
         FungraspError: a file or an object can't be read, grasps of another hand, or an unknown method.
@@ -128,7 +124,6 @@ def split_sets(
     """Sets to train on, and what is held out of each.
 
     Args:
-        sets: of grasps.
         share: of the grasps of each that is held out, rounded, 0 to below 1.
         seed: of which these are.
 
@@ -191,9 +186,7 @@ def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanL
     kept.
 
     Args:
-        path: of the file (.npz).
         key: digest of all that the library depends on.
-        plan: makes it.
 
     Raises:
         FungraspError: planning fails, or the file can't be written.
