@@ -115,10 +115,7 @@ def capture_at(
 
 
 def render_capture(
-    grasp: HumanGrasp,
-    model: ObjectModel,
-    rng: np.random.Generator,
-    settings: CaptureSettings | None = None,
+    grasp: HumanGrasp, model: ObjectModel, rng: np.random.Generator, settings: CaptureSettings | None = None
 ) -> SyntheticCapture:
     """One capture of a grasp of a right hand.
 

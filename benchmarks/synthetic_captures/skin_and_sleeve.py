@@ -10,13 +10,7 @@ import trimesh
 
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mixed
 from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.media.hand_mesh import (
-    FINGER_RADII,
-    LINK_JOINTS,
-    REFERENCE_PALM,
-    THUMB_RADII,
-    human_hand_mesh,
-)
+from fungrasp.media.hand_mesh import FINGER_RADII, LINK_JOINTS, REFERENCE_PALM, THUMB_RADII, human_hand_mesh
 from fungrasp.media.surfaces import Color
 
 SKIN_TONES: tuple[Color, ...] = (

@@ -227,10 +227,7 @@ def test_of_two_hands_the_one_that_holds_the_object_is_taken(monkeypatch):
     scene, detected = mug()
     middle = detected.pixels.mean(axis=0)
     larger = dataclasses.replace(
-        detected,
-        pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0],
-        side="left",
-        side_score=0.55,
+        detected, pixels=(detected.pixels - middle) * 1.3 + middle + [60.0, 0.0], side="left", side_score=0.55
     )
 
     def estimate(capture, mesh, hand, table, seed):

@@ -289,7 +289,7 @@ class Acceptance:
 
 
 def judge(
-    thing: ObjectEstimate, hand: HandEstimate, *, fitted: str = "", doubt: str = "", given: bool = False
+    obj: ObjectEstimate, hand: HandEstimate, *, fitted: str = "", doubt: str = "", given: bool = False
 ) -> Acceptance:
     """Whether object and hand can be used.
 
@@ -301,20 +301,20 @@ def judge(
     of_hand = hand_features(hand)
     probability = HAND_WEIGHTS.probability(of_hand)
     evidence = []
-    if thing.evidence is not None:
+    if obj.evidence is not None:
         # Where too little of the outline is seen the weights take a usual number, which is not shown; nor are
         # pieces of a mask where there is none.
-        hidden = [name for name in ("larger", "off") if isnan(getattr(thing.evidence, name))]
-        hidden += ["mask_piece"] if thing.evidence.hinted != 1.0 else []
-        evidence += _meters(OBJECT_WEIGHTS, object_features(thing.evidence), hidden)
+        hidden = [name for name in ("larger", "off") if isnan(getattr(obj.evidence, name))]
+        hidden += ["mask_piece"] if obj.evidence.hinted != 1.0 else []
+        evidence += _meters(OBJECT_WEIGHTS, object_features(obj.evidence), hidden)
     evidence += _meters(HAND_WEIGHTS, of_hand)
-    sure = thing.accepted and probability >= ACCEPTED_HAND and not doubt
-    advice = object_help(thing, given)
-    if fitted and not thing.accepted:
+    sure = obj.accepted and probability >= ACCEPTED_HAND and not doubt
+    advice = object_help(obj, given)
+    if fitted and not obj.accepted:
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object")
     if probability < ACCEPTED_HAND:
         advice += ("a view in which more of the hand is seen, bare and well lit",)
-    return Acceptance(sure, thing.score, probability, tuple(evidence), advice, fitted, doubt)
+    return Acceptance(sure, obj.score, probability, tuple(evidence), advice, fitted, doubt)
 
 
 def _meters(weights: Logistic, features: Mapping[str, float], hidden: Sequence[str] = ()) -> list[Meter]:
@@ -339,13 +339,13 @@ AGAINST = -0.5
 """What lowers the logarithm of the odds by more than this is worth a remedy."""
 
 
-def object_help(thing: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
+def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
     """What would make an object's pose surer, most useful first; nothing where it is accepted.
 
     given: whether it came from elsewhere.
     """
-    e = thing.evidence
-    if e is None or thing.accepted:
+    e = obj.evidence
+    if e is None or obj.accepted:
         return ()
     shares = OBJECT_WEIGHTS.shares(object_features(e))
     size = shares["other_size"] + shares["other_side"]
@@ -382,18 +382,18 @@ def check_holdable(model: ObjectModel) -> None:
     _check_origin(model, MAX_HAND_DISTANCE)
 
 
-def check_held(hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel, *, hinted: bool) -> None:
+def check_held(hand: HandEstimate, obj: ObjectEstimate, model: ObjectModel, *, hinted: bool) -> None:
     """Complain about an object that the hand can't be holding, as a ``HumanGrasp`` does.
 
     Args:
         hand: camera frame.
-        thing: the object's pose, camera frame.
+        obj: the object's pose, camera frame.
         hinted: whether it was said where the object is.
 
     Raises:
         FungraspError: the object is too far from the hand, or its mesh from its origin.
     """
-    pose, joints = thing.pose_camera_object, hand.joints_camera
+    pose, joints = obj.pose_camera_object, hand.joints_camera
     if np.linalg.norm(joints - pose[:3], axis=1).max() <= MAX_HAND_DISTANCE:
         return
     surface = transform_points(pose, model.vertices)
@@ -435,14 +435,14 @@ def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fi
 
 
 def plausibility_warnings(
-    capture: Capture, hand: HandEstimate, thing: ObjectEstimate, model: ObjectModel
+    capture: Capture, hand: HandEstimate, obj: ObjectEstimate, model: ObjectModel
 ) -> list[PerceptionWarning]:
     """Warnings of a hand, or an object whose pose is accepted, that the image's edge cuts off; of swapped red
     and blue; and of a hand smaller or larger than those of 95 % of adults: of the scale of depth and
     intrinsics, nothing else in an image tells as much."""
     lens, edges = capture.intrinsics, {"hand": edge_of_hand(capture, hand)}
-    if thing.accepted:
-        pixels = lens.project(transform_points(thing.pose_camera_object, model.vertices))
+    if obj.accepted:
+        pixels = lens.project(transform_points(obj.pose_camera_object, model.vertices))
         edges["object"] = cut_edge(lens, pixels)
     found = [PerceptionWarning.of("cut_off", what=what, edge=edge) for what, edge in edges.items() if edge]
     if _looks_blue(capture, hand):

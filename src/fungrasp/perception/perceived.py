@@ -40,20 +40,20 @@ class PerceptionQuality:
 
 
 def measure_quality(
-    capture: Capture, hand: HandEstimate, thing: ObjectEstimate, surface: SignedDistanceGrid
+    capture: Capture, hand: HandEstimate, obj: ObjectEstimate, surface: SignedDistanceGrid
 ) -> PerceptionQuality:
     """The figures.
 
     Args:
         capture: the image.
         hand: as it was refined.
-        thing: the object.
+        obj: the object.
         surface: of the object, object's frame.
     """
-    pose = thing.pose_camera_object
+    pose = obj.pose_camera_object
     off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
     surroundings = HandSurroundings(surface, pose)
-    residual = thing.residual_m
+    residual = obj.residual_m
     if not np.isfinite(residual):
         residual = _object_residual(capture, pose, surroundings)
     return PerceptionQuality(
@@ -230,7 +230,7 @@ class Perceived:
     def as_json(self) -> dict[str, Any]:
         """All that was found, to be written as JSON. Meters; poses ``[x y z qw qx qy qz]``; what could not be
         measured is null."""
-        grasp, hand, thing = self.grasp, self.hand, self.object
+        grasp, hand, obj = self.grasp, self.hand, self.object
         links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
         return {
             "version": 3,
@@ -263,12 +263,12 @@ class Perceived:
             else {"name": self.fitted.name, "explained": self.fitted.quality},
             "object_mass_range": self.mass_range,
             "object": {
-                "pose_camera": thing.pose_camera_object.tolist(),
-                "score": thing.score,
-                "accepted": thing.accepted,
-                "note": thing.note,
+                "pose_camera": obj.pose_camera_object.tolist(),
+                "score": obj.score,
+                "accepted": obj.accepted,
+                "note": obj.note,
                 "alternatives": [
-                    {"pose_camera": pose.tolist(), "score": score} for pose, score in thing.alternatives
+                    {"pose_camera": pose.tolist(), "score": score} for pose, score in obj.alternatives
                 ],
             },
         }

@@ -307,30 +307,30 @@ def _scene(
     improve: bool,
 ) -> HandCandidate:
     """The table under a hand and the object in it, unless they are known."""
-    thing, answers = given, None
+    obj, answers = given, None
     table = seen.table_under(hand.joints_camera)
     under = NO_TABLE if table is None else table
     with seen.watch.stage("object"):
-        if thing is None:
+        if obj is None:
             answers = search_object_pose(seen.capture, mesh, hand, under, seed=seen.seed)
-            thing = best_estimate(answers)
-        elif not thing.judged:
-            thing = score_given_pose(thing, seen.capture, mesh, hand, under, seed=seen.seed, improve=improve)
+            obj = best_estimate(answers)
+        elif not obj.judged:
+            obj = score_given_pose(obj, seen.capture, mesh, hand, under, seed=seen.seed, improve=improve)
     vertices = np.asarray(mesh.vertices)
-    if table is None and thing.accepted:
+    if table is None and obj.accepted:
         # The object tells as well what is below it.
-        table = seen.table_under(transform_points(thing.pose_camera_object, vertices))
-    holds = may_hold(hand, thing, vertices)
+        table = seen.table_under(transform_points(obj.pose_camera_object, vertices))
+    holds = may_hold(hand, obj, vertices)
     detected, warnings = (None, ()) if of is None else (of.detected, of.warnings)
-    return HandCandidate(detected, hand, table, thing, answers, holds, warnings)
+    return HandCandidate(detected, hand, table, obj, answers, holds, warnings)
 
 
 def _refined_hand(seen: _Image, scene: HandCandidate, model: ObjectModel) -> HandEstimate:
     """The hand, touching the object; unchanged where the object's pose is not accepted."""
-    hand, thing = scene.hand, scene.object
-    if not thing.accepted:
+    hand, obj = scene.hand, scene.object
+    if not obj.accepted:
         return hand
-    surroundings = HandSurroundings(model.signed_distance, thing.pose_camera_object, scene.table)
+    surroundings = HandSurroundings(model.signed_distance, obj.pose_camera_object, scene.table)
     if scene.detected is None:
         return refine_hand(hand, surroundings)
     return fit_held_hand(
@@ -356,20 +356,16 @@ def _warnings(
 
 
 def _grasp(
-    held: HeldObject,
-    hand: HandEstimate,
-    thing: ObjectEstimate,
-    pose_world_camera: np.ndarray,
-    task: str,
+    held: HeldObject, hand: HandEstimate, obj: ObjectEstimate, pose_world_camera: np.ndarray, task: str
 ) -> HumanGrasp:
-    model, pose = held.model, in_world(pose_world_camera, thing.pose_camera_object)
+    model, pose = held.model, in_world(pose_world_camera, obj.pose_camera_object)
     grasp = HumanGrasp(
         object_name=model.name,
         object_mass=model.mass,
         object_pose=pose,
         object_rest_pose=put_down(model, pose),
         hand_joints=transform_points(pose_world_camera, hand.joints_camera),
-        link_contacts=touching_links(hand.joints_camera, model.signed_distance, thing.pose_camera_object),
+        link_contacts=touching_links(hand.joints_camera, model.signed_distance, obj.pose_camera_object),
         task=task,
         object_mass_spread=held.mass_spread,
     )

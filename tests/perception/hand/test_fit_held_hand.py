@@ -44,18 +44,6 @@ def test_distance_of_a_point_from_a_capsule():
     assert not which.any()
 
 
-def test_the_nearest_of_several_capsules_of_several_hands():
-    first = np.array([[[0.0, 0, 1], [0.0, 0.1, 1]], [[0.0, 0.1, 1], [0.0, 0, 1]]])
-    last = first + np.array([0.1, 0, 0])
-    points, nowhere = np.array([[0.05, 0, 0.95], [0.05, 0.1, 0.96]]), np.full((1, 3), np.nan)
-    radius = np.full((2, 2), 0.01)
-    which, distance, _, normal = nearest_capsules(points, first, last, radius)
-    np.testing.assert_array_equal(which, [[0, 1], [1, 0]])
-    np.testing.assert_allclose(distance, [[0.04, 0.03], [0.04, 0.03]])
-    assert normal.shape == (2, 2, 3)
-    assert np.isnan(nearest_capsules(nowhere, first, last, radius)[1]).all()
-
-
 def test_derivatives_of_points_on_the_skin(held):
     scene, surroundings = held
     hand = skeleton_through(scene.joints, 0.003)

@@ -29,12 +29,7 @@ from fungrasp.perception.hand.mediapipe_detector import (
     consensus,
 )
 from fungrasp.perception.hand.mediapipe_models import have_weights
-from fungrasp.perception.hand.palm_windows import (
-    Window,
-    anchor_centers,
-    decode_palms,
-    exposed,
-)
+from fungrasp.perception.hand.palm_windows import Window, anchor_centers, decode_palms, exposed
 
 needs_weights = pytest.mark.skipif(
     not have_weights() or find_spec("ai_edge_litert") is None,

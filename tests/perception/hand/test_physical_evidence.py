@@ -7,8 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fungrasp.grasps import load_human_grasps
-from fungrasp.perception.hand.fit import skeleton_through
 from fungrasp.perception.hand.physical_evidence import finger_overlap, nearest_between, overlap_evidence
 from fungrasp.perception.hand.skeleton import ANGLE_MEAN, SIZE, Skeleton
 
@@ -20,16 +18,6 @@ def crossed() -> Skeleton:
     angles[:2, :, 1] = ANGLE_MEAN[0, :, 1]
     angles[0, 0, 0] = np.radians(-28)
     return dataclasses.replace(hand, angles=angles)
-
-
-def test_lines_are_nearest_where_they_are():
-    a, b = np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0]]), np.array([[1.0, 0, 0]] * 3)
-    c = np.array([[0.5, 1, 1], [2.0, 1, 0], [0.2, 0.1, 0]])
-    d = np.array([[0.5, -1, 1], [3.0, 1, 0], [0.7, 0.1, 0]])
-    s, t = nearest_between(a, b, c, d)
-    gap = np.linalg.norm(a + s[:, None] * (b - a) - c - t[:, None] * (d - c), axis=1)
-    np.testing.assert_allclose(gap, [1, np.sqrt(2), 0.1], atol=1e-9)
-    np.testing.assert_allclose([s[0], t[0]], 0.5)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -60,13 +48,6 @@ def test_derivatives_of_overlaps():
         slope = (residuals(hand.moved(step)).residual - here.residual) / 1e-6
         # That the capsules taper is left out.
         np.testing.assert_allclose(slope, here.jacobian[:, parameter], atol=0.15 * scale)
-
-
-def test_people_keep_their_fingers_apart():
-    for row in (3, 40, 80):
-        hand = skeleton_through(load_human_grasps("builtin").hand_joints[row], 0.003)
-        found = overlap_evidence(hand, *hand.joints_and_derivatives(), 0.001)
-        assert np.abs(found.residual).max(initial=0.0) < 4
 
 
 def test_a_finger_inside_another_costs():

@@ -240,10 +240,7 @@ def test_what_looks_wrong_with_the_files_goes_with_the_capture(tmp_path, caplog)
 @pytest.mark.parametrize(
     ("hints", "words"),
     [
-        (
-            {"box": (100, 80, 200, 180), "point": (220, 100)},
-            "outside its box, which reaches from 100, 80",
-        ),
+        ({"box": (100, 80, 200, 180), "point": (220, 100)}, "outside its box, which reaches from 100, 80"),
         ({"mask": True, "point": (5, 5)}, "lies outside its mask"),
         ({"mask": True, "box": (0, 0, 40, 40)}, "mask has no pixel in the object's box"),
         ({"mask": True, "box": (0, 0, 120, 100), "point": (110, 90)}, ""),

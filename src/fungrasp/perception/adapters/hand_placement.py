@@ -40,11 +40,7 @@ _log = logging.getLogger(__name__)
 
 @guarded("hand file")
 def read_hand_estimate(
-    path: str | Path,
-    capture: Capture,
-    *,
-    side: Side | None = None,
-    hand: int | None = None,
+    path: str | Path, capture: Capture, *, side: Side | None = None, hand: int | None = None
 ) -> HandEstimate:
     """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
 

@@ -94,11 +94,7 @@ def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def search_fingers(
-    hand: Skeleton,
-    view: HandView,
-    landmarks: np.ndarray,
-    spread: float | None,
-    rng: np.random.Generator,
+    hand: Skeleton, view: HandView, landmarks: np.ndarray, spread: float | None, rng: np.random.Generator
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 

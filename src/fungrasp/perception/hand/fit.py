@@ -25,12 +25,7 @@ from fungrasp.perception.hand.fit_problem import (
     HandParameters,
     joint_confidence,
 )
-from fungrasp.perception.hand.hand_measurements import (
-    HandMeasurements,
-    HandView,
-    hand_view,
-    mirror_estimate,
-)
+from fungrasp.perception.hand.hand_measurements import HandMeasurements, HandView, hand_view, mirror_estimate
 from fungrasp.perception.hand.physical_evidence import HandSurroundings, anatomy_evidence
 from fungrasp.perception.hand.skeleton import (
     BASES,

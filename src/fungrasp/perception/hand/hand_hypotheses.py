@@ -144,17 +144,17 @@ def object_box(capture: Capture, model: ObjectModel | None, given: ObjectEstimat
     return float(x0), float(y0), float(x1), float(y1)
 
 
-def may_hold(hand: HandEstimate, thing: ObjectEstimate, vertices: np.ndarray) -> bool:
+def may_hold(hand: HandEstimate, obj: ObjectEstimate, vertices: np.ndarray) -> bool:
     """Whether the object's pose is rather right than wrong and the hand is at it.
 
     Args:
         hand: camera frame.
-        thing: the object's pose, camera frame.
+        obj: the object's pose, camera frame.
         vertices: of its mesh, object frame [m], shape [V, 3].
     """
-    if not (thing.accepted or thing.score > 0.5):
+    if not (obj.accepted or obj.score > 0.5):
         return False
-    surface = transform_points(thing.pose_camera_object, vertices)
+    surface = transform_points(obj.pose_camera_object, vertices)
     # Large triangles have their vertices far from the hand: what counts is the box they span.
     low, high = surface.min(axis=0) - HOLDING, surface.max(axis=0) + HOLDING
     return bool(((hand.joints_camera > low) & (hand.joints_camera < high)).all(axis=1).any())

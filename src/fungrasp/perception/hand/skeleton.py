@@ -20,13 +20,7 @@ from fungrasp.grasps.anatomy import FLEXION_RANGE
 FINGERS, JOINTS_OF_FINGER = 5, 3
 
 BASES = np.array(
-    [
-        [87.5, 23.5, -5.5],
-        [94.5, 0.0, 0.0],
-        [82.5, -24.0, -1.0],
-        [70.5, -41.5, -5.5],
-        [23.5, 25.5, -17.0],
-    ]
+    [[87.5, 23.5, -5.5], [94.5, 0.0, 0.0], [82.5, -24.0, -1.0], [70.5, -41.5, -5.5], [23.5, 25.5, -17.0]]
 )
 BASES *= 1e-3
 """Bases of the fingers of an adult's hand, palm frame [m], shape [5, 3]: those of the built-in grasps' hand,

@@ -71,11 +71,7 @@ class RealSenseCamera:
     """A RealSense camera that is connected, or a recording of one; see ``RgbdCamera``."""
 
     def __init__(
-        self,
-        recording: str | Path | None = None,
-        *,
-        serial: str = "",
-        stream: StreamSettings | None = None,
+        self, recording: str | Path | None = None, *, serial: str = "", stream: StreamSettings | None = None
     ):
         """
         Args:

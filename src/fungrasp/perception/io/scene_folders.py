@@ -70,12 +70,7 @@ def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None
     if not (folder / LENS_FILE).is_file():
         return None
     mask = folder / MASK_FILE
-    return (
-        folder / COLOR_FILE,
-        folder / DEPTH_FILE,
-        folder / LENS_FILE,
-        mask if mask.is_file() else None,
-    )
+    return (folder / COLOR_FILE, folder / DEPTH_FILE, folder / LENS_FILE, mask if mask.is_file() else None)
 
 
 def write_folder(capture: Capture, folder: str | Path) -> None:

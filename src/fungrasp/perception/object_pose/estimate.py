@@ -210,7 +210,7 @@ ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not 
 
 
 def score_given_pose(
-    thing: ObjectEstimate,
+    obj: ObjectEstimate,
     capture: Capture,
     mesh: ObjectModel | trimesh.Trimesh,
     hand: HandEstimate | None = None,
@@ -225,7 +225,7 @@ def score_given_pose(
     the pose. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
 
     Args:
-        thing: a pose as another program gave it.
+        obj: a pose as another program gave it.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], if known.
         improve: whether to give the best fit nearby instead of the pose itself.
 
@@ -242,8 +242,8 @@ def score_given_pose(
     view, problem = view_of_object(known, thinned(capture), joints, table, rng)
     if view is None:
         warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
-        return replace(thing, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
-    pose, answers = _scored(thing.pose_camera_object, view, view.scorer(RAYS), rng, improve)
+        return replace(obj, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
+    pose, answers = _scored(obj.pose_camera_object, view, view.scorer(RAYS), rng, improve)
     return replace(best_estimate(answers), pose_camera_object=pose)
 
 

@@ -137,11 +137,7 @@ def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tup
 
 
 def object_evidence(
-    capture: Capture,
-    mask: np.ndarray,
-    seen: Segmentation,
-    table: np.ndarray | None,
-    rng: np.random.Generator,
+    capture: Capture, mask: np.ndarray, seen: Segmentation, table: np.ndarray | None, rng: np.random.Generator
 ) -> ObjectEvidence:
     """What a mask says about the object.
 

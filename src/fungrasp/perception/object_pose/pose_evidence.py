@@ -128,19 +128,19 @@ def best_rival(known: ObjectTemplate, poses: np.ndarray, quality: np.ndarray) ->
     return float(quality[different].max(initial=0.0))
 
 
-def ambiguity(model: ObjectModel, thing: ObjectEstimate) -> PerceptionWarning | None:
+def ambiguity(model: ObjectModel, obj: ObjectEstimate) -> PerceptionWarning | None:
     """A warning if a different pose fits almost as well as the answer.
 
     The score is that of the surface's place. Of a nearly symmetric object it may be certain although it is
     not which way round the object is.
     """
-    near = [pose for pose, score in thing.alternatives if score > thing.score - CLOSE]
+    near = [pose for pose, score in obj.alternatives if score > obj.score - CLOSE]
     if not near:
         return None
     surface = object_template(model).surface
-    points, answer = surface.samples[:300], thing.pose_camera_object
+    points, answer = surface.samples[:300], obj.pose_camera_object
     apart = np.array([surface.distances(transform_points(pose, points), answer).mean() for pose in near])
-    turned = np.degrees(rotation_error(np.stack(near), thing.pose_camera_object))
+    turned = np.degrees(rotation_error(np.stack(near), obj.pose_camera_object))
     others = np.flatnonzero(((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE))
     if not len(others):
         return None

@@ -58,12 +58,7 @@ class ObjectTracker:
     """Follows a known object."""
 
     def __init__(
-        self,
-        mesh: ObjectModel | trimesh.Trimesh,
-        intrinsics: Intrinsics,
-        pose: np.ndarray,
-        *,
-        seed: int = 0,
+        self, mesh: ObjectModel | trimesh.Trimesh, intrinsics: Intrinsics, pose: np.ndarray, *, seed: int = 0
     ):
         """
         Args:

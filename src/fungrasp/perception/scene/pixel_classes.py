@@ -196,11 +196,7 @@ def classify(
     result, anything = PixelClasses(thing, thing, thing), thing
     for _ in range(ROUNDS):
         logits = np.stack(
-            [
-                np.log(thing) + above + not_hand,
-                np.log(skin) + on_hand - 1.0,
-                np.log(ground) + on_table,
-            ]
+            [np.log(thing) + above + not_hand, np.log(skin) + on_hand - 1.0, np.log(ground) + on_table]
         )
         logits = ndimage.gaussian_filter(logits, (0, SMOOTHING, SMOOTHING))
         odds = np.exp(logits - logits.max(axis=0))
