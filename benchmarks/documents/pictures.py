@@ -17,11 +17,11 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.grasps import builtin_grasps, load_objects
-from fungrasp.grasps.picks import picked_rows
+from fungrasp.grasps.grasp_selection import picked_rows
 from fungrasp.hands import load_hand
 from fungrasp.media import grasp_scene, look_at_grasp, render
 from fungrasp.media.demonstration import FPS, Shown, demonstrate
-from fungrasp.media.perception_pictures import drawn_over, grasp_from_four_sides
+from fungrasp.media.perception_pictures import CloseUp, grasp_from_four_sides
 from fungrasp.media.pictures import grid
 from fungrasp.media.video import write_video
 from fungrasp.perception.io.scene_folders import BUILTIN
@@ -92,7 +92,7 @@ def perception() -> None:
     """``perception.jpg``."""
     seen = perceive_folder(BUILTIN, None)
     capture, model, pose = seen.capture, seen.object_model, seen.object.pose_camera_object
-    over = drawn_over(capture, seen.hand, model, pose, seen.object.accepted)
+    over = CloseUp(capture, seen.hand, model, pose).found(seen.object.accepted)
     side = grasp_from_four_sides(seen.grasp, model, seen.pose_world_camera, mirrored=False)[0]
     pictures = [
         np.asarray(Image.fromarray(image).resize((480, 360))) for image in (capture.color, over, side)

@@ -12,12 +12,12 @@ from scipy import ndimage
 
 from benchmarks.perception.recorded_captures import RecordedCapture
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import finite
+from fungrasp.core.formats.text_files import finite
 from fungrasp.evaluation import evaluate
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps.human_hand import mirror_pose
 from fungrasp.hands import load_hand
-from fungrasp.objects import HeldObject, ObjectModel, builtin_object, mirrored_object
+from fungrasp.objects import ObjectModel, ResolvedObject, builtin_object, mirrored_object
 from fungrasp.objects.object_variants import scaled_object
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.acceptance import ACCEPTED_HAND
@@ -149,7 +149,7 @@ def measure_recorded(
     """Run ``perceive`` on one capture, with each hint that its mask gives."""
     known = recorded.model is not None and recorded.pose_camera_object is not None
     model = builtin_object(OTHER_OBJECT) if recorded.model is None else recorded.model
-    obj = HeldObject(model, recorded.colored)
+    obj = ResolvedObject(model, recorded.colored)
     hints = hinted_captures(recorded) if known else {"none": recorded.capture.with_object()}
     seen = {hint: _perceived(capture, obj, detector) for hint, capture in hints.items()}
     alone = seen["none"]
@@ -162,7 +162,7 @@ def measure_recorded(
     if known and wrong:
         for other in wrong_meshes(model):
             for hint in ("none", "mask"):
-                one = _perceived(hints[hint], HeldObject(other), detector) if hint in hints else None
+                one = _perceived(hints[hint], ResolvedObject(other), detector) if hint in hints else None
                 accepted.append(one is not None and one.object.accepted)
     return RecordedResult(
         recorded.name,
@@ -178,7 +178,7 @@ def measure_recorded(
     )
 
 
-def _perceived(capture: Capture, obj: HeldObject, detector: HandDetector) -> Perceived | None:
+def _perceived(capture: Capture, obj: ResolvedObject, detector: HandDetector) -> Perceived | None:
     """What ``perceive`` makes of an image; None where it finds no hand, or nothing in it."""
     try:
         return perceive(capture, obj, detector=detector)
@@ -205,7 +205,7 @@ def lifted(recorded: RecordedCapture, detector: HandDetector, hand: str, policy:
     """Whether a robot's hand lifts the true object from its true place by the grasp that is perceived."""
     model, truth = recorded.model, recorded.pose_camera_object
     assert model is not None and truth is not None
-    seen = _perceived(recorded.capture.with_object(), HeldObject(model, recorded.colored), detector)
+    seen = _perceived(recorded.capture.with_object(), ResolvedObject(model, recorded.colored), detector)
     if seen is None:
         return False
     model = replace(model, name="true")

@@ -22,9 +22,9 @@ from benchmarks.twins.twin_episode import (
 from benchmarks.twins.twin_identification import identify_on_twin
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.record_json import record_to_json
 from fungrasp.core.jobs import PartStore
 from fungrasp.core.provenance import run_record
+from fungrasp.core.records import record_to_json
 from fungrasp.core.text_table import table
 from fungrasp.deployment.deployment_task import deployable_policy, robot_planner
 from fungrasp.deployment.identified_dynamics import HandDynamics
@@ -58,7 +58,7 @@ VARIANTS = {
 
 @dataclass(frozen=True)
 class TwinSeriesSpec:
-    """What is asked of a series on twins, as JSON by ``fungrasp.core.formats.record_json``."""
+    """What is asked of a series on twins, as JSON by ``fungrasp.core.records``."""
 
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
     """A robot cell that is a twin: one that comes with the package, or a TOML file."""

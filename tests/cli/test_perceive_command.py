@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from fungrasp.objects.resolved_object import DENSITY, resolve_object
 from grasp_files import run
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -22,7 +23,6 @@ from fungrasp.cli.perceive import parse_plane
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
-from fungrasp.objects.held_object import DENSITY, held_object
 from fungrasp.perception import pipeline
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
@@ -217,4 +217,4 @@ def test_options_that_cannot_work_are_refused_before_any_work(
 
 def test_a_mass_in_grams_is_refused(folder):
     with pytest.raises(FungraspError, match=r"300 kg in its size is .* denser than anything .*in grams\?"):
-        held_object(folder / "thing.obj", 300.0)
+        resolve_object(folder / "thing.obj", 300.0)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.version import __version__
 from fungrasp.deployment.deploy import deploy_on_robot
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.deployment_task import deployment_task

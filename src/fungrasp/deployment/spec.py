@@ -21,7 +21,7 @@ Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
 
 @dataclass(frozen=True)
 class DeploymentSpec:
-    """What is asked of a deployment, as JSON by ``fungrasp.core.formats.record_json``."""
+    """What is asked of a deployment, as JSON by ``fungrasp.core.records``."""
 
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
     """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
@@ -93,7 +93,7 @@ class GraspChoice:
         if self.image is not None:
             return self._of_image(self.image, seed)
         from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.grasps.picks import picked_rows
+        from fungrasp.grasps.grasp_selection import picked_rows
 
         everything = load_human_grasps(self.grasps)
         human = everything.select(picked_rows(everything, (self.grasp,)))

@@ -24,7 +24,7 @@ from fungrasp.geometry.poses import (
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.resting_pose import broad_settled_up
+from fungrasp.objects.object_model import broad_settled_up
 from fungrasp.planning import MotionPlanner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.clock import WallClock

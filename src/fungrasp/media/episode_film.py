@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,10 +13,16 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.media.camera import Camera
-from fungrasp.media.grasp_scenes import robot_grasp_scene, robot_scene_colors, robot_scene_states
+from fungrasp.media.grasp_scenes import (
+    frame_geoms,
+    look_at_grasp,
+    robot_grasp_scene,
+    robot_scene_colors,
+    robot_scene_states,
+    view_angles,
+)
 from fungrasp.media.pictures import captioned
 from fungrasp.media.render import Renderer
-from fungrasp.media.viewpoints import frame_geoms, look_at_grasp, view_angles
 from fungrasp.objects import ObjectModel
 
 CAPTION_MARGIN = 1.18
@@ -41,7 +47,7 @@ STEADY = 0.1
 def episode_film(
     trajectory: Trajectory,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
     *,
     fps: float = 15.0,
     speed: float = 1.5,
@@ -57,7 +63,7 @@ def episode_film(
     drawn once. An episode whose simulation diverged is shown until then.
 
     Args:
-        trajectory: of ``hand`` and ``thing``.
+        trajectory: of ``hand`` and ``obj``.
         fps: frames per second.
         speed: seconds of the episode in a second of the film.
         width: [pixels].
@@ -70,14 +76,14 @@ def episode_film(
         sRGB, shape [height, width, 3] uint8.
     """
     trajectory = _finite_part(trajectory)
-    wrist, joints, things = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
-    recorded = robot_scene_states(model, hand, wrist, joints, things)
+    wrist, joints, object_poses = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])
+    recorded = robot_scene_states(model, hand, wrist, joints, object_poses)
     times = trajectory.times.astype(float)
     at = frame_times(times, fps, speed)
     states = interpolate(model, recorded, times, at)
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
-    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0], holding)
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0], holding)
     cameras = _cameras(judged, recorded, trajectory, at, width, height)
     colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
@@ -174,41 +180,6 @@ def _finite_part(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name in names})
 
 
-def film(
-    model: mujoco.MjModel,
-    qpos: np.ndarray,
-    times: np.ndarray,
-    fps: float,
-    camera: Camera,
-    *,
-    speed: float = 1.0,
-    phases: Sequence[tuple[float, str]] = (),
-    title: str = "",
-    threads: int = 0,
-) -> Iterator[np.ndarray]:
-    """Frames of a recorded trajectory, states between the recorded ones interpolated.
-
-    Args:
-        qpos: joint positions, shape [T, nq].
-        times: of the states, increasing [s], shape [T].
-        fps: frames per second.
-        camera: that stands still.
-        speed: seconds of the trajectory in a second of the film.
-        phases: start [s] and name of each phase of the motion, for the bar of words.
-        title: words before the phase.
-        threads: 0 means all CPUs.
-
-    Yields:
-        sRGB, shape [H, W, 3] uint8.
-    """
-    at = frame_times(times, fps, speed)
-    frames = Renderer(model, threads=threads).stream(interpolate(model, qpos, times, at), camera)
-    return (
-        captioned(frame, _words(title, phases, t), f"{t - times[0]:.1f} s")
-        for frame, t in zip(frames, at, strict=True)
-    )
-
-
 def frame_times(times: np.ndarray, fps: float, speed: float = 1.0) -> np.ndarray:
     """Times of a film's frames [s]: the first state, and from there on as long as there are states."""
     if not fps > 0 or not speed > 0:
@@ -238,8 +209,3 @@ def interpolate(model: mujoco.MjModel, qpos: np.ndarray, times: np.ndarray, at: 
             mujoco.mj_differentiatePos(model, velocity, step, qpos[k], qpos[k + 1])
             mujoco.mj_integratePos(model, result[i], velocity, min(t - times[k], step))
     return result
-
-
-def _words(title: str, phases: Sequence[tuple[float, str]], time: float) -> str:
-    current = [name for start, name in phases if start <= time + 1e-9]
-    return " · ".join(part for part in (title, current[-1] if current else "") if part)

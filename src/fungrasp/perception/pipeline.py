@@ -24,7 +24,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.objects import MIRRORED, HeldObject, ObjectModel, held_object
+from fungrasp.objects import MIRRORED, ObjectModel, ResolvedObject, resolve_object
 from fungrasp.perception.acceptance import (
     check_held,
     check_holdable,
@@ -81,7 +81,7 @@ UNKNOWN = "unknown"
 
 def perceive(
     capture: Capture | ImageSource | RgbdCamera | str | Path | Sequence[str | Path],
-    obj: ObjectModel | HeldObject | str | Path,
+    obj: ObjectModel | ResolvedObject | str | Path,
     *,
     mass: float | None = None,
     side: Side | None = None,
@@ -122,7 +122,7 @@ def perceive(
     unknown = isinstance(obj, str) and obj == UNKNOWN
     if unknown and object_estimate is not None:
         raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
-    held = obj if isinstance(obj, HeldObject) else None if unknown else held_object(obj, mass)
+    held = obj if isinstance(obj, ResolvedObject) else None if unknown else resolve_object(obj, mass)
     if not isinstance(capture, Capture):
         capture = as_capture(capture)
     check_hints(capture)
@@ -131,7 +131,7 @@ def perceive(
     fitted = None
     if held is None:
         fitted = _fitted_shape(seen, hand)
-        held = held_object(fitted.name, mass)
+        held = resolve_object(fitted.name, mass)
         object_estimate = ObjectEstimate(fitted.pose, fitted.quality, fitted.fits)
     model = held.model
     mesh = model if held.colored is None else held.colored
@@ -356,7 +356,7 @@ def _warnings(
 
 
 def _grasp(
-    held: HeldObject, hand: HandEstimate, obj: ObjectEstimate, pose_world_camera: np.ndarray, task: str
+    held: ResolvedObject, hand: HandEstimate, obj: ObjectEstimate, pose_world_camera: np.ndarray, task: str
 ) -> HumanGrasp:
     model, pose = held.model, in_world(pose_world_camera, obj.pose_camera_object)
     grasp = HumanGrasp(

@@ -16,7 +16,7 @@ from benchmarks.twins.twin_series import (
     evaluate_on_twins,
 )
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import load_hand

@@ -16,10 +16,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.json_file import read_json
 from fungrasp.core.formats.numpy_files import read_npz
-from fungrasp.grasps.anatomy import bone_ratios, hand_size, joint_bends
-from fungrasp.grasps.joint_orders import ORDERS, joint_order
+from fungrasp.core.formats.text_files import read_json
+from fungrasp.grasps.human_hand import ORDERS, bone_ratios, hand_size, joint_bends, joint_order
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.io.capture import Intrinsics
 from fungrasp.perception.io.estimates import Side

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
+from fungrasp.core.formats.checks import guarded
+from fungrasp.grasps.human_hand import HAND_SIZE_SPREAD, hand_size
 from fungrasp.perception.adapters.hand_file import hands_of, read_fields, turn_to
 from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand
 from fungrasp.perception.hand.fit_problem import joint_confidence

@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.grasps.human_hand import joint_bends
 from fungrasp.perception.io.capture import Box, CameraFrame, Capture
 from fungrasp.perception.io.estimates import PerceptionWarning, Side
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.hand_thickness import FINGER_RADII, WRIST_RADIUS
+from fungrasp.grasps.human_hand import FINGER_RADII, WRIST_RADIUS
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit_problem import (

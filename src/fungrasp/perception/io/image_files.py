@@ -13,7 +13,7 @@ from PIL import Image
 from scipy import ndimage
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.image_file import read_image
 from fungrasp.core.formats.numpy_files import read_npy
 from fungrasp.perception.io.capture import Box, Capture, Intrinsics, Pixel
