@@ -160,7 +160,7 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
     assert np.argmax(views.color[0][ball[0]].mean(0)) == 2
     assert np.argmax(views.color[1][ball[1]].mean(0)) == 1
     look = Look(light=tuple(sun_direction(Look(), camera.rotation)))
-    alone = render(model, np.zeros(2), other, geom_rgba=colors[1], look=look)[0]
+    alone = next(Renderer(model, look=look).stream(np.zeros(2), other, geom_rgba=colors[1]))
     assert np.abs(views.color[1].astype(int) - alone).max() <= 1
 
 
@@ -169,7 +169,6 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
     [
         ({"qpos": np.zeros((2, 3))}, "qpos"),
         ({"qpos": np.full(2, np.nan)}, "finite"),
-        ({"geom_rgba": np.ones((2, 4))}, "geom_rgba"),
         ({"camera": []}, "cameras"),
         ({"antialias": 0}, "antialias"),
         ({"threads": -1}, "threads"),
@@ -178,6 +177,8 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
 def test_wrong_arguments_are_named(model, camera, arguments, words):
     with pytest.raises(FungraspError, match=words):
         render(model, **{"qpos": np.zeros(2), "camera": camera, **arguments})
+    with pytest.raises(FungraspError, match="geom_rgba"):
+        Renderer(model).stream(np.zeros(2), camera, geom_rgba=np.ones((2, 4)))
 
 
 def test_looks_are_checked():

@@ -42,10 +42,8 @@ def render(
     qpos: np.ndarray,
     camera: Camera | Sequence[Camera],
     *,
-    geom_rgba: np.ndarray | None = None,
     look: Look | None = None,
     shadows: bool = True,
-    ground: bool = True,
     antialias: int = 2,
     threads: int = 0,
 ) -> np.ndarray:
@@ -55,10 +53,8 @@ def render(
     Returns:
         sRGB, shape [F, H, W, 3] uint8 (F = 1 for a single state).
     """
-    renderer = Renderer(
-        model, look=look, shadows=shadows, ground=ground, antialias=antialias, threads=threads
-    )
-    return np.stack(list(renderer.stream(qpos, camera, geom_rgba=geom_rgba)))
+    renderer = Renderer(model, look=look, shadows=shadows, antialias=antialias, threads=threads)
+    return np.stack(list(renderer.stream(qpos, camera)))
 
 
 class Renderer:
