@@ -359,6 +359,5 @@ def _shares(mask: np.ndarray) -> np.ndarray:
 def _touching(model: mujoco.MjModel, seen: Views) -> np.ndarray:
     whole = np.flatnonzero(np.all(np.abs(model.geom_rgba[:, :3] - np.asarray(CONTACT)) < 1e-3, axis=1))
     textured = np.flatnonzero(model.geom_matid >= 0)
-    assert seen.color is not None
     orange = seen.color[..., 2] < 0.5 * seen.color[..., 0]
     return np.isin(seen.segmentation, whole) | (np.isin(seen.segmentation, textured) & orange)
