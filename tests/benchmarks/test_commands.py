@@ -31,12 +31,43 @@ def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys
     assert numbers["environment_over_bare"] == pytest.approx(numbers["environment"] / numbers["bare"])
 
 
+def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
+    def few(protocol, rollouts=True, for_use=False):
+        further = FurtherSearch(most=0)
+        small = SelectionSettings(candidates=2, sure=0.0, first_rounds=((2, 1),), search=further)
+        return small if rollouts else SelectionSettings(candidates=2, rollouts=None)
+
+    monkeypatch.setattr(SelectionSettings, "for_protocol", few)
+    path = tmp_path / "b.json"
+    options = (
+        "--grasps",
+        human,
+        "--planned",
+        1,
+        "--worlds",
+        2,
+        "--updates",
+        1,
+        "--repeat",
+        1,
+        "--json",
+        path,
+    )
+    status, out, _ = run_benchmark(capsys, "speed", *options)
+    assert status == 0 and "core s/grasp" in out
+    speed = json.loads(path.read_text())["speed"]
+    assert len(speed) == 9 and all(value > 0 for value in speed.values())
+    with_rollouts, alone = (value for name, value in speed.items() if name.startswith("planning"))
+    assert with_rollouts > alone
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("speed", "--repeat", 0), "--repeat must be at least 1"),
         (("engines", "speed", "--worlds", 0), "--worlds must be at least 1"),
         (("engines", "speed", "--hand", "alegro"), "Did you mean 'allegro'?"),
+        (("speed", "--grasps", "none.npz"), "none.npz does not exist"),
     ],
 )
 def test_mistakes_are_one_line(arguments, words, capsys):

@@ -222,12 +222,10 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
         with redirect_stderr(said):
             return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
     except SystemExit as stop:
-        error: BaseException | None = stop
-        while error is not None:
-            # A spec has found an impossible value: in one line, as all our errors.
+        # A spec has found an impossible value: in one line, as all our errors.
+        for error in (stop.__context__, getattr(stop.__context__, "__context__", None)):
             if isinstance(error, FungraspError):
                 raise error from None
-            error = error.__context__
         sys.stderr.write(said.getvalue())
         raise
 

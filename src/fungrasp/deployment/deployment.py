@@ -70,10 +70,8 @@ class Deployment:
         self._attempts, self._missed, self._why_no_more = 0, False, ""
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
-        """Grasp, lift, hold, put down, go home. Never raises for what goes wrong with the robot.
-
-        Args:
-            grasp: one.
+        """Grasp, lift, hold, put down, go home, with one grasp. Never raises for what goes wrong with the
+        robot.
 
         Raises:
             FungraspError: the grasp can't be planned or reached; nothing has moved.
@@ -302,12 +300,7 @@ class _RobotAttempts:
     """Carries out the attempts of a robot (``AttemptCarrier``): its one world is number 0."""
 
     def __init__(self, deployment: Deployment, grasp: RobotGraspSet, state: RobotState):
-        """
-        Args:
-            deployment: with the first plan.
-            grasp: one.
-            state: of the robot now.
-        """
+        """deployment: with the first plan. state: of the robot now."""
         self._d, self._grasp, self._state = deployment, grasp, state
         self.postures = [state.arm.positions]
         """Of the arm on its way so far, the last one where it is."""
