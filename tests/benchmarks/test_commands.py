@@ -9,6 +9,8 @@ from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
 from fungrasp.grasps import save_human_grasps
+from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import FurtherSearch
 
 
 @pytest.fixture(scope="module")
