@@ -177,7 +177,7 @@ def test_a_mesh_file_that_was_read_before_needs_no_trimesh(tmp_path: Path) -> No
     path = tmp_path / "wedge.obj"
     corners = "v 0 0 0\nv 0.05 0 0\nv 0 0.06 0\nv 0 0 0.07\n"
     path.write_text(corners + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
-    code = f"import sys; from fungrasp.objects import held_object; held_object({str(path)!r}, 0.1); "
+    code = f"import sys; from fungrasp.objects import resolve_object; resolve_object({str(path)!r}, 0.1); "
     for _ in range(2):
         done = subprocess.run(
             [sys.executable, "-c", code + "print(*sys.modules)"], capture_output=True, text=True, check=True

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.choose.pairing import PairedRates
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.checks import read_bytes
 
 LARGEST = 1_000_000
 """Bytes of the largest record that is read."""

@@ -47,7 +47,7 @@ class Lifts:
         from fungrasp.geometry.poses import transform_points
         from fungrasp.grasps.human_hand import mirror_pose
         from fungrasp.hands import load_hand
-        from fungrasp.objects import HeldObject, mirrored_object
+        from fungrasp.objects import ResolvedObject, mirrored_object
         from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
         from fungrasp.perception.object_pose.pose_error import add_s
         from fungrasp.perception.pipeline import UNKNOWN, perceive
@@ -75,7 +75,7 @@ class Lifts:
                 }
                 rows.append(row)
                 try:
-                    thing = UNKNOWN if self.unknown else HeldObject(recorded.model)
+                    thing = UNKNOWN if self.unknown else ResolvedObject(recorded.model)
                     seen = perceive(hinted_captures(recorded)[self.told], thing, detector=detector)
                     robot = retarget(seen.grasps, seen.objects, hand, threads=self.threads)
                 except FungraspError as error:

@@ -8,7 +8,7 @@ from typing import Any
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.objects import HeldObject
+from fungrasp.objects import ResolvedObject
 from fungrasp.perception import Capture
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.perceived import Perceived, StageSeconds
@@ -18,7 +18,7 @@ RIGHT_MM = 10.0
 """An object's pose is right if its ADD-S is below this."""
 
 
-def perceived(capture: Capture, obj: HeldObject, detector: HandDetector) -> Perceived | None:
+def perceived(capture: Capture, obj: ResolvedObject, detector: HandDetector) -> Perceived | None:
     """What ``perceive`` makes of an image; None where it finds no hand.
 
     Args:

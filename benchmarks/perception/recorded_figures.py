@@ -12,8 +12,8 @@ from scipy import ndimage
 
 from benchmarks.perception.measurements import RIGHT_MM, perceived, rate_of, together
 from benchmarks.perception.recorded_captures import RecordedCapture
-from fungrasp.core.formats.json_file import finite
-from fungrasp.objects import HeldObject, builtin_object
+from fungrasp.core.formats.text_files import finite
+from fungrasp.objects import ResolvedObject, builtin_object
 from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
@@ -134,7 +134,7 @@ def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> Recor
     """Run ``perceive`` on one capture, with each hint that its mask gives."""
     known = recorded.model is not None and recorded.pose_camera_object is not None
     model = builtin_object(OTHER_OBJECT) if recorded.model is None else recorded.model
-    obj = HeldObject(model, recorded.colored)
+    obj = ResolvedObject(model, recorded.colored)
     hints = hinted_captures(recorded) if known else {"none": recorded.capture.with_object()}
     seen = {hint: perceived(capture, obj, detector) for hint, capture in hints.items()}
     alone = seen["none"]

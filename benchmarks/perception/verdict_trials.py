@@ -16,9 +16,9 @@ from benchmarks.perception.recorded_captures import RecordedCapture
 from benchmarks.perception.recorded_figures import hinted_captures
 from benchmarks.perception.wrong_meshes import searched_mesh, with_colors, wrong_meshes
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_colored_mesh
-from fungrasp.objects import HeldObject, ObjectModel
+from fungrasp.objects import ObjectModel, ResolvedObject
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.hand.joint_confidence import joint_features
 from fungrasp.perception.object_pose.estimate import search_object_pose
@@ -134,7 +134,7 @@ def measure_trials(
     if model is None or truth is None:
         return [], None
     try:
-        seen = perceive(recorded.capture.with_object(), HeldObject(model), detector=detector)
+        seen = perceive(recorded.capture.with_object(), ResolvedObject(model), detector=detector)
     except FungraspError:
         return [], None
     hand = seen.trace.candidate.hand

@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.objects import ObjectModel, mirrored_object
+from fungrasp.objects.builtin_objects import plain_shape
 from fungrasp.objects.object_variants import scaled_object
-from fungrasp.objects.plain_shapes import plain_shape
 from fungrasp.perception.object_pose.icp import KnownSurface
 from fungrasp.perception.object_pose.known_object import KnownObject, MeshRays, known_object
 

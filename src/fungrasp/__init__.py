@@ -1,8 +1,8 @@
 """fungrasp: a human grasp in, a robot grasp that lifts the object out.
 
-Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; what
-one returns, the next one takes. Five nouns are what they are about: ``HumanGrasp``, ``RobotGrasp``,
-``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
+Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; and
+``train`` makes policies. What one returns, the next one takes. Five nouns are what they are about:
+``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
 
 The names below are those of the rooms (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A room is
 imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type checkers read
@@ -15,11 +15,12 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from fungrasp.core.version import __version__ as __version__
+from fungrasp.core import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
-    "deployment.deployment_result": "DeploymentSpec",
+    "deployment.observer": "DeploymentObserver",
+    "deployment.spec": "DeploymentSpec",
     "evaluation": "LiftTestSpec evaluate static_quality",
     "evaluation.plans": "plan",
     "grasps": (

@@ -3,7 +3,8 @@
 from fungrasp.core.jobs import PartStore as PartStore
 from fungrasp.core.jobs import RayCluster as RayCluster
 from fungrasp.deployment.deploy import deploy as deploy
-from fungrasp.deployment.deployment_result import DeploymentSpec as DeploymentSpec
+from fungrasp.deployment.observer import DeploymentObserver as DeploymentObserver
+from fungrasp.deployment.spec import DeploymentSpec as DeploymentSpec
 from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
 from fungrasp.evaluation import evaluate as evaluate
 from fungrasp.evaluation import static_quality as static_quality

@@ -14,7 +14,7 @@ import pytest
 from fungrasp.cli.demo import FAVORITES
 from fungrasp.cli.main import main
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
-from fungrasp.grasps.picks import picked_rows
+from fungrasp.grasps.grasp_selection import picked_rows
 from fungrasp.media import demonstration
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate, builtin_image

@@ -24,7 +24,7 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import CannotWriteError
 from fungrasp.grasps import load_human_grasps, load_objects, load_robot_grasps
 from fungrasp.objects import builtin_object
-from fungrasp.objects.held_object import DENSITY, held_object
+from fungrasp.objects.resolved_object import DENSITY, resolve_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.adapters import entry_point
@@ -278,16 +278,16 @@ def test_a_camera_without_its_package_is_told(folder, tmp_path, capsys, monkeypa
 
 
 def test_an_object_by_file_or_name(folder):
-    held = held_object(NAME, None)
+    held = resolve_object(NAME, None)
     assert held.model.mass == builtin_object(NAME).mass and held.colored is None and held.notes == ()
-    held = held_object(str(folder / "thing.obj"), None)
+    held = resolve_object(str(folder / "thing.obj"), None)
     volume = held.model.mesh.convex_hull.volume
     assert held.model.mass == pytest.approx(DENSITY * volume) and "was guessed" in held.notes[0]
-    assert held_object(str(folder / "thing.obj"), 0.2).notes == ()
+    assert resolve_object(str(folder / "thing.obj"), 0.2).notes == ()
     with pytest.raises(UnknownNameError, match="Did you mean 'mug'"):
-        held_object("mugg", 0.2)
+        resolve_object("mugg", 0.2)
     with pytest.raises(FungraspError, match="does not exist"):
-        held_object("mugg.obj", 0.2)
+        resolve_object("mugg.obj", 0.2)
 
 
 def test_a_left_hand_brings_its_mirrored_mesh(folder, found, tmp_path, capsys):
@@ -518,4 +518,4 @@ def test_options_that_cannot_work_are_refused_before_any_work(
 
 def test_a_mass_in_grams_is_refused(folder):
     with pytest.raises(FungraspError, match=r"300 kg in its size is .* denser than anything .*in grams\?"):
-        held_object(folder / "thing.obj", 300.0)
+        resolve_object(folder / "thing.obj", 300.0)

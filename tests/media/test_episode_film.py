@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import load_hand
 from fungrasp.media import episode_film as module
-from fungrasp.media.episode_film import VERDICT_TIME, episode_film, episode_phases, film_frames
+from fungrasp.media import orbit_camera
+from fungrasp.media.episode_film import (
+    VERDICT_TIME,
+    episode_film,
+    episode_phases,
+    film_frames,
+    frame_times,
+    interpolate,
+)
 from fungrasp.objects import builtin_object
 
 HAND = load_hand("allegro")
@@ -56,6 +67,20 @@ def test_without_touch_there_is_no_closing(trajectory: Trajectory) -> None:
     assert [name for _, name in episode_phases(never)] == ["approach", "lift", "hold"]
 
 
+def leave_blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing be drawn, which takes long."""
+
+    class Blank:
+        def __init__(self, model: mujoco.MjModel, threads: int = 0) -> None: ...
+
+        def stream(self, qpos: np.ndarray, *_: object, **__: object) -> Iterator[np.ndarray]:
+            return iter(np.zeros((len(qpos), HEIGHT, WIDTH, 3), np.uint8))
+
+    still = orbit_camera((0.0, 0.0, 0.1), 0.5, 30.0, 30.0, width=WIDTH, height=HEIGHT)
+    monkeypatch.setattr(module, "Renderer", Blank)
+    monkeypatch.setattr(module, "look_at_grasp", lambda *_, **__: still)
+
+
 def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[str]:
     words: list[str] = []
 
@@ -63,6 +88,7 @@ def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[st
         words.append(left)
         return image
 
+    leave_blank(monkeypatch)
     monkeypatch.setattr(module, "captioned", captioned)
     frames = list(
         episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, title="Ball", width=WIDTH, height=HEIGHT)
@@ -127,9 +153,32 @@ def test_still_frames_are_drawn_once(trajectory: Trajectory, monkeypatch: pytest
     assert drawn <= 13, "the hand is still from 1 s to 2 s and from 3 s on"
 
 
-def test_the_number_of_frames_is_known_before(trajectory: Trajectory) -> None:
+def test_the_number_of_frames_is_known_before(
+    trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leave_blank(monkeypatch)
     diverged = replace(trajectory, object_pose=trajectory.object_pose.copy())
     diverged.object_pose[30:] = np.nan
     for each in (trajectory, diverged):
         frames = episode_film(each, HAND, BALL, fps=FPS, speed=1.7, width=WIDTH, height=HEIGHT)
         assert len(list(frames)) == film_frames(each, FPS, 1.7)
+
+
+def test_states_in_between_lie_on_the_shortest_motion() -> None:
+    xml = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    model, times = mujoco.MjModel.from_xml_string(xml), np.array([1.0, 1.5, 2.0])
+    qpos, angle = np.zeros((3, 7)), (times - 1.0) * np.pi / 2
+    qpos[:, 0], qpos[:, 3], qpos[:, 6] = 0.2 * (times - 1.0), np.cos(angle / 2), np.sin(angle / 2)
+    middle = interpolate(model, qpos, times, np.array([1.25]))[0]
+    eighth = 0.125 * np.pi / 2
+    np.testing.assert_allclose(middle, [0.05, 0, 0, np.cos(eighth), 0, 0, np.sin(eighth)], atol=1e-12)
+    np.testing.assert_allclose(interpolate(model, qpos, times, times), qpos, atol=1e-12)
+
+
+def test_frame_times_cover_the_motion() -> None:
+    times = np.array([1.0, 2.0])
+    np.testing.assert_allclose(frame_times(times, 4), [1, 1.25, 1.5, 1.75, 2.0])
+    assert len(frame_times(times, 4, speed=0.5)) == 9
+    assert len(frame_times(times[:1], 25)) == 1
+    with pytest.raises(FungraspError, match="frames per second"):
+        frame_times(times, 0)

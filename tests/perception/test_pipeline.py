@@ -13,7 +13,7 @@ from hand_scenes import CAMERA, HandScene, hand_scene
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.grasps.human_hand import mirror_points
-from fungrasp.objects import HeldObject, ObjectModel, builtin_object
+from fungrasp.objects import ObjectModel, ResolvedObject, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate
 from fungrasp.perception import pipeline as room
 from fungrasp.perception.estimates import PerceptionWarning
@@ -505,7 +505,7 @@ def test_the_mesh_may_have_colors():
     colored = trimesh.Trimesh(scene.model.vertices, scene.model.faces, vertex_colors=paint, process=False)
     perceived = perceive(
         scene.capture.with_object(object_pixels()),
-        HeldObject(scene.model, colored),
+        ResolvedObject(scene.model, colored),
         detector=StandIn(detected),
     )
     assert add_s(scene.model.vertices, perceived.object.pose_camera_object, scene.pose_camera_object) < 0.006

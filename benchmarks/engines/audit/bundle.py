@@ -26,8 +26,8 @@ from benchmarks.engines.audit.hand_parts import (
 )
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.json_file import read_json
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.formats.text_files import read_json
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.evaluation.trajectory import PHASES, Trajectory
 from fungrasp.geometry.poses import relative, transform_points
 from fungrasp.hands import load_hand

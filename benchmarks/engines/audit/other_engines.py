@@ -15,7 +15,7 @@ from benchmarks.engines.audit.bundle import SUFFIX as BUNDLE
 from benchmarks.engines.audit.bundle import EpisodeBundle, load_bundle, make_bundle, scene_of
 from benchmarks.engines.audit.replay import EpisodeWorld, Replayed, play_bundle
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.records import record_to_json
 from fungrasp.core.text_table import table
 from fungrasp.evaluation import Trajectory, replay
 from fungrasp.evaluation.statistics import wilson_interval

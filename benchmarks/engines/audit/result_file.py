@@ -9,8 +9,8 @@ from benchmarks.engines.audit.other_engines import AuditResult, EngineName
 from benchmarks.engines.audit.replay import Replayed
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.json_file import read_json
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.formats.text_files import read_json
+from fungrasp.core.records import record_from_json
 
 LARGEST = 64_000_000
 """Bytes of the largest file that is read."""

@@ -62,7 +62,7 @@ class Calibrate(Answering):
         import numpy as np
 
         from fungrasp.core.errors import FungraspError
-        from fungrasp.core.formats.json_file import read_json
+        from fungrasp.core.formats.text_files import read_json
         from fungrasp.hands import load_hand
         from fungrasp.perception.io.image_files import read_color
         from fungrasp.perception.io.intrinsics_files import read_intrinsics
@@ -93,7 +93,7 @@ class Calibrate(Answering):
         import numpy as np
 
         from fungrasp.core.errors import FungraspError
-        from fungrasp.core.formats.json_file import read_json
+        from fungrasp.core.formats.text_files import read_json
         from fungrasp.robots.calibration.touched_points import calibrate_from_points
 
         tree = read_json(path, "touched points")

@@ -92,14 +92,18 @@ class Demo(Answering):
             f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}"
             for report in made.grasps
         ]
-        told = ("title", "object_name", "task", "success", "outcome", "use_success", "use_outcome")
-        grasps = [{name: getattr(report, name) for name in told} for report in made.grasps]
+        told = ("title", "success", "outcome", "use_success", "use_outcome")
+        grasps = [
+            {"object_name": grasp.object_name, "task": grasp.task}
+            | {name: getattr(report, name) for name in told}
+            for grasp, report in zip(shown.human, made.grasps, strict=True)
+        ]
         value = {"film": made.film, "page": made.page, "grasps": grasps}
         return Answer(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
 
     def _picked(self) -> Shown:
         from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.grasps.picks import picked_rows
+        from fungrasp.grasps.grasp_selection import picked_rows
         from fungrasp.media.demonstration import Shown
 
         everything = load_human_grasps(self.grasps)
@@ -177,6 +181,8 @@ def _compile(picked: Shown, hand: str) -> None:
 
 def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) -> Shown:
     """Picked grasps, and the one that was seen in an image."""
+    from html import escape
+
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.media.demonstration import Shown
     from fungrasp.media.perception_page import perception_parts, perception_title, true_errors
@@ -188,7 +194,8 @@ def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) ->
         return picked
     known = folder == BUILTIN
     parts = perception_parts(seen, true_errors(builtin_truth(), seen) if known else ())
-    head = f"<h2>{perception_title(seen)}</h2>{RENDERED if known else ''}"
+    rendered = RENDERED if known else ""
+    head = f'<header class="top"><h2>{escape(perception_title(seen))}</h2>{rendered}</header>'
     source = {"Image": "the built-in one" if known else str(folder)}
     if picked is None:
         return Shown(seen.grasps, seen.objects, source, {0: [head, *parts]})

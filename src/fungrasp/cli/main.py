@@ -19,8 +19,8 @@ from typing import Annotated, Any, NoReturn, Union
 
 from fungrasp.cli.console import STDOUT, Answer
 from fungrasp.cli.start import INTERRUPTED
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.version import __version__
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
@@ -47,7 +47,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
+    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",
@@ -219,12 +222,10 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
         with redirect_stderr(said):
             return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
     except SystemExit as stop:
-        error: BaseException | None = stop
-        while error is not None:
-            # A spec has found an impossible value: in one line, as all our errors.
+        # A spec has found an impossible value: in one line, as all our errors.
+        for error in (stop.__context__, getattr(stop.__context__, "__context__", None)):
             if isinstance(error, FungraspError):
                 raise error from None
-            error = error.__context__
         sys.stderr.write(said.getvalue())
         raise
 

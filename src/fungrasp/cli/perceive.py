@@ -89,12 +89,12 @@ class Perceive:
         # Read when NumPy is imported, which follows.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         self._check()
-        from fungrasp.objects import held_object
+        from fungrasp.objects import resolve_object
         from fungrasp.perception.pipeline import UNKNOWN, perceive
         from fungrasp.perception.several_looks import best_of_looks
 
         plane = parse_plane(self.table)
-        held = None if self.mesh == UNKNOWN else held_object(self.mesh, self.mass)
+        held = None if self.mesh == UNKNOWN else resolve_object(self.mesh, self.mass)
         model = None if held is None else held.model
         look = partial(
             perceive,

@@ -11,16 +11,15 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.deployment.scripted_motion import ARRIVED
+from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import (
     DeviceStatus,
     JointLimits,
@@ -31,7 +30,7 @@ from fungrasp.robots.device import (
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand
+from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 
 LOOK_TIME = 0.1
@@ -56,28 +55,20 @@ class Motion:
     """The object, held fast from the lift until it stands again, world frame, shape [T, 7]."""
 
 
-def rehearse(
-    cell: RobotCell,
-    hand: Hand,
-    grasp: RobotGraspSet,
-    prepared: PreparedGrasp,
-    arm: np.ndarray,
-    fingers: np.ndarray,
-) -> Motion:
-    """Carry a plan out without a robot, from the way to the start to the way home. What a policy that watches
-    corrects on the way is not in it.
+def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Motion:
+    """Carry a plan out without moving a robot, from the way to the start to the way home. What a policy that
+    watches corrects on the way is not in it.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
+        robot: connected; it stands where the plan begins, and is only read.
         grasp: that was planned.
         prepared: the plan.
-        arm: joints of the arm where it begins [rad], shape [A].
-        fingers: independent joints of the hand where it begins [rad], shape [U].
 
     Raises:
         FungraspError: the safety filter would stop it.
     """
+    cell, hand = robot.cell, robot.hand
+    arm, fingers = robot.arm.read().positions, robot.hand_driver.read().positions
     clock, plan = _SteppedClock(), prepared.plan
     count = len(hand.actuators)
     kinematics = ArmKinematics(cell, hand)
@@ -86,7 +77,7 @@ def rehearse(
     low, high = hand.joint_limits[[hand.joint_names.index(name) for name in hand.actuators]].T
     servos = JointLimits(low, high, np.full(count, cell.limits.hand_speed), np.full(count, np.inf))
     driven, closing = _PerfectJoints("arm", arm, reach, clock), _PerfectJoints("hand", fingers, servos, clock)
-    robot = Robot(
+    rehearsed = Robot(
         cell,
         hand,
         driven,
@@ -96,18 +87,11 @@ def rehearse(
         compensate=False,
         switch=StopSwitch(),
     )
-    rows: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []
-
-    def record(phase: Phase, command: RobotCommand) -> None:
-        begun = robot.plan_time(clock.now())
-        if phase is Phase.GRASP and begun >= float(plan.closing_step[0]) * plan.control_period - 1e-9:
-            closing.stop_at(plan.grasp_joints[0], prepared.start_fingers)
-        rows.append((clock.now(), phase, command.arm, closing.positions.copy(), command.palm))
-
-    with robot:
-        settings = DeploymentSettings(look_time=LOOK_TIME)
-        run = Deployment(robot, OpenLoopPolicy(), _Planned(prepared), settings=settings, on_setpoint=record)
-        result = run.run(grasp)
+    record = _Record(rehearsed, closing, prepared)
+    with rehearsed:
+        spec = DeploymentSpec(look_time=LOOK_TIME)
+        result = Deployment(rehearsed, OpenLoopPolicy(), _Planned(prepared), spec, [record]).run(grasp)
+    rows = record.rows
     if result.fault:
         during = f" while '{rows[-1][1]}'" if rows else ""
         raise FungraspError(f"the safety filter would stop this plan{during}: {result.fault}")
@@ -129,6 +113,21 @@ def _carried(rest: np.ndarray, palm: np.ndarray, phases: np.ndarray) -> np.ndarr
     held = held[: int(np.argmax(down))]
     pose[held] = compose(palm[held], relative(first, rest))
     return pose
+
+
+class _Record(DeploymentObserver):
+    """Keeps every setpoint: its time, phase, joints of arm and hand, and the palm."""
+
+    def __init__(self, robot: Robot, closing: _PerfectJoints, prepared: PreparedGrasp):
+        self._robot, self._closing, self._prepared = robot, closing, prepared
+        self.rows: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        plan, now = self._prepared.plan, self._robot.clock.now()
+        closing = float(plan.closing_step[0]) * plan.control_period
+        if phase is Phase.GRASP and self._robot.plan_time(now) >= closing - 1e-9:
+            self._closing.stop_at(plan.grasp_joints[0], self._prepared.start_fingers)
+        self.rows.append((now, phase, command.arm, self._closing.positions.copy(), command.palm))
 
 
 class _Planned:
@@ -153,22 +152,41 @@ class _SteppedClock:
         self._now = 0.0
 
     def now(self) -> float:
-        """See ``Clock.now``."""
         return self._now
 
     def sleep_until(self, when: float) -> None:
-        """See ``Clock.sleep_until``."""
         self._now = max(self._now, when)
 
 
-class _PerfectJoints:
-    """Joints that are at once where they are told to be, unless something stops them."""
+class _Device:
+    """What needs no connection."""
 
     takes_feedforward = False
     lets_go = ""
 
+    def __init__(self, name: str, clock: _SteppedClock):
+        self.name, self._clock = name, clock
+
+    def connect(self) -> None: ...
+
+    def take_control(self) -> None: ...
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None: ...
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class _PerfectJoints(_Device):
+    """Joints that are at once where they are told to be, unless something stops them."""
+
     def __init__(self, name: str, positions: np.ndarray, limits: JointLimits, clock: _SteppedClock):
-        self.name, self.limits, self._clock = name, limits, clock
+        super().__init__(name, clock)
+        self.limits = limits
         self.positions = np.clip(positions, limits.lower, limits.upper)
         """Where they are [rad]."""
         self._low, self._high = limits.lower, limits.upper
@@ -180,54 +198,22 @@ class _PerfectJoints:
             both = np.array([held, free, self.positions])
             self._low, self._high = both.min(axis=0), both.max(axis=0)
 
-    def connect(self) -> None:
-        """See ``JointDriver.connect``."""
-
-    def take_control(self) -> None:
-        """See ``JointDriver.take_control``."""
-
     def read(self) -> JointState:
-        """See ``JointDriver.read``."""
         now = self._clock.now()
         return JointState(self.positions, np.zeros_like(self.positions), None, now, now, DeviceStatus.READY)
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
-        """See ``JointDriver.command``."""
         sent = np.clip(positions, self.limits.lower, self.limits.upper)
         self.positions = np.clip(sent, self._low, self._high)
         return sent
 
-    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """See ``JointDriver.stop``."""
 
-    def close(self) -> None:
-        """See ``JointDriver.close``."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None: ...
-
-
-class _StandingObject:
+class _StandingObject(_Device):
     """A tracker that sees the object where the plan has it."""
 
-    name = "the plan's object"
-
     def __init__(self, pose: np.ndarray, clock: _SteppedClock):
-        self._pose, self._clock = pose, clock
-
-    def connect(self) -> None:
-        """See ``PoseSource.connect``."""
+        super().__init__("the plan's object", clock)
+        self._pose = pose
 
     def read(self) -> TrackedPose:
-        """See ``PoseSource.read``."""
         return TrackedPose(self._pose, self._clock.now(), 1.0, TrackingStatus.TRACKING)
-
-    def close(self) -> None:
-        """See ``PoseSource.close``."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None: ...

@@ -11,7 +11,7 @@ from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS, HUMAN_FINGER_LINKS, correspond
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.part_lookup import nearest_parts
+from fungrasp.objects.object_model import nearest_parts
 
 PALM_JOINTS = (0, 1, 5, 9, 13)
 """Human joints around the palm: wrist and the four knuckles."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.records import record_from_json
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import check_attempts
 from fungrasp.sim2real import NOMINAL, ProtocolName, Randomization, protocol_conditions
@@ -18,7 +18,7 @@ from fungrasp.task import LiftProtocol
 
 @dataclass(frozen=True)
 class LiftTestSpec:
-    """What is asked of a lift test. ``fungrasp.core.formats.record_json`` makes it JSON and reads it back."""
+    """What is asked of a lift test. ``fungrasp.core.records`` makes it JSON and reads it back."""
 
     policy: str = "reference"
     """Name or file of what moves the hand (``fungrasp.policies.policy_files``)."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.core.formats.json_file import finite
-from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core import __version__
+from fungrasp.core.formats.text_files import finite
 from fungrasp.core.provenance import run_record
-from fungrasp.core.version import __version__
+from fungrasp.core.records import record_to_json
 from fungrasp.evaluation.lift_evaluation import LiftTestResult
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json

@@ -24,11 +24,10 @@ from fungrasp.media.grasp_pages import (
     quantities,
     use_outcome,
 )
-from fungrasp.media.grasp_scenes import grasp_scene
+from fungrasp.media.grasp_scenes import grasp_scene, look_at_grasp
 from fungrasp.media.page import GraspReport, Page, write_page
 from fungrasp.media.render import render
 from fungrasp.media.video import write_video
-from fungrasp.media.viewpoints import look_at_grasp
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import make_planner
@@ -37,7 +36,7 @@ from fungrasp.retargeting import retarget
 FPS, SPEED = 10.0, 2.5
 """Frames per second of the film, and how much faster than the simulation it runs."""
 
-WIDTH, HEIGHT = 854, 480
+WIDTH, HEIGHT = 720, 406
 """Size of the film's picture [pixels]."""
 
 INSET = 0.24
@@ -183,14 +182,25 @@ def _film(
 ) -> tuple[Path, dict[tuple[int, bool], Path]]:
     """The whole film, and its parts by row of the grasp and whether it is the use."""
     clips: dict[tuple[int, bool], Path] = {}
+    people = [_person(grasp, shown.objects[grasp.object_name]) for grasp in shown.human]
 
     def frames() -> Iterator[np.ndarray]:
         done = 0
         for each in episodes:
             obj, clip, grasp = shown.objects[each.object_name], [], shown.human[each.index]
-            options = {"fps": FPS, "speed": SPEED, "width": WIDTH, "height": HEIGHT, "threads": threads}
-            inset = _person(grasp, obj)
-            for frame in episode_film(each, hand, obj, title=grasp_title(grasp), inset=inset, **options):
+            film = episode_film(
+                each,
+                hand,
+                obj,
+                fps=FPS,
+                speed=SPEED,
+                width=WIDTH,
+                height=HEIGHT,
+                title=grasp_title(grasp),
+                inset=people[each.index],
+                threads=threads,
+            )
+            for frame in film:
                 clip.append(frame)
                 yield frame
                 done += 1

@@ -1,8 +1,8 @@
-"""Recorded episodes as films: even frame times, links that light up, a camera that draws nearer."""
+"""Recorded episodes as films: even frame times, links that light up, first from afar, then from near."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,10 +13,16 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.media.camera import Camera
-from fungrasp.media.grasp_scenes import robot_grasp_scene, robot_scene_colors, robot_scene_states
+from fungrasp.media.grasp_scenes import (
+    frame_geoms,
+    look_at_grasp,
+    robot_grasp_scene,
+    robot_scene_colors,
+    robot_scene_states,
+    view_angles,
+)
 from fungrasp.media.pictures import captioned
 from fungrasp.media.render import Renderer
-from fungrasp.media.viewpoints import frame_geoms, look_at_grasp, view_angles
 from fungrasp.objects import ObjectModel
 
 CAPTION_MARGIN = 1.18
@@ -41,7 +47,7 @@ STEADY = 0.1
 def episode_film(
     trajectory: Trajectory,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
     *,
     fps: float = 15.0,
     speed: float = 1.5,
@@ -53,11 +59,11 @@ def episode_film(
 ) -> Iterator[np.ndarray]:
     """A recorded episode, with the object's own mesh; links light up while they touch.
 
-    The camera draws nearer while the hand approaches. Where nothing moves, as in most of the hold, a frame is
+    From the first touch on the camera is nearer. Where nothing moves, as in most of the hold, a frame is
     drawn once. An episode whose simulation diverged is shown until then.
 
     Args:
-        trajectory: of ``hand`` and ``thing``.
+        trajectory: of ``hand`` and ``obj``.
         fps: frames per second.
         speed: seconds of the episode in a second of the film.
         width: [pixels].
@@ -70,14 +76,14 @@ def episode_film(
         sRGB, shape [height, width, 3] uint8.
     """
     trajectory = _finite_part(trajectory)
-    wrist, joints, things = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
-    recorded = robot_scene_states(model, hand, wrist, joints, things)
+    wrist, joints, object_poses = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])
+    recorded = robot_scene_states(model, hand, wrist, joints, object_poses)
     times = trajectory.times.astype(float)
     at = frame_times(times, fps, speed)
     states = interpolate(model, recorded, times, at)
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
-    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0], holding)
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0], holding)
     cameras = _cameras(judged, recorded, trajectory, at, width, height)
     colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
@@ -127,8 +133,9 @@ def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
 def _cameras(
     model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
 ) -> list[Camera]:
-    """Cameras of the frames, from all of the motion to that from the first touch on; an object that gets away
-    is not followed. The model's links that touch during the hold are colored, to be seen well."""
+    """Cameras of the frames: one that sees all of the motion, and one that sees it from the first touch on.
+    An object that gets away is not followed. The model's links that touch during the hold are colored, to be
+    seen well."""
     touch = _first_touch(trajectory)
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST
@@ -136,9 +143,7 @@ def _cameras(
     size = {"width": width, "height": height, "margin": CAPTION_MARGIN}
     near = look_at_grasp(model, states[touch:][close[touch:]], **size)
     wide = frame_geoms(model, states[close], *view_angles(near), **size)
-    share = np.clip((at - at[0]) / max(trajectory.times[touch] - at[0], 1e-9), 0.0, 1.0)
-    share = share * share * (3.0 - 2.0 * share)
-    return [_between(wide, near, s) for s in share]
+    return [wide if time < trajectory.times[touch] else near for time in at]
 
 
 def _steady(contacts: np.ndarray, times: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -161,12 +166,6 @@ def _moving(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
     return moving
 
 
-def _between(a: Camera, b: Camera, share: float) -> Camera:
-    px, py, pz = ((1.0 - share) * np.array(a.position) + share * np.array(b.position)).tolist()
-    tx, ty, tz = ((1.0 - share) * np.array(a.target) + share * np.array(b.target)).tolist()
-    return replace(b, position=(px, py, pz), target=(tx, ty, tz))
-
-
 def _first_touch(trajectory: Trajectory) -> int:
     """Index of the first state in which the hand touches the object, else of the last before the lift."""
     touching = np.flatnonzero(trajectory.link_contacts.any(axis=1))
@@ -179,41 +178,6 @@ def _finite_part(trajectory: Trajectory) -> Trajectory:
     count = int(np.argmin(np.append(finite, False)))
     names = ("times", "qpos", "object_pose", "palm_pose", "joint_positions", "link_contacts", "phase")
     return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name in names})
-
-
-def film(
-    model: mujoco.MjModel,
-    qpos: np.ndarray,
-    times: np.ndarray,
-    fps: float,
-    camera: Camera,
-    *,
-    speed: float = 1.0,
-    phases: Sequence[tuple[float, str]] = (),
-    title: str = "",
-    threads: int = 0,
-) -> Iterator[np.ndarray]:
-    """Frames of a recorded trajectory, states between the recorded ones interpolated.
-
-    Args:
-        qpos: joint positions, shape [T, nq].
-        times: of the states, increasing [s], shape [T].
-        fps: frames per second.
-        camera: that stands still.
-        speed: seconds of the trajectory in a second of the film.
-        phases: start [s] and name of each phase of the motion, for the bar of words.
-        title: words before the phase.
-        threads: 0 means all CPUs.
-
-    Yields:
-        sRGB, shape [H, W, 3] uint8.
-    """
-    at = frame_times(times, fps, speed)
-    frames = Renderer(model, threads=threads).stream(interpolate(model, qpos, times, at), camera)
-    return (
-        captioned(frame, _words(title, phases, t), f"{t - times[0]:.1f} s")
-        for frame, t in zip(frames, at, strict=True)
-    )
 
 
 def frame_times(times: np.ndarray, fps: float, speed: float = 1.0) -> np.ndarray:
@@ -245,8 +209,3 @@ def interpolate(model: mujoco.MjModel, qpos: np.ndarray, times: np.ndarray, at: 
             mujoco.mj_differentiatePos(model, velocity, step, qpos[k], qpos[k + 1])
             mujoco.mj_integratePos(model, result[i], velocity, min(t - times[k], step))
     return result
-
-
-def _words(title: str, phases: Sequence[tuple[float, str]], time: float) -> str:
-    current = [name for start, name in phases if start <= time + 1e-9]
-    return " · ".join(part for part in (title, current[-1] if current else "") if part)

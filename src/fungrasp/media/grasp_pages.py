@@ -15,12 +15,11 @@ from fungrasp.evaluation import LiftTestResult, StaticQuality, Trajectory
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_objects
 from fungrasp.hands import Hand
-from fungrasp.media.grasp_scenes import grasp_scene
+from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp, view_angles
 from fungrasp.media.page import Contact, GraspReport, Page, Quantity, text_card, write_page
 from fungrasp.media.perception_page import write_perception_page
 from fungrasp.media.pictures import DRAWN_GRASPS, grasp_picture, spread_rows
 from fungrasp.media.render import render
-from fungrasp.media.viewpoints import frame_geoms, look_at_grasp, view_angles
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.perception.perceived import Perceived
 from fungrasp.task.use import UseOutcomes

@@ -15,12 +15,8 @@ from fungrasp.grasps.human_hand import HUMAN_FINGERS
 from fungrasp.media.page import Page, Quantity, figure, quality_card, write_page
 from fungrasp.media.perception_pictures import (
     FINGER_COLORS,
-    close_up,
-    drawn_over,
-    false_colors,
+    CloseUp,
     grasp_from_four_sides,
-    pose_over,
-    whole_image,
 )
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
@@ -138,8 +134,7 @@ def _verdict(perceived: Perceived) -> str:
 
 def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
     hand, pose = perceived.hand, perceived.object.pose_camera_object
-    over = drawn_over(capture, hand, model, pose, perceived.object.accepted)
-    view = close_up(capture, hand, model, pose)
+    view, accepted = CloseUp(capture, hand, model, pose), perceived.object.accepted
     legend = "".join(
         f'<li><i style="background:rgb{FINGER_COLORS[finger]}"></i>{finger}</li>' for finger in HUMAN_FINGERS
     )
@@ -148,16 +143,13 @@ def _seen(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
         "included. The pale disc round a joint is its standard deviation; a joint with a dark middle has "
         "low confidence."
     )
-    small = figure(
-        whole_image(capture, view), "The whole image; the frame is what is enlarged.", photograph=True
-    )
-    small += figure(
-        false_colors(capture, hand, model, pose, perceived.object.accepted),
-        "The depth: near is yellow, far is violet, black was not measured. The same outline.",
-    )
+    frame = "The whole image; the frame is what is enlarged."
+    small = figure(view.whole_image(), frame, photograph=True)
+    near = "The depth: near is yellow, far is violet, black was not measured. The same outline."
+    small += figure(view.depth(accepted), near)
     return (
         '<article id="seen" aria-labelledby="seen-title"><h2 id="seen-title">In the image</h2>'
-        f'<div class="wide">{figure(over, words, photograph=True)}</div>'
+        f'<div class="wide">{figure(view.found(accepted), words, photograph=True)}</div>'
         f'<ul class="legend">{legend}</ul><div class="pictures">{small}</div></article>'
     )
 
@@ -247,7 +239,7 @@ def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> 
             f'<td class="number">{scores[i]:.2f}</td></tr>'
         )
         if len(pictures) < PICTURED and _another(*_differences(points, shown, poses[i])).all():
-            picture = pose_over(capture, perceived.hand, model, poses[0], poses[i])
+            picture = CloseUp(capture, perceived.hand, model, poses[0]).another_pose(poses[i])
             caption = f"Pose {i + 1}, score {scores[i]:.2f}: {away}"
             pictures.append(figure(picture, caption, photograph=True))
             shown = np.concatenate([shown, poses[i : i + 1]])

@@ -50,10 +50,6 @@ class SurfaceMesh:
         normals = self.corner_normals @ rotation.T.astype(np.float32)
         return replace(self, vertices=vertices, corner_normals=normals)
 
-    def normals(self, triangles: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-        """Smooth normals at points of the surface, not of unit length, shape [P, 3]."""
-        return np.einsum("pc,pci->pi", barycentric, self.corner_normals[triangles])
-
     def albedo(self, triangles: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
         """Linear colors at points of the surface, shape [P, 3]."""
         color = self.color

@@ -45,12 +45,8 @@ def object_penetration(
     count: int = 24,
     smoothing: float = 0.0,
 ) -> AddTerm:
-    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A).
-
-    Args:
-        points, problem: N grasps.
-        unit, margin, count, smoothing: see ``Measure``.
-    """
+    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A). For
+    the numbers see ``Measure``."""
     shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, smoothing)
     return lambda frames, equations, *_: _add_object_penetration(frames, equations, shapes, measure)
 
@@ -58,7 +54,7 @@ def object_penetration(
 @compiled
 def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes, measure: Measure) -> None:
     """Add ``object_penetration``."""
-    spheres, groups, grid = shapes.spheres, shapes.groups, shapes.grid
+    spheres, groups, grids, grid = shapes
     row = empty_row(equations.gradient.shape[1])
     total = len(spheres.radius)
     depth, ball, normal = np.empty(total), np.empty(total, np.int64), np.empty((total, 3))
@@ -69,12 +65,12 @@ def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes
         number = np.int64(0)
         for group in range(len(groups.reach)):
             size = groups.start[group + 1] - groups.start[group]
-            if size > 2 and least_clearance(frames, i, shapes, group) >= margin:
+            if size > 2 and least_clearance(frames, i, groups, group, grids, grid[i]) >= margin:
                 continue
             for k in range(groups.start[group], groups.start[group + 1]):
                 member = groups.members[k]
                 point = place(frames, i, spheres.body[member], spheres.offset[member])
-                distance, gx, gy, gz = signed_distance(shapes.grids, grid[i], point)
+                distance, gx, gy, gz = signed_distance(grids, grid[i], point)
                 deep = margin - distance + spheres.radius[member]
                 if deep > 0:
                     depth[number], ball[number] = deep, member
@@ -119,12 +115,8 @@ def _residual(depth: float, measure: Measure):
 def table_penetration(
     points: HandPoints, problem: CollisionScene, unit: float = 0.001, margin: float = 0.001, count: int = 12
 ) -> AddTerm:
-    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A).
-
-    Args:
-        points, problem: N grasps.
-        unit, margin, count: see ``Measure``.
-    """
+    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A). For the
+    numbers see ``Measure``."""
     spheres, groups = points.arrays.spheres, points.arrays.groups
     up, height = plain(problem.up), plain(problem.height)
     measure = Measure(unit, margin, count, 0.0)
@@ -200,11 +192,7 @@ def self_penetration(
 ) -> AddTerm:
     """max(0, margin - d_ij) / unit for the ``count`` closest pairs of spheres of different fingers, d_ij the
     distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
-
-    Args:
-        points, problem: N grasps.
-        unit, margin, count, smoothing: see ``Measure``.
-    """
+    For the numbers see ``Measure``."""
     spheres, groups, pairs = points.arrays.spheres, points.arrays.groups, points.arrays.pairs
     measure = Measure(unit, margin, count, smoothing)
     return lambda frames, equations, *_: _add_self_penetration(

@@ -23,7 +23,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.objects import MIRRORED, HeldObject, ObjectModel, held_object
+from fungrasp.objects import MIRRORED, ObjectModel, ResolvedObject, resolve_object
 from fungrasp.perception.camera.frames import RgbdCamera
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
@@ -76,7 +76,7 @@ UNKNOWN = "unknown"
 
 def perceive(
     capture: Capture | ImageSource | RgbdCamera | str | Path | Sequence[str | Path],
-    obj: ObjectModel | HeldObject | str | Path,
+    obj: ObjectModel | ResolvedObject | str | Path,
     *,
     mass: float | None = None,
     side: Side | None = None,
@@ -123,7 +123,7 @@ def perceive(
         fitted = _fitted_shape(capture, hand, side, table, detector, seed)
         obj = fitted.name
         object_estimate = ObjectEstimate(fitted.pose, fitted.quality, fitted.fits)
-    held = obj if isinstance(obj, HeldObject) else held_object(obj, mass)
+    held = obj if isinstance(obj, ResolvedObject) else resolve_object(obj, mass)
     model = held.model
     mesh = model if held.colored is None else held.colored
     if not isinstance(capture, Capture):
@@ -324,7 +324,7 @@ def _warnings(
 
 
 def _grasp(
-    held: HeldObject,
+    held: ResolvedObject,
     hand: HandEstimate,
     thing: ObjectEstimate,
     pose_world_camera: np.ndarray,

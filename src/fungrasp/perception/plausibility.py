@@ -9,8 +9,8 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
-from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
+from fungrasp.grasps.human_hand import HAND_SIZE_SPREAD, hand_size
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.camera.readiness import along_bones, cut_edge
 from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning

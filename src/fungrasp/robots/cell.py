@@ -10,8 +10,8 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.core.formats.toml_file import read_toml
+from fungrasp.core.formats.checks import guarded
+from fungrasp.core.formats.text_files import read_toml
 from fungrasp.hands.arm import Mount, arm_spec
 from fungrasp.robots.cell_units import obstacle_faults, unit_faults
 

@@ -15,7 +15,7 @@ from recorded import (
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.grasps.joint_orders import MANO, OPENPOSE
+from fungrasp.grasps.human_hand import MANO, OPENPOSE
 from fungrasp.perception.adapters import read_hand_estimate
 from fungrasp.perception.adapters.hand_fields import read_fields
 from fungrasp.perception.adapters.hand_file import hands_of

@@ -10,8 +10,7 @@ from PIL import Image
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import load_human_grasps
-from fungrasp.grasps.anatomy import joint_bends
-from fungrasp.grasps.human_hand import HUMAN_JOINTS
+from fungrasp.grasps.human_hand import HUMAN_JOINTS, joint_bends
 from fungrasp.objects import builtin_object
 from fungrasp.perception.hand.detected_hand import (
     DetectedHand,

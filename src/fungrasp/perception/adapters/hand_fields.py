@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.json_file import read_json
 from fungrasp.core.formats.numpy_files import read_npz
+from fungrasp.core.formats.text_files import read_json
 
 VERSION = 1
 """Version of the file format."""

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.anatomy import bone_ratios, hand_size, joint_bends
-from fungrasp.grasps.joint_orders import ORDERS, joint_order
+from fungrasp.grasps.human_hand import ORDERS, bone_ratios, hand_size, joint_bends, joint_order
 from fungrasp.perception.adapters.hand_fields import HandFields
 from fungrasp.perception.estimates import Side
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.grasps.anatomy import HAND_SIZE_SPREAD, hand_size
+from fungrasp.core.formats.checks import guarded
+from fungrasp.grasps.human_hand import HAND_SIZE_SPREAD, hand_size
 from fungrasp.perception.adapters.hand_fields import read_fields
 from fungrasp.perception.adapters.hand_file import hands_of, turn_to
 from fungrasp.perception.estimates import HandEstimate, Side

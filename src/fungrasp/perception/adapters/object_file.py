@@ -9,10 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import read_text
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.checks import guarded, read_text
 from fungrasp.core.formats.numpy_files import read_npy
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
 from fungrasp.perception.io.capture import DEPTH_LIMIT
 from fungrasp.perception.object_pose.confidence import ACCEPT

@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.anatomy import joint_bends
+from fungrasp.grasps.human_hand import joint_bends
 from fungrasp.perception.camera.frames import CameraFrame
 from fungrasp.perception.estimates import PerceptionWarning, Side
 from fungrasp.perception.io.capture import Box, Capture

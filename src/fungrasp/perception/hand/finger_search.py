@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.grasps.hand_thickness import FINGER_RADII
+from fungrasp.grasps.human_hand import FINGER_RADII
 from fungrasp.perception.hand.anatomy_evidence import finger_overlap
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import HandView

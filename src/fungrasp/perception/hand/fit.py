@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.hand_thickness import FINGER_RADII, WRIST_RADIUS
+from fungrasp.grasps.human_hand import FINGER_RADII, WRIST_RADIUS
 from fungrasp.perception.estimates import HandEstimate, Side
 from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
 from fungrasp.perception.hand.contact_evidence import HandSurroundings

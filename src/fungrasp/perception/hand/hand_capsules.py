@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.grasps.hand_thickness import FINGER_RADII, PALM_BALL_RADIUS, PALM_RADIUS, WRIST_RADIUS
+from fungrasp.grasps.human_hand import FINGER_RADII, PALM_BALL_RADIUS, PALM_RADIUS, WRIST_RADIUS
 from fungrasp.perception.hand.skeleton import Skeleton
 
 TIP_END = 0.7

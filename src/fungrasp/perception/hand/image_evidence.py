@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from fungrasp.grasps.hand_thickness import FOREARM_RADII
-from fungrasp.grasps.human_hand import BONES
+from fungrasp.grasps.human_hand import BONES, FOREARM_RADII
 from fungrasp.perception.hand.hand_capsules import (
     ARM_LENGTH,
     HAND_CAPSULES,

@@ -27,7 +27,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, cache_folder, cache_path
-from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.checks import one_line
 
 DROPPED_PREFIX = b"INFO:"
 """How lines begin that are left out."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.grasps.anatomy import FLEXION_RANGE
+from fungrasp.grasps.human_hand import FLEXION_RANGE
 
 FINGERS, JOINTS_OF_FINGER = 5, 3
 

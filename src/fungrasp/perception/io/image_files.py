@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.image_file import read_image
 from fungrasp.core.formats.numpy_files import read_npy
 from fungrasp.perception.estimates import PerceptionWarning

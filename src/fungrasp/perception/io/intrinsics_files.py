@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.checks import guarded
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.capture import Intrinsics
 

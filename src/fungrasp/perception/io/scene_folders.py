@@ -11,7 +11,7 @@ from PIL import Image
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.yaml_file import read_yaml
+from fungrasp.core.formats.text_files import read_yaml
 from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part
 from fungrasp.geometry.distance_queries import signed_distance
-from fungrasp.geometry.signed_distance import GridArrays
 
 
 @compiled_part

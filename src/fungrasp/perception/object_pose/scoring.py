@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
-from fungrasp.grasps.hand_thickness import FINGER_RADII
+from fungrasp.grasps.human_hand import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.known_object import KnownObject
 from fungrasp.perception.scene.depth_edges import SHARP

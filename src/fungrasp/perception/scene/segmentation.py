@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from fungrasp.grasps.hand_thickness import FINGER_RADII, LINK_RADII, PALM_RADIUS
-from fungrasp.grasps.human_hand import BONES
+from fungrasp.grasps.human_hand import BONES, FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.perception.io.capture import Box, Capture, Pixel
 from fungrasp.perception.scene.depth_edges import depth_spread, edge_width
 from fungrasp.perception.scene.pixel_classes import (

@@ -20,7 +20,7 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.resting_pose import settled_up
+from fungrasp.objects.object_model import settled_up
 from fungrasp.perception.io.capture import Capture, depth_noise
 
 NO_TABLE = np.array([0.0, -1.0, 0.0, 50.0])

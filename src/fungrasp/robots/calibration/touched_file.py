@@ -15,7 +15,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 
 POSTURES = {"flange": "joints", "hand": "hand_joints"}
 """Name of the postures in which something touched points."""

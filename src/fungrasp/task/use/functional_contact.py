@@ -9,10 +9,10 @@ import numpy as np
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import relative
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import collision_spheres
+from fungrasp.hands.collisions import collision_spheres
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.part_lookup import nearest_parts
+from fungrasp.objects.object_model import nearest_parts
 from fungrasp.task.environment import LiftEnvironment
 
 
