@@ -14,7 +14,7 @@ REAL_TIME = (
     "robots",
     "ros2",
     "viewer",
-    "benchmarks/faults",
+    "benchmarks/fault_series",
     "benchmarks/wire",
 )
 """Folders and files of tests in real time: devices with watchdogs, processes that wait for each other."""

@@ -18,11 +18,10 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld

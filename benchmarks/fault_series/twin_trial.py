@@ -16,7 +16,7 @@ from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch
 from fungrasp.deployment.hold_after_stop import endings_as_interrupts
 from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.twin.clocks import TwinClock
+from fungrasp.robots.twin.devices import TwinClock
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Observation
 

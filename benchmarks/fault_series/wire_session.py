@@ -8,14 +8,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from benchmarks.fault_series.moments import LOOK, Happened, PreparerOf, Scene
-from benchmarks.faults.control_session import driver_process
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.log import McapLog
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.process_priority import raise_priority
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +39,10 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
     def happened(event: str) -> None:
         pipe.send((event, time.monotonic()))
 
-    raise_priority()
     try:
         with McapLog(session.log) as log, wired_robot(session.cell, scene.hand) as robot:
-            pipe.send(("drivers", (driver_process(robot.arm), driver_process(robot.hand_driver))))
+            drivers = robot.arm, robot.hand_driver
+            pipe.send(("drivers", tuple(getattr(driver, "process_id", None) for driver in drivers)))
             deployment = Deployment(
                 robot,
                 OpenLoopPolicy(),

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
+from benchmarks.fault_series.control_process import ControlProcess
 from benchmarks.fault_series.moments import Scene, twin_world
 from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch, judged
 from benchmarks.fault_series.wire_session import WireSession, run_wire_session
-from benchmarks.faults.control_bench import private_cell
-from benchmarks.faults.control_process import ControlProcess
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.phases import Phase
+from fungrasp.robots.cell import DeviceSettings, RobotCell
 from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
@@ -131,3 +134,39 @@ def _ended(
         watch.look()
     session.tell("end")
     return session.heard.get("ended")  # pyright: ignore[reportReturnType]
+
+
+def private_cell(cell: RobotCell, patience: float) -> RobotCell:
+    """The cell with addresses that no other process has.
+
+    Args:
+        cell: of a UR arm with an Allegro or an Inspire hand.
+        patience: times the usual limits of silence.
+
+    Raises:
+        FungraspError: the cell can't be emulated.
+    """
+    number = os.getpid()
+
+    def patient(device: DeviceSettings, address: str) -> Any:
+        options = dict(device.options)
+        if "stale_after" in options:
+            options["stale_after"] *= patience
+        return replace(device, address=address, options=options)
+
+    hands = {"allegro-can": str(20000 + number % 20000), "inspire": f"127.{number % 200 + 1}.0.5"}
+    if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:
+        raise FungraspError(f"the devices of cell '{cell.name}' can't be emulated for this")
+    dog = cell.watchdog
+    return replace(
+        cell,
+        arm=patient(cell.arm, f"127.{number % 200 + 1}.0.4"),
+        hand_device=patient(cell.hand_device, hands[cell.hand_device.driver]),
+        tracker=replace(cell.tracker, address=f"ipc:///tmp/fungrasp-control-{number}"),
+        watchdog=replace(
+            dog,
+            arm_silence=patience * dog.arm_silence,
+            hand_silence=patience * dog.hand_silence,
+            overrun=patience * dog.overrun,
+        ),
+    )

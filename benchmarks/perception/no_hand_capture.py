@@ -131,7 +131,7 @@ def _robot_hand(rng: np.random.Generator) -> tuple[str, list[SurfaceMesh]]:
     turn = Rotation.random(rng=rng)
     skin = np.asarray(SKIN_LIKE[int(rng.integers(len(SKIN_LIKE)))]) if rng.uniform() < ROBOT_COLORED else None
     surfaces = []
-    for geom in np.flatnonzero(drawn_geoms(model, ground=True)):
+    for geom in np.flatnonzero(drawn_geoms(model)):
         surface = geom_surface(model, int(geom), materials)
         rotation = turn.as_matrix() @ data.geom_xmat[geom].reshape(3, 3)
         surface = surface.moved(turn.apply(data.geom_xpos[geom]), rotation)

@@ -23,11 +23,10 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.process_priority import raise_priority
+from fungrasp.robots.control_loop.loop_driver import worker_environment
 from fungrasp.robots.twin.judge import HoldSample, hold_sample
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.robots.worker_environment import worker_environment
 from fungrasp_emulators.cell import CellEmulation
 
 LENGTH = struct.Struct("<I")
@@ -129,7 +128,6 @@ def run_emulation() -> None:
         source.read()
         ended.set()
 
-    raise_priority()
     hand = load_hand(task.cell.hand)
     truth = cell_twin(task.cell, hand, task.twin)
     world = TwinWorld(task.cell, hand, task.thing, truth)

@@ -25,7 +25,7 @@ from fungrasp.perception.perceived import Perceived
 
 @pytest.fixture(autouse=True)
 def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demonstration, "FPS", 2.0)
+    monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0))
 
 
 def flashlight() -> HumanGraspSet:

@@ -6,17 +6,88 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Self
+from dataclasses import dataclass
+from typing import Protocol, Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.objects import ObjectModel
+from fungrasp.perception import Capture
+from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-from fungrasp.robots.pose.frames import Frame, FrameSource
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Color with aligned depth."""
+
+    capture: Capture
+    """The images."""
+    captured: float
+    """Host time at which they were taken [s]."""
+
+
+class FrameSource(Protocol):
+    """A depth camera."""
+
+    name: str
+    """Type and address, for messages and logs."""
+
+    def connect(self) -> None:
+        """Open the camera. Raises: RobotError: there is none."""
+        ...
+
+    def newest(self, timeout: float) -> Frame | None:
+        """The newest frame that was not given yet; waits for it. None if none comes in time, or the last one
+        was given.
+
+        Args:
+            timeout: to wait [s].
+        """
+        ...
+
+    def close(self) -> None:
+        """Close it. May be called twice."""
+        ...
+
+
+class RealSenseFrames:
+    """A RealSense camera (extra ``realsense``), by ``RealSenseCamera``: a frame counts as taken when its own
+    time stamp says so, or as it arrives where that is of another clock."""
+
+    def __init__(self, serial: str = "", width: int = 640, height: int = 480, rate: int = 30):
+        """
+        Args:
+            serial: number of the camera; "" for the first that is connected.
+            width: of the images [pixels].
+            height: of the images [pixels].
+            rate: [1/s].
+        """
+        self._camera = RealSenseCamera(serial=serial, stream=StreamSettings(width, height, rate))
+        self.name, self._open = self._camera.name, False
+
+    def connect(self) -> None:
+        """See ``FrameSource.connect``."""
+        try:
+            self._camera.__enter__()
+        except FungraspError as error:
+            raise RobotError(str(error)) from error
+        self._open = True
+
+    def newest(self, timeout: float) -> Frame | None:
+        """See ``FrameSource.newest``. Raises: FungraspError: the camera fails, or there is no depth."""
+        frame = self._camera.newest(timeout) if self._open else None
+        return None if frame is None else Frame(frame.capture(), frame.time)
+
+    def close(self) -> None:
+        """See ``FrameSource.close``."""
+        self._open = False
+        self._camera.__exit__()
+
 
 WAIT = 0.2
 """Longest wait for a frame before it is looked whether to end [s]."""
@@ -41,12 +112,9 @@ class CameraTracker:
     ):
         """
         Args:
-            frames: the camera.
-            thing: the object.
             pose_world_camera: where the camera stands, shape [7], from calibration.
             start: where the object is at first, world frame, shape [7]; searched for if None, which takes a
                 second or two.
-            seed: of search and tracker.
         """
         self.name = f"tracker of '{thing.name}' in images of {frames.name}"
         self.seconds: list[float] = []

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
 
-PRELOADED = ("benchmarks.faults.control_session", "benchmarks.fault_series.wire_session", "mink")
+PRELOADED = ("benchmarks.fault_series.wire_session", "mink")
 """What sessions import: a server that has done so forks them."""
 
 
