@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from fungrasp.objects.resolved_object import DENSITY, resolve_object
 from grasp_files import run
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -23,6 +22,7 @@ from fungrasp.cli.perceive import parse_plane
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import load_human_grasps, load_robot_grasps
 from fungrasp.objects import builtin_object
+from fungrasp.objects.resolved_object import DENSITY, resolve_object
 from fungrasp.perception import pipeline
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
