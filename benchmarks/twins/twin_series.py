@@ -34,8 +34,8 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.policies import policy_files
+from fungrasp.robots.assembly import limited_hand
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.torque_limits import limited_hand
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 
 if TYPE_CHECKING:

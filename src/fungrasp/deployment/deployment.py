@@ -18,9 +18,8 @@ from fungrasp.deployment.scripted_motion import ScriptedMotion
 from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.next_attempt import make_attempts
-from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.device import DeviceStatus, RobotCommand, RobotError, RobotState, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.robots.safety import check_action, check_pose
 from fungrasp.task import Policy
 from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict

@@ -24,13 +24,14 @@ from fungrasp.robots.device import (
     DeviceStatus,
     JointLimits,
     JointState,
+    RobotCommand,
+    RobotState,
     StopKind,
     TrackedPose,
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 
 LOOK_TIME = 0.1

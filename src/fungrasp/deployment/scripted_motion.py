@@ -12,10 +12,9 @@ from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.geometry.poses import compose
 from fungrasp.planning.withdrawal import way_off
 from fungrasp.policies.open_loop import WaypointPolicy
-from fungrasp.robots.device import StopKind
+from fungrasp.robots.device import SafetyStop, StopKind
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.task import Action, GraspPlan
 
 ARRIVED = 2e-3
