@@ -24,8 +24,8 @@ from fungrasp.media.demonstration import FILM, Shown, demonstrate
 from fungrasp.media.perception_pictures import CloseUp, grasp_from_four_sides
 from fungrasp.media.pictures import grid
 from fungrasp.media.video import write_video
-from fungrasp.perception.builtin_image import perceive_folder
-from fungrasp.perception.image_source import BUILTIN
+from fungrasp.perception.io.scene_folders import BUILTIN
+from fungrasp.perception.pipeline import perceive_folder
 from fungrasp.policies import default_policy
 from fungrasp.retargeting import retarget
 
