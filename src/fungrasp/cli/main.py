@@ -46,6 +46,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "demo --refine": "plans are chosen in simulated rollouts, and --policy reference plays a grasp as it is",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
     "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
