@@ -15,7 +15,7 @@ REAL_TIME = (
     "ros2",
     "viewer",
     "benchmarks/fault_series",
-    "benchmarks/wire",
+    "benchmarks/test_wire.py",
 )
 """Folders and files of tests in real time: devices with watchdogs, processes that wait for each other."""
 

@@ -97,7 +97,6 @@ class PreparerOf:
     ):
         """
         Args:
-            robot: whose time planning takes.
             prepared: the plan, or who makes it.
             said: told ``PLAN`` as planning begins.
         """
@@ -121,11 +120,6 @@ class Happened(DeploymentObserver):
     """Says when phases begin, and lets a judge watch the hold."""
 
     def __init__(self, said: Callable[[str], None], judge: TwinJudge | None = None):
-        """
-        Args:
-            said: told each phase.
-            judge: of a twin.
-        """
         self._said, self._judge = said, judge
 
     def phase(self, time: float, phase: Phase) -> None:
@@ -197,12 +191,7 @@ def scene(
     fault.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        thing: the object.
-        grasp: one.
         placement: of the object, world frame, shape [7].
-        twin: which one.
 
     Raises:
         UnreachableError: the arm can't follow any plan.

@@ -116,8 +116,6 @@ def drawn_faults(hand: str, count: int, seed: int, kinds: Sequence[str] = ()) ->
     """Faults and their moments: the moment first, then a kind that may come then.
 
     Args:
-        hand: of the cell.
-        count: of faults.
         seed: of what is drawn; the first faults of a longer series are those of a shorter one.
         kinds: names of kinds; all if empty.
 

@@ -32,7 +32,6 @@ class FaultClock(TwinClock):
     def __init__(self, world: TwinWorld, when: float):
         """
         Args:
-            world: the twin.
             when: it happens [s].
         """
         super().__init__(world)
@@ -87,7 +86,6 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
     """A deployment on a fresh twin, with a fault.
 
     Args:
-        scene: without it.
         drawn: the fault; one that is brought on a twin.
     """
     world = twin_world(scene.cell, scene.hand, scene.thing, scene.twin)
