@@ -9,13 +9,12 @@ from importlib.util import find_spec
 from benchmarks.peers.mink_solver import solve_mink
 from benchmarks.peers.position_solvers import solve_dex_retargeting, solve_dexi
 from benchmarks.peers.problem import CpuClock, PeerProblem
+from fungrasp.evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionSettings
-from fungrasp.policies import make_planner
+from fungrasp.planning import MotionSettings, make_planner
 from fungrasp.retargeting import METHODS, retarget
 
 Solve = Callable[[PeerProblem], tuple[RobotGraspSet, float]]

@@ -38,8 +38,8 @@ class BenchPlanning:
         import numpy as np
 
         from fungrasp.core.provenance import machine
-        from fungrasp.evaluation.plans import plan
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
+        from fungrasp.planning import plan
         from fungrasp.retargeting import retarget
 
         check_positive(number=self.number)

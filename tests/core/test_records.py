@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.records import BatchRecord
-from fungrasp.evaluation.attempts import AttemptRecord
 from fungrasp.evaluation.contact_estimate import ContactEstimates
+from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.planning.withdrawal import Waypoints
 from fungrasp.sim2real import EpisodeSample

@@ -11,7 +11,7 @@ from residual_policies import policy_file, predictor_file
 
 from fungrasp.core.jobs import PartStore, job
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
-from fungrasp.evaluation.lift_test_job import LiftTest
+from fungrasp.evaluation.lift_episodes import LiftTest
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol

@@ -10,8 +10,7 @@ import pytest
 from lifted_grasps import allegro_hand, grasped_objects, human_grasps
 from scipy.spatial.transform import Rotation
 
-from fungrasp.evaluation import evaluate
-from fungrasp.evaluation.lift_evaluation import LiftTestResult
+from fungrasp.evaluation import LiftTestResult, evaluate
 from fungrasp.hands import Hand, load_hand
 from fungrasp.retargeting import retarget
 

@@ -17,7 +17,7 @@ from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ScriptedMotion
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.planning.next_attempt import make_attempts
+from fungrasp.planning.attempts import make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop

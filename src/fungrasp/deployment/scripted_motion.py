@@ -11,8 +11,7 @@ from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.geometry.poses import compose
-from fungrasp.planning.withdrawal import way_off
-from fungrasp.policies.waypoints import WaypointPolicy
+from fungrasp.planning.withdrawal import WaypointPolicy, way_off
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot

@@ -9,8 +9,8 @@ from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.planning.attempts import check_attempts
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import check_attempts
 from fungrasp.sim2real import NOMINAL, ProtocolName, Randomization, protocol_conditions
 from fungrasp.simulation import SceneSettings
 from fungrasp.task import LiftProtocol

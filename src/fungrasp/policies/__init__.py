@@ -1,6 +1,6 @@
 """Policies: they see observations and nothing else, and act ten times a second."""
 
-from fungrasp.policies.registry import check_attempts, default_policy, make_planner, make_policy, policy_files
+from fungrasp.policies.registry import default_policy, make_policy, policy_files
 from fungrasp.policies.residual_policy import StudentPolicy, TeacherPolicy
 from fungrasp.policies.scripted import OpenLoopPolicy
 
@@ -8,9 +8,7 @@ __all__ = [
     "OpenLoopPolicy",
     "StudentPolicy",
     "TeacherPolicy",
-    "check_attempts",
     "default_policy",
-    "make_planner",
     "make_policy",
     "policy_files",
 ]

@@ -16,12 +16,11 @@ from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.provenance import git_revision, machine
 from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, hand_files
-from fungrasp.planning.selection.success_predictor import SuccessPredictor
+from fungrasp.planning.selection.success_predictor import NetworkPredictor, SuccessPredictor
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest, load_policy
 from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.success_predictor import NetworkPredictor
 from fungrasp.simulation import BufferSizes, Device
 from fungrasp.task import GraspPlan
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment

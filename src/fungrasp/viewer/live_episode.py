@@ -10,9 +10,9 @@ import numpy as np
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionSettings
+from fungrasp.planning import MotionSettings, make_planner
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import StudentPolicy, make_planner, make_policy
+from fungrasp.policies import StudentPolicy, make_policy
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 from fungrasp.sim2real.episode_sample import draw_each
 from fungrasp.simulation import build_scene

@@ -120,7 +120,7 @@ def test_jobs_of_a_lost_machine_are_done_again(cluster):
 
 @pytest.mark.slow
 def test_evaluation_with_a_machine_lost_equals_that_of_one_process(cluster, grasps, tmp_path, monkeypatch):
-    monkeypatch.setattr("fungrasp.evaluation.lift_test_job.EPISODES", (2, 2))
+    monkeypatch.setattr("fungrasp.evaluation.lift_evaluation.EPISODES", (2, 2))
     command = ["evaluate", "--grasps", str(grasps), "--protocol", "reality", "--threads", "1"]
     assert fungrasp([*command, "--json", str(tmp_path / "one.json")]) == 0
     parts = tmp_path / "many.json.partial"
