@@ -3,7 +3,7 @@
 # make test-all  the slow ones too
 # make cold-start  the first commands of a newcomer, in empty environments
 # make check  those of them that take less than a minute
-# make tables writes the tables of README and docs from docs/lab/results
+# make tables writes the tables of README and docs from lab/results
 # make fuzz   CASES=1000 SEED=1 damaged files of each kind for the readers
 # They set up what they need in .venv, once. PYTHON=... chooses the Python (3.11 or newer) it is made with.
 

@@ -19,7 +19,7 @@ BENCHMARKS = {
     "cold_start": "a newcomer's first commands, from nothing",
     "extras": "each optional extra alone, from nothing",
     "builtin_objects": "writes the meshes of the built-in objects",
-    "documents.tables": "the tables of README and docs, from docs/lab/results",
+    "documents.tables": "the tables of README and docs, from lab/results",
 }
 """Summary of each benchmark, by the name of its room."""
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from benchmarks.choose.pairing import PairedMeans, PairedRates
 
-USES = Path(__file__).resolve().parents[2] / "docs" / "lab" / "confirm-uses.csv"
+USES = Path(__file__).resolve().parents[2] / "lab" / "confirm-uses.csv"
 """Where the uses of the part "confirm" are recorded."""
 
 
@@ -37,7 +37,7 @@ class Choose:
     set: Path
     """Folder of a set, made by 'python -m benchmarks.grasp_set'."""
     part: Literal["train", "choose", "confirm"] = "choose"
-    """Part of the set: "choose" for decisions; "confirm" once for each, recorded in docs/lab."""
+    """Part of the set: "choose" for decisions; "confirm" once for each, recorded in lab."""
     decision: str = ""
     """What is decided: needed for the part "confirm"."""
     every: int = 1

@@ -17,24 +17,9 @@ PEERS = {
 }
 """Name in the result's file of each method beside ours."""
 
-DECISIONS = {
-    "firmness": "[0035](decisions/0035-firm-grasps.md): other starts, chosen by firmness",
-    "likeness": "[0035](decisions/0035-firm-grasps.md): firmness counts in the choice among starts",
-    "approach": "[0041](decisions/0041-clear-approaches.md): clear approaches",
-    "waypoints": "[0041](decisions/0041-clear-approaches.md): five waypoints for three, alone",
-    "closing": "[0041](decisions/0041-clear-approaches.md): the closing is looked at, alone",
-    "squeeze": "[0047](decisions/0047-squeeze-for-loads.md): the squeeze is what the loads need",
-    "table": "[0016](decisions/0016-table-under-settled-object.md): the table also under the settled object",
-    "terms": "[0035](decisions/0035-firm-grasps.md): closure counts three times, inner links twice as much",
-    "press": "the wrist presses down and in while the fingers close",
-}
-"""What is compared with its absence, by the name in the result's file."""
 
 TESTS = {"unadapted": "not adapted", "adapted": "adapted"}
 """Ends of the files' names."""
-
-DECISION_TESTS = {**TESTS, "faive": "not adapted, Faive P0"}
-"""The same of ``DECISIONS``."""
 
 
 def confirmed_peers() -> Table:
@@ -63,25 +48,6 @@ def _peers(prefix: str) -> Table:
     return Table(head, [("ours (`contact`)", *mean), *rows], files)
 
 
-def confirmed_strata() -> Table:
-    """The same, not adapted, by kind of object."""
-    files = {name: f"confirm-{file}-unadapted" for name, file in PEERS.items()}
-    rates = {
-        name: {rate["stratum"]: rate for rate in read(file).header["rates"]} for name, file in files.items()
-    }
-    first = next(iter(rates.values()))
-    rows = [
-        (
-            stratum,
-            f"{rate['grasps']} of {rate['objects']}",
-            percent(rate["second"]),
-            *(percent(rates[name][stratum]["first"]) for name in files),
-        )
-        for stratum, rate in first.items()
-    ]
-    return Table(("objects", "grasps", "ours", *files), rows, list(files.values()))
-
-
 def confirmed_hands() -> Table:
     """Ours by each hand, not adapted and adapted, by kind of object."""
     found = {name: read(f"confirm-{name}").header["rates"] for name in HANDS}
@@ -105,57 +71,6 @@ def confirmed_hands() -> Table:
 def _both(shares: np.ndarray) -> str:
     """Two shares, not adapted and adapted, shape [2]."""
     return f"{100 * shares[0]:.1f}, {100 * shares[1]:.1f} %"
-
-
-def chosen_decisions() -> Table:
-    """Decisions of the past, each with and without."""
-    rows, files = [], []
-    for file, words in DECISIONS.items():
-        for test, label in DECISION_TESTS.items():
-            rate = _all(f"choose-{file}-{test}")
-            if rate is None:
-                continue
-            files.append(f"choose-{file}-{test}")
-            stands = "yes" if rate["interval"][0] > 0 else "no"
-            both = f"{rate['only_second']}, {rate['only_first']}"
-            shares = (percent(rate["first"]), percent(rate["second"]))
-            rows.append((words, label, str(rate["grasps"]), *shares, _difference(rate), both, stands))
-    head = ("decision", "test", "grasps", "without", "with", "gain [points]", "only with, without", "> 0")
-    return Table(head, rows, files)
-
-
-def chosen_firm() -> Table:
-    """Grasps as firm as they can be near the person's beside those of before, by kind of object."""
-    rows = []
-    for rate in read("choose-firm-unadapted").header["rates"]:
-        both = f"{rate['only_second']}, {rate['only_first']}"
-        number = f"{rate['grasps']} of {rate['objects']}"
-        shares = (percent(rate["first"]), percent(rate["second"]))
-        rows.append((rate["stratum"], number, *shares, _difference(rate), both))
-    head = ("objects", "grasps", "before", "after", "gain [points]", "only after, before")
-    return Table(head, rows, ["choose-firm-unadapted"])
-
-
-FIRM_ON = {
-    "choose-firm-adapted": "Allegro, adapted",
-    "choose-firm-faive": "Faive P0, not adapted",
-    "choose-firm-inspire": "Inspire, not adapted",
-    "choose-firm-shadow": "Shadow, not adapted",
-    "confirm-firm": "Allegro, not adapted, on *confirm*",
-}
-"""Results of the same comparison on other tests, and what they are of."""
-
-
-def chosen_firm_elsewhere() -> Table:
-    """The same on other hands, with adaptation, and on grasps that had decided nothing."""
-    rows = []
-    for name, of in FIRM_ON.items():
-        if (rate := _all(name)) is not None:
-            both = f"{rate['only_second']}, {rate['only_first']}"
-            shares = (percent(rate["first"]), percent(rate["second"]))
-            rows.append((of, f"{rate['grasps']} of {rate['objects']}", *shares, _difference(rate), both))
-    head = ("test", "grasps", "before", "after", "gain [points]", "only after, before")
-    return Table(head, rows, [name for name in FIRM_ON if _all(name) is not None])
 
 
 def _all(name: str) -> dict[str, Any] | None:

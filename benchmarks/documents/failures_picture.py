@@ -1,4 +1,4 @@
-"""Makes the picture of docs/lab/failures.md: a failed episode of each class, of built-in grasps
+"""Makes the picture of lab/failures.md: a failed episode of each class, of built-in grasps
 in the reality protocol.
 
 Run it: ``python -m benchmarks.documents.failures_picture``. It takes some minutes.
@@ -28,7 +28,7 @@ from fungrasp.media.pictures import grid
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
 
-LAB = Path(__file__).parents[2] / "docs" / "lab"
+LAB = Path(__file__).parents[2] / "lab"
 
 HAND = "allegro"
 TIPPED = np.deg2rad(30.0)

@@ -11,7 +11,7 @@ import numpy as np
 from fungrasp.evaluation.result_files import ResultFile, read_result
 
 ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "docs" / "lab" / "results"
+RESULTS = ROOT / "lab" / "results"
 NONE = "—"
 HANDS = {
     "allegro": "Allegro",

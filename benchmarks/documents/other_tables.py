@@ -5,7 +5,6 @@ from __future__ import annotations
 from benchmarks.documents.measured import (
     NONE,
     Table,
-    of_count,
     read,
 )
 from benchmarks.documents.perception_table import SOURCES, perception_rows
@@ -54,25 +53,6 @@ def hands_added() -> Table:
             )
         )
     return Table(head, rows, ["hands-added"])
-
-
-def varied_captures() -> Table:
-    """Objects in varied captures that nothing was chosen by, by what perception is told of them."""
-    head = (
-        "told",
-        "ADD-S below 10 mm",
-        "median [mm]",
-        "accepted are right",
-        "right are accepted",
-        "time [s]",
-    )
-    name = "perception-varied-held-out"
-    rows = []
-    for told, numbers in read(name).header["object"].items():
-        cells = [of_count(numbers[key]) for key in ("right", "accepted_and_right", "right_and_accepted")]
-        error, seconds = f"{numbers['add_s_mm']:.1f}", f"{numbers['seconds']:.1f}"
-        rows.append((told, cells[0], error, *cells[1:], seconds))
-    return Table(head, rows, [name])
 
 
 def limits() -> Table:

@@ -1,4 +1,4 @@
-"""The table of docs/lab/perception.md: what is found in captures of objects kept aside, and targets."""
+"""The table of lab/perception.md: what is found in captures of objects kept aside, and targets."""
 
 from __future__ import annotations
 

@@ -18,12 +18,6 @@ from benchmarks.documents.measured import (
 from fungrasp.evaluation.statistics import wilson_interval
 
 
-def driver_faults() -> Table:
-    """How drivers react to faults of emulated devices."""
-    kinds = ("ur", "ur-clock", "inspire", "leap", "allegro", "allegro-saturated", "allegro-v5", "tracker")
-    return _reactions([f"driver-faults-{kind}" for kind in kinds])
-
-
 def control_faults() -> Table:
     """What arm and hand do when the computer that controls them fails."""
     kinds = ("control", "control-killed", "control-inspire")
@@ -152,24 +146,6 @@ def identification_twins() -> Table:
     return Table(head, rows, names)
 
 
-def identification_sines() -> Table:
-    """Identified dynamics of twins' hands that moved one finger at a time."""
-    names = ["identification-sines-allegro", "identification-sines-inspire"]
-    kinds = ("stiffness", "damping", "friction", "armature")
-    head = ("hand", "twin", "median error, of the model")
-    head += tuple(f"{kind}: error, not told" for kind in kinds)
-    head += ("delay error [ms]", "held-out RMS [rad]")
-    rows = []
-    for row in (row for name in names for row in read(name).rows):
-        parts = [
-            f"{percent(row[f'errors.{kind}'])}, {percent(1.0 - row[f'identified.{kind}'])}" for kind in kinds
-        ]
-        error = f"{percent(row['median_error'])}, {percent(row['model_error'])}"
-        end = (f"{1e3 * row['delay_error']:.1f}", f"{row['held_out_rms']:.4f}")
-        rows.append((row["hand"], str(row["twin"]), error, *parts, *end))
-    return Table(head, rows, names)
-
-
 WIRE = {
     "wire": "UR5e, Allegro, `plan`",
     "wire-student": "UR5e, Allegro, `student`",
@@ -207,34 +183,6 @@ def _wire_cells(runs: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     return (f"{len(runs)}", f"{sum(r['success'] for r in runs)}", f"{home}", late, silent, lost, cores)
 
 
-def wire_ticks() -> Table:
-    """Lateness of control steps and setpoints over the wire."""
-    runs = read("wire").rows
-    prefix = "ticks_10hz."
-    edges = [name.removeprefix(prefix) for name in runs[0] if name.startswith(prefix)]
-    rows = [
-        (edge, *(f"{sum(r[f'ticks_{rate}hz.{edge}'] for r in runs)}" for rate in (10, 50))) for edge in edges
-    ]
-    return Table(("late by", "10 Hz", "50 Hz"), rows, ["wire"])
-
-
-def identification_ratios() -> Table:
-    """What identification finds of an Inspire hand: values, ratios, and what it says of itself."""
-    head = ("quantity", "error", "error of its ratio to the stiffness", "standard deviation the fit states")
-    results = read("identification-inspire").rows
-    rows = []
-    for name in ("stiffness", "damping", "friction", "armature"):
-
-        def median(part: str, name: str = name) -> str:
-            values = [row.get(f"{part}.{name}") for row in results]
-            known = [value for value in values if value is not None]
-            return NONE if len(known) < len(values) else percent(float(np.median(known)))
-
-        ratio = NONE if name == "stiffness" else median("ratio_errors")
-        rows.append((name, median("errors"), ratio, median("uncertainty")))
-    return Table(head, rows, ["identification-inspire"])
-
-
 TWINS = ("twin-allegro-node", "twin-allegro-again", "twin-inspire", "twin-inspire-again")
 """Results of ``python -m benchmarks.twins``."""
 
@@ -259,42 +207,3 @@ def twin_variants() -> Table:
             name = variant.replace("ours", "full")
             rows.append((results.header["robot"], name, *counts, rate, off, sag))
     return Table(head, rows, list(TWINS))
-
-
-def twin_images() -> Table:
-    """From an image to a twin that lifts (Table II of the paper)."""
-    results = read("twin-images")
-    begun = [row for row in results.rows if row["tracking_rad"] >= 0]
-    lifted = [row for row in begun if row["success"]]
-    first = sum(row["attempts"] == 1 for row in lifted)
-    images, refused = results.header["images"], len(results.header["not_seen"])
-    beyond = len(results.header["out_of_reach"].split())
-    reached = results.header["grasps_that_can_be_reached"]
-
-    def share(count: int, number: int) -> str:
-        low, high = wilson_interval(count, number)
-        return f"{count} of {number}: {percent(count / number)} ({100 * low:.0f} to {100 * high:.0f})"
-
-    rows = [
-        ("images shown; refused by perception, with what is wrong", f"{images}; {refused}"),
-        ("grasps seen in the others that were looked at", f"{beyond + reached}"),
-        ("of these, no placement can be reached", f"{beyond}"),
-        ("deployments, objects", f"{len(results.rows)}, {len({row['object'] for row in results.rows})}"),
-        ("refused by the robot, or stopped before the grasp", f"{len(results.rows) - len(begun)}"),
-        ("**lifted and held, of those begun**", f"**{share(len(lifted), len(begun))}**"),
-        ("the same by the first attempt", share(first, len(begun))),
-        ("lifted and held, of all deployments", share(len(lifted), len(results.rows))),
-        ("objects lifted at least once", f"{len({row['object'] for row in lifted})}"),
-    ]
-    return Table(("ur5e-allegro-node, `student`, two attempts", ""), rows, ["twin-images"])
-
-
-def identification_step() -> Table:
-    """A real hand's step, measured and predicted on rows that were held out."""
-    head = ("method", "delay, measured / predicted [ms]", "rise time, measured / predicted [ms]")
-    rows = []
-    for r in read("identification").rows:
-        if r["log"] == "real step":
-            delay, rise = (f"{1e3 * r[k]:.1f} / {1e3 * r[f'{k}_predicted']:.1f}" for k in ("delay", "rise"))
-            rows.append((r["method"], delay, rise, f"{r['held_out_rms']:.4f}"))
-    return Table((*head, "held-out RMS [rad]"), rows, ["identification"])

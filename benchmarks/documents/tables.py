@@ -1,4 +1,4 @@
-"""Writes the tables of measured numbers in README.md and docs/ from the files in docs/lab/results/.
+"""Writes the tables of measured numbers in README.md and docs/ from the files in lab/results/.
 
 ``python -m benchmarks.documents.tables`` replaces what stands between ``<!-- table: NAME -->`` and
 ``<!-- end of table -->`` in every page; with ``--check`` it writes nothing and fails where a page and the
@@ -20,10 +20,9 @@ from benchmarks.documents.measured import (
     ROOT,
     Table,
     read,
-    recorded,
 )
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "lab").glob("*.md"))]
 MARKED = re.compile(r"(<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(<!-- end of table -->)", re.DOTALL)
 RENAMED = {
     "fungrasp bench retarget --peers": "python -m benchmarks.peers",
@@ -41,15 +40,10 @@ RENAMED = {
 BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": policy_tables.hands,
     "policies": policy_tables.policies,
-    "failures": policy_tables.failures,
     "use_test": policy_tables.use_test,
     "students": policy_tables.students,
     "confirmed_peers": choice_tables.confirmed_peers,
-    "confirmed_strata": choice_tables.confirmed_strata,
     "confirmed_hands": choice_tables.confirmed_hands,
-    "chosen_decisions": choice_tables.chosen_decisions,
-    "chosen_firm": choice_tables.chosen_firm,
-    "chosen_firm_elsewhere": choice_tables.chosen_firm_elsewhere,
     "methods": policy_tables.methods,
     "peers": policy_tables.peers,
     "robustness": policy_tables.robustness,
@@ -57,35 +51,13 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "hands_from_nothing": policy_tables.hands_from_nothing,
     "retargeting_from_nothing": policy_tables.retargeting_from_nothing,
     "perception": other_tables.perception,
-    "driver_faults": robot_tables.driver_faults,
-    "control_faults": robot_tables.control_faults,
-    "driver_speed": robot_tables.driver_speed,
     "identification": robot_tables.identification,
-    "identification_step": robot_tables.identification_step,
     "fault_series": robot_tables.fault_series,
-    "identification_sines": robot_tables.identification_sines,
     "identification_twins": robot_tables.identification_twins,
-    "identification_ratios": robot_tables.identification_ratios,
     "twin_variants": robot_tables.twin_variants,
-    "twin_images": robot_tables.twin_images,
     "wire": robot_tables.wire,
-    "wire_ticks": robot_tables.wire_ticks,
     "limits": other_tables.limits,
-    "fuzz": other_tables.fuzz,
-    "kills": other_tables.kills,
-    "cluster": other_tables.cluster,
-    "adapters": recorded("adapters"),
-    "depth_statistics": recorded("depth-statistics"),
-    "experiments_hand_fit": recorded("experiments-hand-fit"),
-    "experiments_policies": recorded("experiments-policies"),
-    "experiments_left": recorded("experiments-left"),
     "hands_added": other_tables.hands_added,
-    "perception_varied": recorded("perception-varied"),
-    "perception_varied_held_out": other_tables.varied_captures,
-    "select_by_quality": recorded("select-by-quality"),
-    "experiments_reality": recorded("experiments-reality"),
-    "experiments_retargeting": recorded("experiments-retargeting"),
-    "experiments_rollouts": recorded("experiments-rollouts"),
 }
 """By the name in a page."""
 

@@ -1,4 +1,4 @@
-"""Makes the picture of docs/lab/evaluation.md of use tests that failed: one of each motion, of recorded ones.
+"""Makes the picture of lab/evaluation.md of use tests that failed: one of each motion, of recorded ones.
 
 Run it: ``python -m benchmarks.documents.use_failures_picture FOLDER``, a folder of ``fungrasp evaluate --use
 --record FOLDER`` of built-in grasps.

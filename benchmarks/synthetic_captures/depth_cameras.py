@@ -18,7 +18,7 @@ Intel, "Depth Post-Processing for Intel RealSense Depth Camera D400 Series" (spa
 filters) and the D400 data sheet (baseline, reach); Khoshelham and Elberink, Sensors 2012, and Nguyen et
 al., 3DIMPVT 2012 (Kinect: baseline, steps of disparity, noise); Toelgyessy et al., Sensors 2021 (Azure
 Kinect: noise, reach). What these don't say (how outlines melt, waves, how much is filled) was chosen to
-meet the statistics of measured images in ``docs/lab/perception.md``.
+meet the statistics of measured images in ``lab/perception.md``.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ BALANCE_WEIGHT = 10.0
 worse than a soft grip."""
 LIMIT_WEIGHT = 2.0
 """Weight of a torque at twice its limit against an unbalanced newton. A servo stops at its limit by itself;
-ten times as much costs contacts (docs/lab/decisions/0035-firm-grasps.md)."""
+ten times as much costs contacts (lab/decisions.md, 0035)."""
 CONTACT_COMPLIANCE = 1e-4
 """Yielding of a contact that no joint can move, as of a link pressed along its own length [m/N]: small
 against that of the fingers, of about 2e-3 m/N."""

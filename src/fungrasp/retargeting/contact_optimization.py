@@ -60,7 +60,7 @@ STARTS = (
     Start((-0.32, -0.53, 0.05), (0.0, 0.02, 0.01), 0.05),
 )
 """Of 93 that were drawn at random those that, one after another, made most of 400 grasps of 80 objects firmer
-(docs/lab/decisions/0073-firm-before-like.md)."""
+(lab/decisions.md, 0073)."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The tables of README and docs say what the files in docs/lab/results say."""
+"""The tables of README and docs say what the files in lab/results say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.documents import tables
 from fungrasp.evaluation.result_files import read_result
 
 ROOT = Path(__file__).parents[3]
-RESULTS = sorted((ROOT / "docs" / "lab" / "results").glob("*.json"))
+RESULTS = sorted((ROOT / "lab" / "results").glob("*.json"))
 
 
 def test_pages_agree_with_the_results() -> None:
