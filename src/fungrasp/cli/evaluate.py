@@ -70,6 +70,9 @@ class Evaluate(LiftTestSpec):
     or on all processors of this machine where none is given. Same results. Every machine must see the files
     under the same names."""
 
+    def __post_init__(self) -> None:
+        """Nothing: the request is checked where it is made of this, with an error of one line."""
+
     def run(self) -> Answer:
         from contextlib import nullcontext
 
@@ -86,18 +89,18 @@ class Evaluate(LiftTestSpec):
         if cluster is not None and file is None:
             raise FungraspError("--ray keeps finished parts beside the result: give --json or --out too")
         grasps, method = load_grasps(self.grasps), method_name(self.method)
-        given = grasps if isinstance(grasps, RobotGraspSet) else None
-        if given is not None and (self.mirror or method != RetargetSpec.method):
+        robot = grasps if isinstance(grasps, RobotGraspSet) else None
+        human = None if isinstance(grasps, RobotGraspSet) else grasps
+        if robot is not None and (self.mirror or method != RetargetSpec.method):
             what = "--mirror" if self.mirror else f"--method {self.method}"
             raise FungraspError(f"{what}: {self.grasps} holds robot grasps already; give it to 'retarget'")
-        name = self.hand or (RetargetSpec.hand if given is None else given.hand_file or given.hand)
+        name = self.hand or (RetargetSpec.hand if robot is None else robot.hand_file or robot.hand)
         hand = identified_hand(name, self.hand_dynamics)
-        if self.mirror:
-            grasps = mirrored_grasps(grasps)
-        objects = load_objects(grasps, self.objects)
-        human = None if isinstance(grasps, RobotGraspSet) else grasps
-        robot = given
-        if human is not None:
+        if human is not None and self.mirror:
+            human = mirrored_grasps(human)
+        objects = load_objects(grasps if human is None else human, self.objects)
+        if robot is None:
+            assert human is not None
             with progress_bar(f"retargeting to {hand.name} ({method})", 1.0) as show:
                 robot = retarget(human, objects, hand, method, threads=self.threads, progress=show)
         with nullcontext() if file is None else PartStore.beside(file) as store:
@@ -115,8 +118,7 @@ class Evaluate(LiftTestSpec):
                 draw_grasps(self.picture, robot, objects, captions=captions, progress=show)
         lines = [result.table(), f"{result.episodes} episodes in {result.seconds:.1f} s"]
         if path is not None:
-            given_as = None if human is not None else self.grasps
-            lines.append(suggestion("view", path, option("--grasps", given_as)))
+            lines.append(suggestion("view", path, option("--grasps", self.grasps if human is None else None)))
         return Answer(result.json(), "\n".join(lines))
 
     def _spec(self) -> LiftTestSpec:

@@ -46,6 +46,8 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 
 LEFT: Mapping[str, str] = {
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "demo --refine": "a policy with rollouts chooses among plans: --policy student, the default",
+    "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",
