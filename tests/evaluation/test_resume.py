@@ -115,6 +115,16 @@ def test_another_network_in_the_same_file_is_tried_anew(tried, runs, tmp_path):
     assert runs == [0, 0]
 
 
+def test_another_number_of_attempts_is_tried_anew(tried, runs, tmp_path):
+    path = str(policy_file(tmp_path))
+    tried(path)
+    assert tried(path).attempts is None
+    # What is made up here knows nothing of attempts.
+    with pytest.raises(KeyError, match="attempts"):
+        tried(path, attempts=2)
+    assert runs == [0, 0]
+
+
 @pytest.mark.parametrize("what", ["predictor", "policy"])
 def test_another_success_predictor_in_the_same_file_is_tried_anew(tried, runs, tmp_path, what):
     """Given by itself, or beside the policy that follows its plans."""

@@ -145,3 +145,19 @@ def test_a_killed_process_is_gone_on_with(tmp_path):
     job = Squares(9)
     assert squares(run_job(job, PartStore(tmp_path))) == [n**2 for n in range(9)]
     assert job.ran[0] == [3, 4, 5]
+
+
+def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path):
+    path = tmp_path / "x.partial"
+    path.mkdir()
+    (path / "a.npz").write_bytes(b"PK\x03\x04 cut short")
+    store = PartStore(path)
+    assert store.load("a") is None
+    store.save("a", {"x": np.arange(3), "reason": np.array(["", "lost"])})
+    again = PartStore(path)
+    kept = again.load("a")
+    assert kept is not None and kept["x"].tolist() == [0, 1, 2] and kept["reason"].tolist() == ["", "lost"]
+    assert again.load("b") is None
+    again.remove()
+    assert not path.exists()
+    again.remove()
