@@ -1,4 +1,4 @@
-# make demo   grasps built-in objects, then the one in a picture; writes films and pages
+# make demo   grasps built-in objects and the one in an image; writes a film and a page
 # make test   all checks and tests but the slow ones, which it names
 # make test-all  the slow ones too
 # make cold-start  the first commands of a newcomer, in empty environments
@@ -35,11 +35,9 @@ help:
 	@sed -n '/^$$/q;s/^# //p' Makefile
 
 demo: $(VENV)/.installed
+	@$(SEES) || { echo "fetching the hand models, once"; $(BIN)/fungrasp setup perception; } || \
+	echo "the grasp in an image is left out: it needs ai-edge-litert and the hand models"
 	$(BIN)/fungrasp demo $(ARGS)
-	@$(SEES) || { echo "fetching the hand models, once"; $(BIN)/fungrasp setup perception; } || true
-	@if $(SEES); then $(BIN)/fungrasp demo --from-image --out demo/from-image; else \
-	echo "the demo from an image is left out: it needs ai-edge-litert and the hand models, which" \
-	"'$(BIN)/fungrasp setup perception' fetches"; fi
 
 test: $(VENV)/.installed-dev
 	@failed=; for check in $(CHECKS); do $(MAKE) --no-print-directory $$check || failed="$$failed $$check"; done; \
@@ -90,7 +88,7 @@ clean:
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.made
 	@echo "installing fungrasp into $(VENV), once"
-	@$(BIN)/python -m pip install --quiet -e ".[perception]" || $(BIN)/python -m pip install --quiet -e .
+	@$(BIN)/python -m pip install --quiet --no-compile -e ".[perception]" || $(BIN)/python -m pip install --quiet --no-compile -e .
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.made

@@ -15,7 +15,7 @@ from PIL import Image
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.grasps.picks import picked_rows
 from fungrasp.hands import load_hand
-from fungrasp.media.demonstration import FPS, demonstrate
+from fungrasp.media.demonstration import FPS, Shown, demonstrate
 from fungrasp.media.video import write_video
 from fungrasp.policies import default_policy
 
@@ -44,10 +44,9 @@ def main() -> None:
     for name, picks in SHOWN:
         human = everything.select(picked_rows(everything, picks, len(picks), ()))
         with TemporaryDirectory() as folder:
-            shown = demonstrate(
-                human, load_objects(human), load_hand(name), default_policy(name), Path(folder), threads=1
-            )
-            frames += frames_of(shown.film)
+            shown = Shown(human, load_objects(human), {})
+            made = demonstrate(shown, load_hand(name), default_policy(name), Path(folder), threads=1)
+            frames += frames_of(made.film)
     write_video(IMAGES / "demo.mp4", frames, FPS, quality=QUALITY)
     Image.fromarray(frames[len(frames) // 5]).save(IMAGES / "demo.jpg", quality=85, optimize=True)
 

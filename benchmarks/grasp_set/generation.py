@@ -12,12 +12,13 @@ from benchmarks.grasp_set.objects import SetObject
 from benchmarks.grasp_set.specifications import set_specifications
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
-from fungrasp.evaluation.force_closure import closure_residual, primitive_wrenches
 from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
+from fungrasp.optimization.force_closure import closure_residual, primitive_wrenches
+from fungrasp.optimization.problem import CollisionScene, project_to_surface
+from fungrasp.simulation.scene import NOMINAL_FRICTION
 from fungrasp.synthesis import GraspSpecification, SynthesisSettings, synthesize_grasps
 
 SETTINGS = SynthesisSettings(starts=3)
@@ -136,5 +137,7 @@ def balance_residuals(grasps: HumanGraspSet, model: ObjectModel) -> np.ndarray:
     for row in range(count):
         touching = FAR_JOINTS[grasps.link_contacts[row]]
         points = surface[row, touching] - model.center_of_mass
-        residuals[row] = closure_residual(primitive_wrenches(points, -normals[row, touching], length))
+        residuals[row] = closure_residual(
+            primitive_wrenches(points, -normals[row, touching], length, NOMINAL_FRICTION)
+        )
     return residuals

@@ -14,7 +14,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 HUMAN_ORDER = np.array([0, 17, 18, 19, 20, *range(1, 17)])

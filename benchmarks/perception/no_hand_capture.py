@@ -19,10 +19,8 @@ from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.render_capture import drawn_intrinsics, photographed
 from fungrasp.hands import hand_files, load_hand
 from fungrasp.media.camera import orbit_camera
-from fungrasp.media.model_surfaces import drawn_geoms, geom_surface
 from fungrasp.media.ray_tracing import NOTHING, RayTracer
-from fungrasp.media.shading import linear, model_materials
-from fungrasp.media.surfaces import SurfaceMesh
+from fungrasp.media.surfaces import SurfaceMesh, drawn_geoms, geom_surface, linear, model_materials
 from fungrasp.perception import Capture
 
 CLUTTER = (2, 7)

@@ -9,7 +9,7 @@ import trimesh
 
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, mixed
 from benchmarks.synthetic_captures.skin_and_sleeve import blotches, painted_hand, painted_sleeve
-from fungrasp.media.shading import Color
+from fungrasp.media.surfaces import Color
 
 HEAD = (0.098, 0.076, 0.118)
 """Half the depth, width and height of a head [m]."""

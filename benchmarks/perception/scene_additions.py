@@ -17,8 +17,7 @@ from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.skin_and_sleeve import back_of_hand
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HumanGrasp, builtin_grasps
-from fungrasp.media.shading import Color
-from fungrasp.media.surfaces import SurfaceMesh
+from fungrasp.media.surfaces import Color, SurfaceMesh
 
 HAND_AWAY = (0.16, 0.38)
 """Another person's hand is so far from the grasp, between their middles [m]."""

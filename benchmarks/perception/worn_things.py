@@ -8,8 +8,7 @@ import trimesh
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
 from benchmarks.synthetic_captures.skin_and_sleeve import WRIST_HALF, Forearm
 from fungrasp.media.hand_mesh import FINGER_RADII, REFERENCE_PALM
-from fungrasp.media.light_sampling import axes_along
-from fungrasp.media.shading import Color
+from fungrasp.media.surfaces import Color
 
 METALS: tuple[Color, ...] = ((0.83, 0.69, 0.22), (0.77, 0.77, 0.78), (0.72, 0.45, 0.33), (0.15, 0.15, 0.16))
 """Gold, silver, copper, black steel, sRGB."""
@@ -87,7 +86,6 @@ def painted_watch(arm: Forearm, back_of_hand: np.ndarray, rng: np.random.Generat
 
 def _placed(along: np.ndarray, center: np.ndarray) -> np.ndarray:
     """Matrix that turns z to a direction and moves the origin to a point, shape [4, 4]."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = axes_along(along[None] / np.linalg.norm(along))[0]
+    matrix = np.asarray(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], along))
     matrix[:3, 3] = center
     return matrix

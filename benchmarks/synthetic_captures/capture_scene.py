@@ -14,8 +14,8 @@ from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, fine_mesh_no
 from benchmarks.synthetic_captures.skin_and_sleeve import Forearm, painted_hand, painted_sleeve
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
-from fungrasp.media.shading import Color, Look
-from fungrasp.media.surfaces import SurfaceMesh
+from fungrasp.media.ray_tracing import Look
+from fungrasp.media.surfaces import Color, SurfaceMesh
 from fungrasp.objects import ObjectModel, builtin_object
 
 
@@ -297,11 +297,12 @@ def _block(center: np.ndarray, size: Sequence[float], color: np.ndarray) -> Surf
 
 def _look(rng: np.random.Generator) -> Look:
     azimuth, height = rng.uniform(0, 2 * np.pi), rng.uniform(0.9, 2.5)
+    # The first was the lamp's radius: what is drawn after it stays as it was.
+    _, key, fill = rng.uniform((2.0, 1.0, 0.7), (14.0, 2.3, 1.2)).tolist()
     return Look(
         backdrop_top=(0.0, 0.0, 0.0),
         backdrop_horizon=(0.0, 0.0, 0.0),
         light=(float(np.cos(azimuth)), float(np.sin(azimuth)), float(height)),
-        light_radius=float(rng.uniform(2, 14)),
-        key=float(rng.uniform(1.0, 2.3)),
-        fill=float(rng.uniform(0.7, 1.2)),
+        key=key,
+        fill=fill,
     )

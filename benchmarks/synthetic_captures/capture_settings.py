@@ -9,7 +9,7 @@ from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCame
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise
 from benchmarks.synthetic_captures.skin_and_sleeve import SKIN_TONES
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.media.shading import Color
+from fungrasp.media.surfaces import Color
 from fungrasp.perception import Intrinsics
 
 TYPICAL = Intrinsics(640, 480, 615.0, 615.0, 321.5, 238.0)

@@ -12,8 +12,7 @@ import trimesh
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps.human_hand import mirror_points
-from fungrasp.media.shading import linear
-from fungrasp.media.surfaces import SurfaceMesh
+from fungrasp.media.surfaces import SurfaceMesh, linear
 from fungrasp.objects import ObjectModel
 
 CREASE = float(np.cos(np.radians(35.0)))

@@ -17,7 +17,7 @@ from fungrasp.media.hand_mesh import (
     THUMB_RADII,
     human_hand_mesh,
 )
-from fungrasp.media.shading import Color
+from fungrasp.media.surfaces import Color
 
 SKIN_TONES: tuple[Color, ...] = (
     (0.92, 0.76, 0.67),

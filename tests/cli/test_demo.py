@@ -66,7 +66,12 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
     )
     save_human_grasps(tmp_path / "air.npz", bad)
     out = tmp_path / "out"
-    arguments = ["--grasps", str(tmp_path / "air.npz"), "--policy", "reference"]
+    arguments = [
+        "--grasps",
+        str(tmp_path / "air.npz"),
+        "--policy",
+        "reference",
+    ]
     assert main(["demo", *arguments, "--out", str(out)]) == 0
     assert "It did not hold: lost before the hold." in capsys.readouterr().out
     page = (out / "index.html").read_text()
@@ -83,6 +88,7 @@ def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture
         (["--pick", "9999"], "--pick 9999: the grasps are numbered 0 to"),
         (["--pick", "mug", "mug"], "is picked twice"),
         (["--count", "0"], "--count must be at least 1"),
+        (["--seed", "-1"], "--seed must be at least 0"),
         (["--policy", "allegro-studnt"], "Did you mean 'allegro-student-free'"),
         (["--grasps", "nowhere.npz"], "nowhere.npz"),
         (["--objects", "nowhere"], "nowhere"),

@@ -16,8 +16,7 @@ from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
 from benchmarks.synthetic_captures.painted_mesh import painted_object
 from fungrasp.geometry.poses import transform_points
 from fungrasp.media.camera import orbit_camera
-from fungrasp.media.ray_tracing import NOTHING, RayTracer
-from fungrasp.media.shading import Look
+from fungrasp.media.ray_tracing import NOTHING, Look, RayTracer
 from fungrasp.media.surfaces import SurfaceMesh
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, Intrinsics
@@ -67,7 +66,7 @@ def object_views(
     painted = painted_object(model).moved(pose)
     center = painted.vertices.mean(axis=0)
     surfaces = [painted.surface(0.1, 20.0), scan_table(center, rng)]
-    look = Look(light=(0.6, -0.5, 1.6), light_radius=10.0, key=1.4, fill=1.0)
+    look = Look(light=(0.6, -0.5, 1.6), key=1.4, fill=1.0)
     tracer = RayTracer(surfaces, look)
     captures = []
     for i in range(count):

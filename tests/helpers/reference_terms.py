@@ -12,18 +12,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.geometry.poses import cross, quaternion_conjugate, quaternion_multiply, rotation_vector
-from fungrasp.optimization.closure_term import BALANCE_CONE_EDGES, BALANCE_ITERATIONS
-from fungrasp.optimization.collision_scene import CollisionScene, gradient_derivative, project_to_surface
-from fungrasp.optimization.firmness import (
-    DEEPEST,
-    DISTURBANCE,
-    FRICTION,
-    LIMIT_WEIGHT,
-    LOAD_CONE_EDGES,
-    LOAD_ITERATIONS,
-    NO_GRIP,
-    load_directions,
-)
+from fungrasp.optimization.force_closure import BALANCE_CONE_EDGES, BALANCE_ITERATIONS
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import (
     EASING,
@@ -34,7 +23,21 @@ from fungrasp.optimization.levenberg_marquardt import (
     TOLERANCE,
 )
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, LinkContacts
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import (
+    CollisionScene,
+    RetargetingProblem,
+    gradient_derivative,
+    project_to_surface,
+)
+from fungrasp.optimization.wrench_resistance import (
+    CONE_EDGES,
+    DEEPEST,
+    LIMIT_WEIGHT,
+    LOAD_ITERATIONS,
+    NO_GRIP,
+    Grip,
+    lift_loads,
+)
 
 Residual = tuple[np.ndarray, np.ndarray]
 Term = Callable[[HandState[Any]], Residual]
@@ -392,21 +395,14 @@ def contacts_of_links(state: HandState[Any]) -> LinkContacts:
 
 
 def unresisted_wrenches(
-    contacts: LinkContacts,
-    used: np.ndarray,
-    center: np.ndarray,
-    reach: np.ndarray,
-    loads: np.ndarray,
-    unit: np.ndarray,
-    torque_limit: np.ndarray,
-    friction: float = FRICTION,
-    iterations: int = LOAD_ITERATIONS,
+    grip: Grip, loads: np.ndarray, unit: np.ndarray, iterations: int = LOAD_ITERATIONS
 ) -> np.ndarray:
-    """``fungrasp.optimization.firmness.unresisted_wrenches``."""
+    """``fungrasp.optimization.wrench_resistance.unresisted_wrenches``."""
+    contacts, used, center, reach, torque_limit, friction = grip
     count, number = loads.shape[:2]
-    edges = friction_cone_edges(contacts.inward, friction, LOAD_CONE_EDGES)
+    edges = friction_cone_edges(contacts.inward, friction, CONE_EDGES)
     lever = (contacts.place - center[:, None]) / reach[:, None, None]
-    allowed = np.repeat(used, LOAD_CONE_EDGES, axis=1)[..., None]
+    allowed = np.repeat(used, CONE_EDGES, axis=1)[..., None]
     wrench = np.concatenate([edges, cross(lever[:, :, None], edges)], axis=-1).reshape(count, -1, 6) * allowed
     torque = (edges @ contacts.jacobian).reshape(count, wrench.shape[1], -1) * allowed
     # In that unit: forces over it, torques over what a joint can do.
@@ -435,15 +431,14 @@ def unresisted_share(
     independent: np.ndarray,
     which: np.ndarray,
 ) -> np.ndarray:
-    """``fungrasp.optimization.firmness.unresisted_share``."""
+    """``fungrasp.optimization.wrench_resistance.unresisted_share``."""
     limits = np.array([servo.force_limit for servo in points.kinematics.hand.actuators.values()])
     state = HandState(points, problem, wrist_pose, independent)
     contacts = contacts_of_links(state)
     weight, up = problem.weight, problem.up[:, -1]
-    loads = np.zeros((len(weight), 6, 6))
-    loads[..., :3] = weight[:, None, None] * (DISTURBANCE * load_directions(up) - up[:, None])
     used = (contacts.clearance < CONTACT_DISTANCE) & problem.contacts
-    left = unresisted_wrenches(contacts, used, problem.center, problem.extent, loads, weight, limits)
+    grip = Grip(contacts, used, problem.center, problem.extent, limits)
+    left = unresisted_wrenches(grip, lift_loads(up, weight), weight)
     share = np.sqrt(np.max(np.sum(left**2, axis=-1), axis=1)) / weight
     share = np.where(state.clearance.min(axis=1) < -DEEPEST, NO_GRIP, share)
     return np.where(which, share, np.inf)

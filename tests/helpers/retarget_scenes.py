@@ -17,10 +17,9 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 ROBOTS = ("allegro", "shadow", "faive", "inspire", "leap")

@@ -4,7 +4,7 @@ import pytest
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.media import Renderer, orbit_camera
-from fungrasp.media.film import film, frame_times, interpolate
+from fungrasp.media.episode_film import film, frame_times, interpolate
 
 SCENE = """
 <mujoco>

@@ -14,8 +14,7 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.grasps import RobotGrasp, builtin_grasps, load_objects
-from fungrasp.media.episode_cameras import episode_pictures
-from fungrasp.media.lerobot_dataset import write_lerobot_dataset
+from fungrasp.media.lerobot_dataset import episode_pictures, write_lerobot_dataset
 from fungrasp.retargeting import retarget
 
 HUMAN = builtin_grasps()[:1]

@@ -14,9 +14,9 @@ from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.media import perception_page
-from fungrasp.media.page_parts import Quantity
-from fungrasp.media.perception_alternatives import alternatives
+from fungrasp.media.page import Quantity
 from fungrasp.media.perception_page import (
+    alternatives,
     contact_words,
     true_errors,
     write_perception_page,

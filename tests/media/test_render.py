@@ -6,8 +6,8 @@ import pytest
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.media import Camera, Look, Renderer, orbit_camera, render
-from fungrasp.media.ray_tracing import NOTHING, TABLE, RayTracer
-from fungrasp.media.shading import linear, sun_direction
+from fungrasp.media.ray_tracing import NOTHING, TABLE, RayTracer, sun_direction
+from fungrasp.media.surfaces import linear
 
 SCENE = """
 <mujoco>
@@ -126,11 +126,11 @@ def test_shadow_falls_on_the_table_opposite_to_the_light(model):
     assert not darker[v, u]
 
 
-def test_things_darken_the_table_where_they_touch_it(model):
+def test_things_darken_the_table_below_them(model):
     camera = Camera((0, -0.5, 0.3), (0, 0, 0), fov_y=30, width=80, height=60)
-    look = Look(light=(0, 0, 1), light_radius=0, table=(0.8, 0.8, 0.8), table_dark=(0.8, 0.8, 0.8))
+    look = Look(light=(0, -1, 0.2), table=(0.8, 0.8, 0.8), table_dark=(0.8, 0.8, 0.8))
     picture = render(model, np.zeros(2), camera, look=look)[0].astype(int).sum(-1)
-    near, _ = camera.project(np.array([-0.06, -0.0, 0.0]))
+    near, _ = camera.project(np.array([0.0, -0.04, 0.0]))
     far, _ = camera.project(np.array([-0.14, 0.0, 0.0]))
     assert (
         picture[tuple(np.round(near[::-1]).astype(int))]

@@ -4,9 +4,7 @@ import pytest
 import trimesh
 
 from fungrasp.media import Camera, render
-from fungrasp.media.model_surfaces import geom_surface
-from fungrasp.media.shading import linear, model_materials
-from fungrasp.media.surfaces import sample_image
+from fungrasp.media.surfaces import geom_surface, linear, model_materials, sample_image
 
 
 def _model(mesh, texture=None):

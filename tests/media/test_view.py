@@ -46,8 +46,8 @@ def test_a_result_shows_its_table_and_how_episodes_ended(robot, objects, tmp_pat
 def test_what_can_not_be_viewed_is_said(robot, tmp_path):
     with pytest.raises(FungraspError, match="not of a list"):
         fungrasp.view([1, 2], out=tmp_path / "view.html")  # type: ignore[arg-type]
-    with pytest.raises(FungraspError, match="nowhere"):
-        fungrasp.view("nowhere.mcap", out=tmp_path / "view.html")
+    with pytest.raises(FungraspError, match="not of a str"):
+        fungrasp.view("log.mcap", out=tmp_path / "view.html")
     with pytest.raises(FungraspError, match="the object 'can'"):
         fungrasp.view(robot, {}, out=tmp_path / "view.html")
     assert not (tmp_path / "view.html").exists()

@@ -13,7 +13,7 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import NormalEquations, minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
 from fungrasp.retargeting.contact_optimization import initial_pose
 

@@ -13,11 +13,11 @@ from retarget_scenes import around_field, field, held, plain_objects
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
-from fungrasp.optimization.firmness import NO_GRIP, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import NormalEquations, minimize
 from fungrasp.optimization.link_contacts import contacts_of_links
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
+from fungrasp.optimization.wrench_resistance import NO_GRIP, unresisted_share
 from fungrasp.retargeting import dexgraspnet
 from fungrasp.retargeting.contact_optimization import initial_pose
 
@@ -153,7 +153,7 @@ def test_unresisted_shares_are_those_of_numpy(name: str):
     pose[0, :3] = surface - 0.01 * normals
     which = np.array([True, True, False, True, True, True])
     expected = reference.unresisted_share(points, problem, pose, joints, which)
-    found = unresisted_share(points, problem, pose, joints, most=np.where(which, np.inf, 0.0))
+    found = unresisted_share(points, problem, pose, joints, upper=np.where(which, np.inf, 0.0))
     assert expected[0] == NO_GRIP and expected[2] == np.inf
     assert np.any((expected > 1e-3) & (expected < NO_GRIP))
     np.testing.assert_allclose(found, expected, atol=1e-9)

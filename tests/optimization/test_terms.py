@@ -16,7 +16,7 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import NormalEquations
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting import dexgraspnet
 
 COUNT = 3

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects, hand
 
-from fungrasp.planning.expected_loads import lift_loads, use_loads
+from fungrasp.optimization.wrench_resistance import lift_loads
+from fungrasp.planning.expected_loads import use_loads
 from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task.use import UseMotion, load_use_motions
 

@@ -11,8 +11,8 @@ from planned_grasps import belief, grasps_and_objects, hand, plan, start
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.grasp_motion import TABLE_TOLERANCE, MotionSettings, lowered, table_below
 from fungrasp.policies import OpenLoopPolicy

@@ -14,10 +14,10 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.optimization.firmness import unresisted_share
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.pose_terms import contact_error
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
+from fungrasp.optimization.terms import contact_error
+from fungrasp.optimization.wrench_resistance import unresisted_share
 from fungrasp.retargeting import RetargetSettings, retarget
 from fungrasp.retargeting.contact_optimization import STARTS, moved_starts, turned_about_fingertips
 

@@ -14,8 +14,8 @@ from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandState
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.synthesis import SynthesisSettings, synthesize_grasps
 from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspKind, GraspSpecification

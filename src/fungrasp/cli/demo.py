@@ -1,8 +1,9 @@
-"""``fungrasp demo``: a few human grasps, or the one in an image, retargeted, tried and shown."""
+"""``fungrasp demo``: a few human grasps, and the one in an image, retargeted, tried and shown."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,8 +12,7 @@ from fungrasp.cli.console import Answer, Answering, progress_bar
 from fungrasp.cli.options import optional_value
 
 if TYPE_CHECKING:
-    from fungrasp.hands import Hand
-    from fungrasp.media.demonstration import Demonstration, Opening
+    from fungrasp.media.demonstration import Shown
     from fungrasp.perception.perceived import Perceived
 
 FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
@@ -21,13 +21,16 @@ FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
 LOW_CONFIDENCE = 3
 """Exit status when the page was written but the robot did not try the grasp."""
 
+RENDERED = "<p>The image is no photograph: it was rendered, which is why the truth is known.</p>"
+
 Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
 """An option with or without a value."""
 
 
 @dataclass(frozen=True)
 class Demo(Answering):
-    """Grasp a few objects as people do, and show it: a film and a page."""
+    """Grasp a few objects as people do, and the one in an image where the hand models are there, and show it:
+    a film and a page."""
 
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
@@ -36,12 +39,14 @@ class Demo(Answering):
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     pick: tuple[str, ...] = ()
-    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few."""
+    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few, and
+    the one in the built-in image."""
     count: int = 3
     """How many to show if none are picked."""
     from_image: Folder = None
-    """Start from an image with depth of a person holding an object: the built-in one, or that of a folder
-    with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --pick and --count."""
+    """Show only the grasp in an image with depth of a person holding an object: the built-in one, or that of
+    a folder with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --pick and
+    --count."""
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None
@@ -60,89 +65,88 @@ class Demo(Answering):
 
     def run(self) -> Answer:
         from fungrasp.hands import load_hand
+        from fungrasp.policies import default_policy, policy_files
 
         self._check()
         hand = load_hand(self.hand)
-        policy = self._policy(hand)
-        shown = self._from_grasps(hand, policy) if self.from_image is None else self._from_image(hand, policy)
-        if isinstance(shown, Answer):
-            return shown
+        policy = self.policy or default_policy(hand.name)
+        policy_files(policy, hand.name)
+        picked = None if self.from_image is not None else self._picked()
+        folder = self.from_image or (self._usual_image() if picked is not None else None)
+        seen = None
+        if folder is not None:
+            seen = self._seen(folder, None if picked is None else lambda: _compile(picked, self.hand))
+            for note in seen.notes:
+                print(note)
+            if not seen.confident:
+                print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
+                if picked is None:
+                    return self._page_of_low_confidence(seen)
+        from fungrasp.media.demonstration import demonstrate
+
+        shown = _joined(picked, seen if seen is not None and seen.confident else None, folder)
+        made = demonstrate(
+            shown, hand, policy, self.out, seed=self.seed, threads=self.threads, stages=progress_bar
+        )
         lines = [
             f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}"
-            for report in shown.grasps
+            for report in made.grasps
         ]
         told = ("title", "object_name", "task", "success", "outcome", "use_success", "use_outcome")
-        grasps = [{name: getattr(report, name) for name in told} for report in shown.grasps]
-        value = {"film": shown.film, "page": shown.page, "grasps": grasps}
-        return Answer(value, "\n".join([*lines, f"film: {shown.film}", f"page: {shown.page}"]))
+        grasps = [{name: getattr(report, name) for name in told} for report in made.grasps]
+        value = {"film": made.film, "page": made.page, "grasps": grasps}
+        return Answer(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
 
-    def _from_grasps(self, hand: Hand, policy: str) -> Demonstration:
+    def _picked(self) -> Shown:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.grasps.picks import picked_rows
-        from fungrasp.media.demonstration import Opening, demonstrate
+        from fungrasp.media.demonstration import Shown
 
         everything = load_human_grasps(self.grasps)
         rows = picked_rows(everything, self.pick, self.count, FAVORITES)
         human = everything.select(rows)
-        source = {"Policy": policy, "Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}"}
-        return demonstrate(
-            human,
-            load_objects(human, self.objects),
-            hand,
-            policy,
-            self.out,
-            opening=Opening(source=source),
-            seed=self.seed,
-            threads=self.threads,
-            stages=progress_bar,
-        )
+        source = {"Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}"}
+        return Shown(human, load_objects(human, self.objects), source)
 
-    def _from_image(self, hand: Hand, policy: str) -> Demonstration | Answer:
-        from fungrasp.media.demonstration import demonstrate
+    def _usual_image(self) -> str | None:
+        """The built-in image, where no other grasps are asked for and hands in images can be found."""
+        from importlib.util import find_spec
 
-        with progress_bar("looking at the image", 1) as show:
-            seen, opening = self._seen(policy)
-            show(1)
-        for note in seen.notes:
-            print(note)
-        if not seen.confident:
-            return self._page_of_low_confidence(seen, opening)
-        return demonstrate(
-            seen.grasps,
-            seen.objects,
-            hand,
-            policy,
-            self.out,
-            opening=opening,
-            seed=self.seed,
-            threads=self.threads,
-            stages=progress_bar,
-        )
-
-    def _seen(self, policy: str) -> tuple[Perceived, Opening]:
-        """What is in the image, and what the page says of it."""
-        from fungrasp.media.perception_page import perceived_opening, true_errors
-        from fungrasp.perception.builtin_image import builtin_truth, perceive_folder
+        from fungrasp.perception.hand.mediapipe_models import have_weights
         from fungrasp.perception.image_source import BUILTIN
 
-        folder = self.from_image
-        assert folder is not None
-        seen = perceive_folder(folder, self.mesh, self.mass, self.task, self.seed)
-        known = folder == BUILTIN
-        errors = true_errors(builtin_truth(), seen) if known else []
-        image = "the built-in one" if known else folder
-        return seen, perceived_opening(seen, {"Policy": policy, "Image": image}, errors)
+        usual = not self.pick and self.grasps == Demo.grasps
+        return BUILTIN if usual and find_spec("ai_edge_litert") and have_weights() else None
 
-    def _page_of_low_confidence(self, seen: Perceived, opening: Opening) -> Answer:
+    def _seen(self, folder: str, meanwhile: Callable[[], None] | None) -> Perceived:
+        """What is in an image. meanwhile: done while another process looks at it; None for none."""
+        from fungrasp.perception.builtin_image import perceive_folder
+
+        arguments = (folder, self.mesh, self.mass, self.task, self.seed)
+        with progress_bar("looking at the image", 1) as show:
+            if meanwhile is None:
+                seen = perceive_folder(*arguments)
+            else:
+                # The first run compiles, which no two threads of a process do at the same time.
+                from concurrent.futures import ProcessPoolExecutor
+                from multiprocessing import get_context
+
+                with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+                    looking = pool.submit(perceive_folder, *arguments)
+                    meanwhile()
+                    seen = looking.result()
+            show(1)
+        return seen
+
+    def _page_of_low_confidence(self, seen: Perceived) -> Answer:
         """Write the page on what was seen: the robot does not try a grasp of low confidence."""
         from fungrasp.core.provenance import page_provenance
         from fungrasp.media.perception_page import write_perception_page
 
         page = self.out / "index.html"
-        write_perception_page(page, seen, page_provenance(opening.source or {}, self.seed))
+        write_perception_page(page, seen, page_provenance({"Image": str(self.from_image)}, self.seed))
         for warning in seen.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
-        print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
         return Answer({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:
@@ -156,25 +160,41 @@ class Demo(Answering):
             idle = {"--mesh": self.mesh, "--mass": self.mass, "--task": self.task}
             needs = "--from-image FOLDER"
         else:
-            other = self.grasps if self.grasps != "builtin" else None
+            other = self.grasps if self.grasps != Demo.grasps else None
             idle = {"--grasps": other, "--objects": self.objects, "--pick": self.pick}
             needs = "grasps, not an image"
         for name, value in idle.items():
             if value:
                 raise FungraspError(f"{name} needs {needs}")
 
-    def _policy(self, hand: Hand) -> str:
-        """The name of what moves the hand.
 
-        Raises:
-            FungraspError: there is no such policy.
-        """
-        from fungrasp.policies import default_policy, policy_files
+def _compile(picked: Shown, hand: str) -> None:
+    """Let the solver be compiled, on the first of the grasps."""
+    from fungrasp.retargeting import retarget
 
-        if self.policy is None:
-            return default_policy(hand.name)
-        policy_files(self.policy, hand.name)
-        return self.policy
+    retarget(picked.human.select([0]), picked.objects, hand, threads=1)
+
+
+def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) -> Shown:
+    """Picked grasps, and the one that was seen in an image."""
+    from fungrasp.grasps import HumanGraspSet
+    from fungrasp.media.demonstration import Shown
+    from fungrasp.media.perception_page import perception_parts, perception_title, true_errors
+    from fungrasp.perception.builtin_image import builtin_truth
+    from fungrasp.perception.image_source import BUILTIN
+
+    if seen is None:
+        assert picked is not None
+        return picked
+    known = folder == BUILTIN
+    parts = perception_parts(seen, true_errors(builtin_truth(), seen) if known else ())
+    head = f"<h2>{perception_title(seen)}</h2>{RENDERED if known else ''}"
+    source = {"Image": "the built-in one" if known else str(folder)}
+    if picked is None:
+        return Shown(seen.grasps, seen.objects, source, {0: [head, *parts]})
+    human = HumanGraspSet.of([*picked.human, *seen.grasps])
+    before = {len(picked.human): [head, *parts]}
+    return Shown(human, {**picked.objects, **seen.objects}, {**picked.source, **source}, before)
 
 
 COMMAND = Demo

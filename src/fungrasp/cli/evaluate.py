@@ -80,7 +80,7 @@ class Evaluate(LiftTestSpec):
         from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation import evaluate
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps
-        from fungrasp.media.grasp_pictures import draw_grasps
+        from fungrasp.media.pictures import draw_grasps
         from fungrasp.retargeting import RetargetSpec, method_name, retarget
         from fungrasp.sim2real.joint_dynamics import identified_hand
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from fungrasp.cli.console import Answer, Answering, progress_bar
-from fungrasp.media.episode_cameras import CameraName
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +31,7 @@ class Export(Answering):
     """What is written."""
     objects: Path | None = None
     """Folder of meshes <name>.obj, for films; built-in objects need none."""
-    cameras: tuple[CameraName, ...] = ()
+    cameras: tuple[Literal["front", "wrist"], ...] = ()
     """Films that a data set of LeRobot's has of each episode: front, over the table; wrist, on the hand."""
     size: tuple[int, int] = (320, 240)
     """Width and height of their pictures [pixels]."""
@@ -62,15 +61,14 @@ class Export(Answering):
 
     def _lerobot(self) -> tuple[str, list[Path]]:
         from fungrasp.hands import load_hand
-        from fungrasp.media.episode_cameras import episode_pictures
-        from fungrasp.media.lerobot_dataset import write_lerobot_dataset
+        from fungrasp.media.lerobot_dataset import episode_pictures, write_lerobot_dataset
         from fungrasp.objects import load_object
 
         # A use test begins in the midst of what a lift test ends with, and its controls are not recorded.
         lifts = [episode for episode in self._episodes() if not episode.is_use_test]
         whole = len(self.cameras) * sum(len(episode.times) for episode in lifts)
 
-        def see(camera: CameraName, episode: Trajectory) -> Iterator[np.ndarray]:
+        def see(camera: Literal["front", "wrist"], episode: Trajectory) -> Iterator[np.ndarray]:
             thing = load_object(episode.object_name, episode.object_mass, self.objects)
             hand = load_hand(episode.hand)
             for picture in episode_pictures(episode, hand, thing, camera, self.size, self.threads):

@@ -181,7 +181,7 @@ def _upright(hand: Hand) -> mujoco.MjModel:
     import mujoco
 
     from fungrasp.hands.arm import mounting_pose
-    from fungrasp.media.hand_shells import dressed_spec
+    from fungrasp.media.visual_meshes import dressed_spec
 
     pose = mounting_pose(hand)
     spec = mujoco.MjSpec()

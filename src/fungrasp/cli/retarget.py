@@ -49,7 +49,7 @@ class Retarget(Answering):
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
         from fungrasp.hands.self_contacts import self_contact_words
-        from fungrasp.media.grasp_pictures import draw_grasps
+        from fungrasp.media.pictures import draw_grasps
         from fungrasp.retargeting import RetargetSettings, retarget
 
         hand, cluster = load_hand(self.hand), on_cluster(self.ray)

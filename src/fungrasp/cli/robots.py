@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table
+from fungrasp.cli.console import Answer, Answering, suggestion, table
 from fungrasp.deployment.grasp_choice import GraspChoice
 
 if TYPE_CHECKING:
@@ -219,12 +219,10 @@ class Emulate:
 
 @dataclass(frozen=True)
 class ShowLog(Answering):
-    """Say what a log of `fungrasp deploy` holds, one that breaks off included; write a page of it."""
+    """Say what a log of `fungrasp deploy` holds, one that breaks off included."""
 
     log: Annotated[Path, tyro.conf.Positional]
     """An MCAP file."""
-    page: Path | None = None
-    """HTML file to write."""
 
     def run(self) -> Answer:
         from fungrasp.deployment.log import read_log
@@ -238,11 +236,9 @@ class ShowLog(Answering):
             *(f"{e['time']:.2f} s  {e['what']}: {e['text']}" for e in log.messages["/event"]),
             f"{counts['step']} control steps, {counts['setpoint']} setpoints",
         ]
-        if self.page is not None:
-            from fungrasp.media.deployment_page import write_deployment_page
-
-            lines.append(f"page: {write_deployment_page(self.page, log)}")
-        return Answer({**said, "events": log.messages["/event"], "page": self.page}, "\n".join(lines))
+        return Answer(
+            {**said, "events": log.messages["/event"]}, "\n".join([*lines, suggestion("view", self.log)])
+        )
 
 
 @dataclass(frozen=True)

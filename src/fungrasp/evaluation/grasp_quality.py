@@ -10,7 +10,6 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.text_table import table
-from fungrasp.evaluation.force_closure import closure_epsilon, closure_residual, primitive_wrenches
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.geometry.signed_distance import nearest_on_mesh
@@ -20,8 +19,10 @@ from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
-from fungrasp.optimization.collision_scene import project_to_surface
+from fungrasp.optimization.force_closure import closure_epsilon, closure_residual, primitive_wrenches
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
+from fungrasp.optimization.problem import project_to_surface
+from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 UNITS = ("mm", "deg", "rad")
 """Units at the end of the names of quality numbers."""
@@ -245,9 +246,8 @@ def _force_closure(
     for row, number in enumerate(grid):
         touching = clearance[row] < CONTACT_DISTANCE
         levers = surface[row, touching] - objects[number].center_of_mass
-        wrenches = primitive_wrenches(
-            levers, -outward[row, touching], 0.5 * float(objects[number].size.max())
-        )
+        length = 0.5 * float(objects[number].size.max())
+        wrenches = primitive_wrenches(levers, -outward[row, touching], length, NOMINAL_FRICTION)
         values[:, row] = closure_residual(wrenches), closure_epsilon(wrenches)
     return values[0], values[1]
 

@@ -99,7 +99,7 @@ class Trajectory:
 
     @property
     def phases(self) -> list[tuple[float, str]]:
-        """Start [s] and name of each phase, as ``fungrasp.media.film`` takes them."""
+        """Start [s] and name of each phase, as ``fungrasp.media.episode_film`` takes them."""
         starts = np.flatnonzero(np.diff(self.phase, prepend=-1))
         return [(float(self.times[i]), PHASES[int(self.phase[i])]) for i in starts]
 

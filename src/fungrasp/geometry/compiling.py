@@ -30,7 +30,6 @@ SOURCES = (
     "optimization/*.py",
     "perception/*_loops.py",
     "perception/object_pose/*_loops.py",
-    "media/pixel_loops.py",
 )
 """Files that the loops are made from."""
 

@@ -8,8 +8,8 @@ from fungrasp.media.grasp_scenes import (
     robot_scene_colors,
     robot_scene_states,
 )
+from fungrasp.media.ray_tracing import Look
 from fungrasp.media.render import Renderer, Views, render
-from fungrasp.media.shading import Look
 from fungrasp.media.viewpoints import frame_geoms, look_at_grasp
 
 __all__ = [

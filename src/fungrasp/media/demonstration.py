@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -15,18 +15,27 @@ from fungrasp.core.provenance import page_provenance
 from fungrasp.evaluation import LiftTestSpec, Trajectory, evaluate, replay, static_quality
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.hands import Hand
-from fungrasp.media import grasp_scene, look_at_grasp, render
 from fungrasp.media.episode_film import episode_film, film_frames
-from fungrasp.media.grasp_demo import grasp_report, grasp_title
+from fungrasp.media.grasp_pages import (
+    contacts,
+    grasp_pictures,
+    grasp_title,
+    outcome_words,
+    quantities,
+    use_outcome,
+)
+from fungrasp.media.grasp_scenes import grasp_scene
 from fungrasp.media.page import GraspReport, Page, write_page
+from fungrasp.media.render import render
 from fungrasp.media.video import write_video
+from fungrasp.media.viewpoints import look_at_grasp
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
 
-FPS, SPEED = 12.0, 2.0
+FPS, SPEED = 10.0, 2.5
 """Frames per second of the film, and how much faster than the simulation it runs."""
 
-WIDTH, HEIGHT = 1280, 720
+WIDTH, HEIGHT = 854, 480
 """Size of the film's picture [pixels]."""
 
 INSET = 0.24
@@ -52,20 +61,6 @@ def no_stages(name: str, total: float) -> Iterator[Callable[[float], None]]:
     yield lambda done: None
 
 
-@dataclass(frozen=True)
-class Opening:
-    """What a page says before the grasps."""
-
-    title: str = TITLE
-    """Of the page."""
-    introduction: str = INTRODUCTION
-    """Under it."""
-    source: Mapping[str, str] | None = None
-    """Where the grasps come from, by what kind of thing that is."""
-    parts: Sequence[str] = ()
-    """HTML that follows."""
-
-
 @dataclass(frozen=True, eq=False)
 class Demonstration:
     """What was made."""
@@ -78,14 +73,26 @@ class Demonstration:
     """What the page says of each grasp."""
 
 
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """Grasps to be shown."""
+
+    human: HumanGraspSet
+    """N grasps."""
+    objects: Mapping[str, ObjectModel]
+    """Theirs, by name."""
+    source: Mapping[str, str]
+    """Where they come from, by what kind of thing that is."""
+    before: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    """HTML that comes before what the page says of a grasp, by its row: of the image that shows it."""
+
+
 def demonstrate(
-    human: HumanGraspSet,
-    objects: Mapping[str, ObjectModel],
+    shown: Shown,
     hand: Hand,
     policy: str,
     out: Path,
     *,
-    opening: Opening | None = None,
     seed: int = 0,
     threads: int = 0,
     stages: Stages = no_stages,
@@ -93,20 +100,18 @@ def demonstrate(
     """Retarget grasps, try and use them, and show it.
 
     Args:
-        human: grasps.
-        objects: theirs, by name.
+        shown: grasps.
         hand: the robot hand.
         policy: name or file of what moves it.
         out: folder for ``film.mp4`` and ``index.html``; nothing is in it until they are whole.
-        opening: of the page; the usual one if None.
-        seed: that the page names.
+        seed: of the rollouts that choose a plan.
         threads: 0 means all processors.
         stages: told what is being done.
 
     Raises:
         FungraspError: of the verbs, or a file can't be written.
     """
-    start, opening = perf_counter(), opening or Opening()
+    start, human, objects = perf_counter(), shown.human, shown.objects
     out.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".demo.", dir=out) as name:
         folder = Path(name)
@@ -129,30 +134,43 @@ def demonstrate(
                 progress=show,
             )
         episodes = sorted(map(replay, folder.glob("*.npz")), key=lambda each: (each.index, each.is_use_test))
-        film, clips = _film(episodes, human, objects, hand, folder, out / "film.mp4", threads, stages)
+        film, clips = _film(episodes, shown, hand, folder, out / "film.mp4", threads, stages)
+        reports = []
         with stages("drawing", len(human)) as show:
-            reports = []
             for episode in episodes:
                 if episode.is_use_test:
                     continue
-                row = episode.index
-                clip, use_clip = clips[row, False], clips.get((row, True))
-                obj = objects[episode.object_name]
-                reports.append(
-                    grasp_report(
-                        human[row], robot[row], hand, obj, episode, quality, result, row, clip, use_clip
-                    )
+                row, obj = episode.index, objects[episode.object_name]
+                pictures = grasp_pictures(human[row], robot[row], hand, obj)
+                use_clip = clips.get((row, True))
+                use = None if use_clip is None else result.use
+                report = GraspReport(
+                    grasp_title(human[row]),
+                    object_mass=human[row].object_mass,
+                    success=episode.success,
+                    outcome=outcome_words(episode.success, episode.reason, bool(result.rollouts[row])),
+                    human_picture=pictures[0],
+                    robot_picture=pictures[1],
+                    film=clips[row, False],
+                    use_success=None
+                    if use_clip is None or result.use is None
+                    else bool(result.use.success[row]),
+                    use_outcome="" if use is None else use_outcome(use, row),
+                    use_film=use_clip,
+                    contacts=contacts(robot[row], episode, hand),
+                    quality=quantities(quality, result, row),
+                    before=shown.before.get(row, ()),
                 )
+                reports.append(report)
                 show(len(reports))
-        made = page_provenance(opening.source or {}, seed, perf_counter() - start)
-        page = Page(opening.title, reports, hand.title, opening.introduction, made)
-        return Demonstration(film, write_page(out / "index.html", page, opening.parts), reports)
+        made = page_provenance({"Policy": policy, **shown.source}, seed, perf_counter() - start)
+        page = Page(TITLE, reports, hand.title, INTRODUCTION, made)
+        return Demonstration(film, write_page(out / "index.html", page), reports)
 
 
 def _film(
     episodes: Sequence[Trajectory],
-    human: HumanGraspSet,
-    objects: Mapping[str, ObjectModel],
+    shown: Shown,
     hand: Hand,
     folder: Path,
     out: Path,
@@ -165,7 +183,7 @@ def _film(
     def frames() -> Iterator[np.ndarray]:
         done = 0
         for each in episodes:
-            obj, clip, grasp = objects[each.object_name], [], human[each.index]
+            obj, clip, grasp = shown.objects[each.object_name], [], shown.human[each.index]
             options = {"fps": FPS, "speed": SPEED, "width": WIDTH, "height": HEIGHT, "threads": threads}
             inset = _person(grasp, obj)
             for frame in episode_film(each, hand, obj, title=grasp_title(grasp), inset=inset, **options):

@@ -13,9 +13,9 @@ from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
 from fungrasp.media.hand_mesh import human_hand_mesh
-from fungrasp.media.hand_shells import dressed_spec
-from fungrasp.media.object_looks import painted_parts
-from fungrasp.media.shading import model_materials
+from fungrasp.media.materials import painted_parts
+from fungrasp.media.surfaces import model_materials
+from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel
 
 SKIN = (0.86, 0.68, 0.57)

@@ -6,14 +6,19 @@ import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
-from fungrasp.hands import load_hand
+from fungrasp.geometry.poses import rotate, transform_points
+from fungrasp.hands import Hand, load_hand
+from fungrasp.media.camera import Camera
+from fungrasp.media.grasp_scenes import robot_grasp_scene, robot_scene_states
+from fungrasp.media.render import Renderer
 from fungrasp.media.video import write_video
+from fungrasp.objects import ObjectModel
 
 LEROBOT_VERSION = "v3.0"
 """Of the format of LeRobot's data sets that is written."""
@@ -31,6 +36,20 @@ STATS_EVERY = 4
 
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 
+CameraName = Literal["front", "wrist"]
+"""A fixed camera that looks over the table to where the object stood, and one that moves with the palm."""
+
+FRONT = (0.68, 0.32, 0.4)
+"""The fixed camera, seen from where the object stood: on the far side of the table, off to a side [m]."""
+FRONT_ABOVE = 0.12
+"""The middle of its picture is so far above where the object stood [m]: a lift goes 10 cm up and more."""
+WRIST = (-0.16, 0.1)
+"""The hand's camera, from the palm's origin along the fingers and out of the palm [m]: on a bracket at the
+wrist, beside the fingers' way."""
+WRIST_TARGET = (0.12, 0.05)
+"""The middle of its picture, likewise: where the fingertips meet [m]."""
+WRIST_FOV = 65.0
+"""Vertical field of view of the hand's camera, which is near [degrees]; small cameras have 60 to 90."""
 
 Pictures = Callable[[Trajectory], Iterator[np.ndarray]]
 """A picture of each state of an episode, sRGB, shape [height, width, 3] uint8; all of one size."""
@@ -49,7 +68,7 @@ def write_lerobot_dataset(
     Args:
         episodes: lift tests of one hand, with controls.
         folder: must not exist.
-        cameras: what each sees of an episode, by the camera's name (``report.episode_cameras``); none by
+        cameras: what each sees of an episode, by the camera's name (``episode_pictures``); none by
             default.
 
     Raises:
@@ -281,3 +300,50 @@ def _stats(values: np.ndarray) -> dict[str, Any]:
     numbers = numbers[:, None] if numbers.ndim == 1 else numbers
     found = {"min": numbers.min(0), "max": numbers.max(0), "mean": numbers.mean(0), "std": numbers.std(0)}
     return {name: value.tolist() for name, value in found.items()} | {"count": [len(numbers)]}
+
+
+def episode_pictures(
+    episode: Trajectory,
+    hand: Hand,
+    thing: ObjectModel,
+    camera: CameraName,
+    size: tuple[int, int] = (320, 240),
+    threads: int = 0,
+) -> Iterator[np.ndarray]:
+    """A picture of each state of an episode of ``hand`` and ``thing``.
+
+    Args:
+        camera: from where.
+        size: width and height [pixels].
+        threads: 0 means all CPUs; pictures do not depend on it.
+
+    Yields:
+        sRGB, shape [height, width, 3] uint8.
+
+    Raises:
+        FungraspError: a state is not finite (the simulation diverged), or there is no such camera.
+    """
+    wrist, joints, things = episode.palm_pose, episode.joint_positions, episode.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
+    states = robot_scene_states(model, hand, wrist, joints, things)
+    width, height = size
+    if camera == "front":
+        foot = np.array([*things[0, :2], 0.0], dtype=float)
+        at, target = foot + FRONT, foot + np.array([0.0, 0.0, FRONT_ABOVE])
+        views = Camera(_three(at), _three(target), width=width, height=height)
+    elif camera == "wrist":
+        across = np.stack([hand.palm_fingers, hand.palm_normal])
+        places = transform_points(wrist, np.array([WRIST, WRIST_TARGET]) @ across)
+        ups = rotate(wrist[:, 3:], np.tile(hand.palm_normal, (len(wrist), 1)))
+        views = [
+            Camera(_three(at), _three(target), _three(up), WRIST_FOV, width, height)
+            for (at, target), up in zip(places, ups, strict=True)
+        ]
+    else:
+        raise FungraspError(f"there is no camera '{camera}'; there are front and wrist")
+    return Renderer(model, threads=threads).stream(states, views)
+
+
+def _three(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

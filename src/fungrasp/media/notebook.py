@@ -11,10 +11,9 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import LiftTestResult
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_objects
-from fungrasp.media.grasp_pictures import spread_rows
-from fungrasp.media.page_parts import figure
-from fungrasp.media.pictures import grid
-from fungrasp.media.view import grasp_picture, rates_by_object
+from fungrasp.media.grasp_pages import rates_by_object
+from fungrasp.media.page import figure
+from fungrasp.media.pictures import grasp_picture, grid, spread_rows
 from fungrasp.task import GraspPlan
 
 PICTURES = 4

@@ -16,12 +16,12 @@ from fungrasp.deployment.saved_plan import SavedPlan
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.media.camera import Camera, fit_camera, orbit_camera
-from fungrasp.media.film import film
+from fungrasp.media.episode_film import film
 from fungrasp.media.grasp_scenes import OBJECT_BODY, add_object
-from fungrasp.media.hand_shells import dressed_spec
 from fungrasp.media.pictures import grid
 from fungrasp.media.render import render
 from fungrasp.media.video import write_video
+from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 

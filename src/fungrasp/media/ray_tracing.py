@@ -1,8 +1,8 @@
-"""Ray tracing of surfaces: what a camera sees, softly lit and anti-aliased.
+"""Ray tracing of surfaces: what a camera sees, lit by one lamp and the sky, anti-aliased.
 
-The steps of an image: rays through the pixels' centers; the table top in closed form; a shadow ray and an
-occlusion ray from every second pixel, whose results are averaged over its neighbors; shading; more rays
-through the pixels on edges, lit as the pixels around them.
+The steps of an image: rays through the pixels' centers; the table top in closed form; from what is met a
+ray to the lamp, for its shadow, and one along the normal, which tells how much of the sky is hidden; shading;
+more rays through the pixels on edges.
 """
 
 from __future__ import annotations
@@ -13,35 +13,65 @@ from functools import cached_property
 
 import numpy as np
 
-from fungrasp.geometry.ray_casting import RayCaster, RayHits
-from fungrasp.media.light_sampling import DISC, PASSES, axes_along, pixel_samples, sampled_pixels
-from fungrasp.media.pixel_loops import (
-    NOTHING,
-    TABLE,
-    aimed_pixels,
-    average_over_neighbors,
-    light_rays,
-    mark_edges,
-    nearest_alike,
-    put_hits,
-    put_table,
-    shade,
-    shaded_table,
-)
-from fungrasp.media.shading import Look
-from fungrasp.media.surfaces import SurfaceMesh
+from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.ray_casting import RayCaster
+from fungrasp.media.surfaces import Color, SurfaceMesh, linear
 
-__all__ = ["NOTHING", "TABLE", "PixelRays", "RayTracer", "SeenPoints"]
+NOTHING, TABLE = -1, -2
+"""Values of a segmentation where no surface is seen."""
 
 SHADOW_REACH = 1.2
-"""What is farther towards the key light throws no shadow [m]: the walls of a room have none."""
+"""What is farther towards the lamp throws no shadow [m]: the walls of a room have none."""
 
-DARKEST = 0.12
-"""Part of the light of the surroundings that reaches the narrowest corner."""
+SKY_REACH = 0.08
+"""What is farther along a normal hides nothing of the sky [m]."""
 
-_LIFT = 3e-4
-_TIE = 1e-4
-_SPREAD = 12.0
+DARKEST = 0.35
+"""Part of the light of the sky that reaches the narrowest corner."""
+
+KNEE = 0.65
+"""Light above this is compressed so that what is brighter than the display keeps its hue."""
+
+TILE = 16
+"""Side of the squares of pixels of which all rays are cast or none."""
+
+LIFT = 3e-4
+"""By which rays begin above a surface [m]."""
+
+TIE = 1e-4
+"""By which a surface must be nearer than the table to be seen [m]."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Light, table top and backdrop."""
+
+    backdrop_top: Color = (0.78, 0.83, 0.88)
+    """Color overhead."""
+    backdrop_horizon: Color = (0.955, 0.96, 0.965)
+    """Color at the horizon, into which the table top fades."""
+    table: Color = (0.800, 0.812, 0.824)
+    """Color of the light squares."""
+    table_dark: Color = (0.752, 0.766, 0.780)
+    """Color of the dark squares."""
+    square: float = 0.05
+    """Side of a square of the table top [m]."""
+    fade: tuple[float, float] = (0.45, 1.7)
+    """Distance from the first camera's target where the table top begins to fade, and is gone [m]."""
+    light: tuple[float, float, float] | None = None
+    """Direction towards the lamp, world frame; None puts it above and to the left of the first camera."""
+    key: float = 2.2
+    """Strength of the lamp."""
+    fill: float = 0.95
+    """Strength of the light from all of the sky."""
+
+    def __post_init__(self) -> None:
+        for name in ("backdrop_top", "backdrop_horizon", "table", "table_dark"):
+            color = np.asarray(getattr(self, name), dtype=float)
+            if color.shape != (3,) or not ((color >= 0) & (color <= 1)).all():
+                raise FungraspError(f"{name} must be 3 numbers from 0 to 1, not {getattr(self, name)!r}")
+        if self.light is not None and not (np.shape(self.light) == (3,) and np.linalg.norm(self.light) > 0):
+            raise FungraspError(f"light must be a direction of 3 numbers, not {self.light!r}")
 
 
 @dataclass(frozen=True)
@@ -63,7 +93,17 @@ class PixelRays:
     @cached_property
     def grid(self) -> np.ndarray:
         """Unit view directions of the pixels, row by row, world frame, shape [H * W, 3] float32."""
-        points = _image_points(np.arange(self.height * self.width), self.width)
+        return self.through(np.arange(self.height * self.width), np.zeros((1, 2)))
+
+    def through(self, pixels: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Unit view directions, world frame, shape [P * K, 3] float32.
+
+        Args:
+            pixels: numbered row by row, shape [P].
+            steps: (u, v) from their centers, shape [K, 2].
+        """
+        centers = np.stack([pixels % self.width, pixels // self.width], axis=-1)
+        points = (centers[:, None] + steps).reshape(-1, 2).astype(np.float32)
         return np.ascontiguousarray(self.directions(points), np.float32)
 
 
@@ -94,21 +134,17 @@ class RayTracer:
             table_center: where the endless table top does not fade, (x, y) [m]; None for no table top.
         """
         self._surfaces, self._look, self._center = surfaces, look, table_center
-        light = np.asarray(look.light, dtype=float)
+        light = np.asarray(look.light, np.float32)
         self._light = light / np.linalg.norm(light)
         self._caster = RayCaster((surface.vertices, surface.faces) for surface in surfaces)
-        self._gloss = np.array([(s.specular, s.shininess) for s in surfaces], float).reshape(-1, 2)
         ends = [(s.vertices.min(axis=0), s.vertices.max(axis=0)) for s in surfaces]
         self._low, self._high = np.array(ends).reshape(-1, 2, 3).transpose(1, 0, 2)
-        counts = [len(s.faces) for s in surfaces]
         normals = [s.corner_normals for s in surfaces] or [np.zeros((0, 3, 3))]
+        self._normals = np.concatenate(normals).astype(np.float32)
+        self._first = np.cumsum([0, *(len(s.faces) for s in surfaces)])[:-1]
         colors = [s.color if s.color.ndim == 1 else s.color[0] for s in surfaces]
-        self._paint = (
-            np.ascontiguousarray(np.concatenate(normals), np.float32),
-            np.cumsum([0, *counts])[:-1],
-            np.array(colors, dtype=float).reshape(-1, 3),
-        )
-        self._radii = 0.5 * np.linalg.norm(self._high - self._low, axis=1) + _TIE
+        self._colors = np.array(colors, np.float32).reshape(-1, 3)
+        self._gloss = np.array([(s.specular, s.shininess) for s in surfaces], np.float32).reshape(-1, 2)
 
     def see(self, rays: PixelRays, *, shaded: bool = True) -> SeenPoints:
         """What is at the pixels' centers, row by row.
@@ -116,10 +152,7 @@ class RayTracer:
         Args:
             shaded: False leaves normals and colors of surfaces zero.
         """
-        shape, aimed = (rays.height, rays.width), np.zeros((rays.height, rays.width), bool)
-        eye = np.asarray(rays.eye, dtype=float)
-        aimed_pixels(aimed, rays.grid.reshape(*shape, 3), eye, 0.5 * (self._low + self._high), self._radii)
-        return self._meet(eye, rays.grid, np.flatnonzero(aimed), shaded)
+        return self._meet(rays.eye, rays.grid, self._aimed(rays), shaded)
 
     def picture(
         self, rays: PixelRays, points: SeenPoints, *, shadows: bool = True, antialias: int = 2
@@ -132,144 +165,182 @@ class RayTracer:
             antialias: n for n x n rays through the pixels on edges; 1 for none.
         """
         shape = (rays.height, rays.width)
-        received = (
-            self._received_light(points, rays) if shadows else np.ones((len(points.surface), 2), np.float32)
-        )
+        received = self._received(points, rays, shadows)
         picture = self._shade(points, received, rays)
         if antialias > 1:
-            edges = np.zeros(shape, bool)
-            surface, distance = points.surface.reshape(shape), points.distance.reshape(shape)
-            mark_edges(edges, surface, points.normal.reshape(*shape, 3), distance)
-            edge = np.flatnonzero(edges)
+            edge = np.flatnonzero(_edges(points, received[:, 0], shape))
             inner = (np.arange(antialias) + 0.5) / antialias - 0.5
             steps = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
-            fine = rays.directions((_image_points(edge, rays.width)[:, None] + steps).reshape(-1, 2))
-            everything = np.arange(len(fine))
-            around = self._meet(rays.eye, np.ascontiguousarray(fine, np.float32), everything, True)
-            nearest = np.empty(len(fine), np.int64)
-            pixels = np.repeat(edge, len(steps))
-            nearest_alike(nearest, around.surface, around.distance, surface, distance, pixels)
-            light = self._shade(around, received[nearest], rays)
-            picture[edge] = light.reshape(len(edge), len(steps), 3).mean(1)
+            fine = rays.through(edge, steps)
+            around = self._meet(rays.eye, fine, np.arange(len(fine)), True)
+            light = self._shade(around, self._received(around, rays, shadows), rays)
+            picture[edge] = light.reshape(len(edge), len(steps), 3).mean(axis=1)
         return picture.reshape(*shape, 3)
+
+    def _aimed(self, rays: PixelRays) -> np.ndarray:
+        """Pixels whose rays may meet a surface: those of squares near which a ball about one is seen."""
+        shape = (rays.height, rays.width)
+        rows, columns = (np.minimum(np.arange(0, n, TILE) + TILE // 2, n - 1) for n in shape)
+        middles = rays.grid.reshape(*shape, 3)[np.ix_(rows, columns)]
+        away = 0.5 * (self._low + self._high) - rays.eye
+        distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        radius = 0.5 * np.linalg.norm(self._high - self._low, axis=1) + TIE
+        angle = np.where(radius < distance, np.arcsin(np.minimum(radius / distance, 1.0)), np.pi)
+        between = np.arccos(np.clip(middles @ (away / distance[:, None]).T, -1.0, 1.0))
+        tiles = (between < angle + 1.5 * TILE / rays.focal + 1e-3).any(axis=-1)
+        aimed = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: shape[0], : shape[1]]
+        return np.flatnonzero(aimed)
 
     def _meet(self, eye: np.ndarray, directions: np.ndarray, rays: np.ndarray, shaded: bool) -> SeenPoints:
         """Where rays end. rays: indices of those that may meet a surface."""
         eye, count = np.asarray(eye, dtype=float), len(directions)
         distance, seen = np.full(count, np.inf), np.full(count, NOTHING)
-        normal, albedo = np.zeros_like(directions), np.zeros_like(directions)
+        normal, albedo = np.zeros((2, count, 3), np.float32)
         if len(rays) and self._surfaces:
             hits = self._caster.cast(eye, directions[rays])
-            met = (hits.mesh, hits.distance, hits.triangle.astype(np.int64), hits.barycentric)
+            met = np.flatnonzero(hits.mesh >= 0)
+            rays, mesh = rays[met], hits.mesh[met]
+            triangle, weights = hits.triangle[met], hits.barycentric[met]
+            seen[rays], distance[rays] = mesh, hits.distance[met]
             if shaded:
-                put_hits(seen, distance, normal, albedo, rays, directions, *met, *self._paint)
-                self._paint_varied(albedo, rays, hits)
-            else:
-                seen[rays], distance[rays] = hits.mesh, hits.distance
+                smooth = np.einsum("pc,pci->pi", weights, self._normals[self._first[mesh] + triangle])
+                smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
+                behind = np.einsum("pi,pi->p", smooth, directions[rays]) > 0
+                normal[rays] = np.where(behind[:, None], -smooth, smooth)
+                albedo[rays] = self._colors[mesh]
+                for i, surface in enumerate(self._surfaces):
+                    if surface.texture is not None or surface.color.ndim == 2:
+                        own = np.flatnonzero(mesh == i)
+                        albedo[rays[own]] = surface.albedo(triangle[own], weights[own])
         if self._center is not None and eye[2] > 0:
-            put_table(distance, seen, normal, directions, eye, _TIE)
+            down = np.flatnonzero(directions[:, 2] < -1e-6)
+            table = -eye[2] / np.minimum(directions[down, 2].astype(float), -1e-9)
+            first = table <= distance[down] + TIE
+            down, table = down[first], table[first]
+            distance[down], seen[down], normal[down] = table, TABLE, (0.0, 0.0, 1.0)
         return SeenPoints(distance, seen, normal, albedo, directions)
 
-    def _paint_varied(self, albedo: np.ndarray, rays: np.ndarray, hits: RayHits) -> None:
-        """Colors of the surfaces that have several."""
-        for i, surface in enumerate(self._surfaces):
-            if surface.texture is not None or surface.color.ndim == 2:
-                which = np.flatnonzero(hits.mesh == i)
-                if len(which):
-                    albedo[rays[which]] = surface.albedo(hits.triangle[which], hits.barycentric[which])
-
-    def _received_light(self, points: SeenPoints, rays: PixelRays) -> np.ndarray:
-        """How much of the key light and of the surroundings reaches each pixel, shape [H * W, 2]."""
-        look, shape = self._look, (rays.height, rays.width)
-        receives = (points.surface >= 0) | self._table_may_be_shaded(points, rays)
-        samples = sampled_pixels(*shape) & receives
-        received = np.ones((len(receives), 2), np.float32)
-        if not samples.any():
+    def _received(self, points: SeenPoints, rays: PixelRays, shadows: bool) -> np.ndarray:
+        """How much of the lamp's and the sky's light reaches the points, shape [P, 2] float32."""
+        received = np.ones((len(points.surface), 2), np.float32)
+        if not shadows or not self._surfaces:
             return received
-        rows = np.flatnonzero(samples)
-        begin, towards, around = np.empty((3, len(rows), 3), np.float32)
-        across = look.light_spread * axes_along(self._light[None])[0, :, :2].T
-        light_rays(
-            begin,
-            towards,
-            around,
-            rows,
-            pixel_samples(rows, shape[1]),
-            DISC,
-            np.asarray(rays.eye, dtype=float),
-            points.normal,
-            points.direction,
-            points.distance,
-            np.concatenate([self._light[None], across]),
-            _LIFT,
-        )
-        facing = points.normal[rows] @ self._light > 0
-        free = self._caster.free_distance(begin[facing], towards[facing], SHADOW_REACH)
+        rows = np.flatnonzero((points.surface >= 0) | self._table_may_be_shaded(points, rays.eye))
+        normal = points.normal[rows]
+        begin = rays.eye + points.distance[rows, None] * points.direction[rows] + LIFT * normal
+        free = self._caster.free_distance(begin, normal, SKY_REACH)
+        received[rows, 1] = DARKEST + (1 - DARKEST) * free / SKY_REACH
+        facing = normal @ self._light > 0
+        towards = np.broadcast_to(self._light, (int(facing.sum()), 3))
+        free = self._caster.free_distance(begin[facing], towards, SHADOW_REACH)
         received[rows, 0] = 0.0
         received[rows[facing], 0] = free >= 0.999 * SHADOW_REACH
-        free = self._caster.free_distance(begin, around, look.occlusion_radius)
-        received[rows, 1] = DARKEST + (1 - DARKEST) * free / look.occlusion_radius
-        return self._averaged(received, receives.reshape(shape), samples.reshape(shape), points)
+        return received
 
-    def _averaged(
-        self, received: np.ndarray, mask: np.ndarray, samples: np.ndarray, points: SeenPoints
-    ) -> np.ndarray:
-        """Average over neighbors. mask: where light arrives, samples: where it was sampled, [H, W] bool."""
-        shape = mask.shape
-        rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-        box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        surface, distance = (
-            np.ascontiguousarray(a.reshape(shape)[box]) for a in (points.surface, points.distance)
-        )
-        values, known = received.reshape(*shape, 2)[box].copy(), samples[box].copy()
-        for offsets, weights in PASSES:
-            result = np.empty_like(values)
-            average_over_neighbors(
-                result, values, known, surface, distance, np.array(offsets), np.array(weights)
-            )
-            values, known = result, np.ones_like(known)
-        whole = received.reshape(*shape, 2)
-        whole[box] = np.where(mask[box][..., None], values, whole[box])
-        return whole.reshape(-1, 2)
-
-    def _table_may_be_shaded(self, points: SeenPoints, rays: PixelRays) -> np.ndarray:
+    def _table_may_be_shaded(self, points: SeenPoints, eye: np.ndarray) -> np.ndarray:
         """Which points lie on the table in a rectangle outside which nothing can shade it, shape [P] bool."""
-        shaded = np.zeros(len(points.surface), bool)
-        if not self._surfaces:
-            return shaded
         low, high = self._low.min(axis=0), self._high.max(axis=0)
         # Straight below, and along the light: the farthest shadow is that of the highest point.
-        top, up = max(float(high[2]), 0.0), max(float(self._light[2]), 1e-3)
-        shift, blur = -self._light[:2] / up * top, self._look.light_spread * top / up**2
-        near = self._look.occlusion_radius
-        low, high = low[:2] + np.minimum(shift - blur, -near), high[:2] + np.maximum(shift + blur, near)
-        # Averaging over neighbors spreads the shade by a few pixels.
-        spread = _SPREAD / rays.focal
-        eye = np.asarray(rays.eye, dtype=float)
-        shaded_table(shaded, points.surface, points.distance, points.direction, eye, low, high, spread)
+        shift = -self._light[:2] / max(float(self._light[2]), 1e-3) * max(float(high[2]), 0.0)
+        low, high = low[:2] + np.minimum(shift, 0.0) - TIE, high[:2] + np.maximum(shift, 0.0) + TIE
+        shaded = points.surface == TABLE
+        rows = np.flatnonzero(shaded)
+        place = eye[:2] + points.distance[rows, None] * points.direction[rows, :2]
+        shaded[rows] = ((place > low) & (place < high)).all(axis=1)
         return shaded
 
     def _shade(self, points: SeenPoints, received: np.ndarray, rays: PixelRays) -> np.ndarray:
-        """Linear light that leaves the points towards the eye, shape [P, 3]."""
-        result = np.empty(points.normal.shape, np.float32)
-        center = np.zeros(2) if self._center is None else np.asarray(self._center, dtype=float)
-        places = np.array([self._light, rays.eye, (*center, 0.0)], dtype=float)
-        shade(
-            result,
-            points.surface,
-            points.distance,
-            points.normal,
-            points.albedo,
-            points.direction,
-            received,
-            self._gloss,
-            self._look.numbers,
-            places,
-            float(rays.focal),
-        )
-        return result
+        """Linear light that leaves the points towards the eye, shape [P, 3] float32."""
+        look, light = self._look, np.empty(points.normal.shape, np.float32)
+        key = np.float32(look.key / np.pi) * np.array([1.0, 0.965, 0.91], np.float32)
+        sky = np.float32(0.62 * look.fill) * np.array([0.93, 0.97, 1.03], np.float32)
+        horizon, top = linear(np.array([look.backdrop_horizon, look.backdrop_top]))
+        which = points.surface == NOTHING
+        height = np.clip(1.6 * points.direction[which, 2:], 0.0, 1.0)
+        light[which] = horizon + height * (top - horizon)
+        which = points.surface == TABLE
+        if which.any():
+            shown, far = self._table(points, which, rays)
+            lamp, open_sky = received[which, :1] * max(self._light[2], 0.0), received[which, 1:]
+            light[which] = horizon + far * (shown * (lamp * key + open_sky * sky) - horizon)
+        which = np.flatnonzero(points.surface >= 0)
+        normal, view = points.normal[which], points.direction[which]
+        lamp, open_sky = received[which, :1], received[which, 1:]
+        lamp = lamp * np.maximum(normal @ self._light, 0.0)[:, None]
+        up = 0.5 + 0.5 * normal[:, 2:]
+        bounce = 0.42 * look.fill * linear(np.array(look.table))
+        around = open_sky * (up * sky + (1 - up) * bounce)
+        half = self._light - view
+        half = np.einsum("pi,pi->p", normal, half) / np.maximum(np.linalg.norm(half, axis=1), 1e-9)
+        strength, exponent = self._gloss[points.surface[which]].T
+        shine = np.maximum(half, 0.0) ** exponent * strength * (exponent + 8) / 120.0
+        light[which] = points.albedo[which] * (lamp * key + around) + shine[:, None] * lamp
+        over = np.maximum(light - KNEE, 0.0)
+        return np.minimum(light, KNEE) + (1 - KNEE) * over / (over + (1 - KNEE))
+
+    def _table(self, points: SeenPoints, which: np.ndarray, rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
+        """Linear colors of points of the table, its squares filtered over the width of a pixel, shape [T, 3];
+        and how much of them is left of the fading, shape [T, 1]."""
+        look, view, distance = self._look, points.direction[which], points.distance[which].astype(np.float32)
+        place = np.asarray(rays.eye[:2], np.float32) + distance[:, None] * view[:, :2]
+        # A pixel's footprint: longer along the view.
+        width = distance / rays.focal
+        along = np.abs(view[:, :2]) / np.sqrt((view[:, :2] ** 2).sum(axis=1, keepdims=True) + 1e-12)
+        slant = (width / np.maximum(-view[:, 2], 1e-4))[:, None]
+        spread = np.maximum((along * slant + along[:, ::-1] * width[:, None]) / look.square, 1e-4)
+        middle = place / look.square
+        wave = (_triangle(middle + 0.5 * spread) - _triangle(middle - 0.5 * spread)) / spread
+        light, dark = linear(np.array([look.table, look.table_dark]))
+        color = light + (0.5 - 0.5 * wave.prod(axis=1, keepdims=True)) * (dark - light)
+        far = np.linalg.norm(place - np.asarray(self._center, np.float32), axis=1, keepdims=True)
+        begin, end = look.fade
+        share = np.clip((end - far) / (end - begin), 0.0, 1.0)
+        return color, share * share * (3 - 2 * share)
 
 
-def _image_points(pixels: np.ndarray, width: int) -> np.ndarray:
-    """(u, v) of pixels numbered row by row, shape [P, 2]."""
-    return np.stack([pixels % width, pixels // width], axis=-1).astype(np.float32)
+def to_bytes(light: np.ndarray) -> np.ndarray:
+    """Linear light, 1 being white, to 8-bit sRGB; any shape."""
+    return _GAMMA[(np.clip(light, 0.0, 1.0) * (len(_GAMMA) - 1) + 0.5).astype(np.uint16)]
+
+
+def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float]:
+    """Direction towards the lamp. rotation: of the camera, its axes as columns, shape [3, 3]."""
+    right, forward = rotation[:, 0], rotation[:, 2]
+    if look.light is not None:
+        return look.light
+    ahead = np.array([forward[0], forward[1], 0.0])
+    size = np.linalg.norm(ahead)
+    ahead = ahead / size if size > 1e-6 else np.cross([0.0, 0.0, 1.0], right)
+    x, y, z = (-0.60 * right - 0.48 * ahead + np.array([0.0, 0.0, 1.05])).tolist()
+    return x, y, z
+
+
+def _edges(points: SeenPoints, lit: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Pixels beside which another surface begins, a crease or step of the same one, or a shadow; [H, W] bool.
+
+    lit: how much of the lamp's light arrives, shape [P].
+    """
+    surface, distance, lit = (each.reshape(shape) for each in (points.surface, points.distance, lit))
+    normal = points.normal.reshape(*shape, 3)
+    edge = np.zeros(shape, bool)
+    for a, b in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        differs = (surface[a] != surface[b]) | (lit[a] != lit[b])
+        same = np.nonzero(~differs & (surface[a] >= 0))
+        near, far = distance[a][same], distance[b][same]
+        bend = np.einsum("pi,pi->p", normal[a][same], normal[b][same])
+        differs[same] = (np.abs(near - far) > 0.03 * np.minimum(near, far)) | (bend < 0.85)
+        edge[a] |= differs
+        edge[b] |= differs
+    return edge
+
+
+def _triangle(x: np.ndarray) -> np.ndarray:
+    """A wave between 0 and 1 of period 2, whose slope is 1 or -1."""
+    phase = np.mod(x, 2.0)
+    return np.minimum(phase, 2.0 - phase)
+
+
+_levels = np.linspace(0.0, 1.0, 4096)
+_GAMMA = np.where(_levels <= 0.0031308, 12.92 * _levels, 1.055 * _levels ** (1 / 2.4) - 0.055)
+_GAMMA = np.round(255 * _GAMMA).astype(np.uint8)
+"""8-bit sRGB of evenly spaced levels of linear light."""

@@ -15,10 +15,8 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.media.camera import Camera
-from fungrasp.media.model_surfaces import drawn_geoms, geom_surface
-from fungrasp.media.ray_tracing import NOTHING, TABLE, RayTracer, SeenPoints
-from fungrasp.media.shading import Look, linear, model_materials, sun_direction, to_bytes
-from fungrasp.media.surfaces import SurfaceMesh
+from fungrasp.media.ray_tracing import NOTHING, TABLE, Look, RayTracer, SeenPoints, sun_direction, to_bytes
+from fungrasp.media.surfaces import SurfaceMesh, drawn_geoms, geom_surface, linear, model_materials
 
 __all__ = ["NOTHING", "TABLE", "Renderer", "Views", "render"]
 

@@ -10,9 +10,8 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.media.camera import Camera, fit_camera
 from fungrasp.media.grasp_scenes import CONTACT, OBJECT_BODY
-from fungrasp.media.model_surfaces import VISIBLE_GROUPS
 from fungrasp.media.render import Renderer, Views
-from fungrasp.media.shading import model_materials
+from fungrasp.media.surfaces import VISIBLE_GROUPS, model_materials
 
 _LARGEST = 0.6
 _BEST_ELEVATION = 26.0
@@ -105,6 +104,12 @@ def frame_geoms(
     return fit_camera(
         everything, none, azimuth, elevation, fov_y=fov_y, width=width, height=height, margin=margin
     )
+
+
+def view_angles(camera: Camera) -> tuple[float, float]:
+    """Azimuth and elevation of a camera, seen from its target [degrees]."""
+    x, y, z = np.subtract(camera.position, camera.target)
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
 def _shares(mask: np.ndarray) -> np.ndarray:

@@ -9,8 +9,6 @@ import numpy as np
 
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import signed_distance
-from fungrasp.geometry.signed_distance import GridArrays
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,
@@ -20,9 +18,9 @@ from fungrasp.optimization.frames import (
     finish_row,
     place,
 )
-from fungrasp.optimization.hand_arrays import Groups, Spheres
-from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.link_contacts import least_clearance
+from fungrasp.optimization.hand_state import Groups, HandPoints, Spheres
+from fungrasp.optimization.link_contacts import Shapes, least_clearance, shapes_of
+from fungrasp.optimization.problem import CollisionScene
 
 
 class Measure(NamedTuple):
@@ -53,25 +51,14 @@ def object_penetration(
         points, problem: N grasps.
         unit, margin, count, smoothing: see ``Measure``.
     """
-    spheres, groups = points.arrays.spheres, points.arrays.groups
-    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
-    measure = Measure(unit, margin, count, smoothing)
-    return lambda frames, equations, *_: _add_object_penetration(
-        frames, equations, spheres, groups, grids, grid, measure
-    )
+    shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, smoothing)
+    return lambda frames, equations, *_: _add_object_penetration(frames, equations, shapes, measure)
 
 
 @compiled
-def _add_object_penetration(
-    frames: Frames,
-    equations: Equations,
-    spheres: Spheres,
-    groups: Groups,
-    grids: GridArrays,
-    grid: np.ndarray,
-    measure: Measure,
-) -> None:
+def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes, measure: Measure) -> None:
     """Add ``object_penetration``."""
+    spheres, groups, grid = shapes.spheres, shapes.groups, shapes.grid
     row = empty_row(equations.gradient.shape[1])
     total = len(spheres.radius)
     depth, ball, normal = np.empty(total), np.empty(total, np.int64), np.empty((total, 3))
@@ -82,12 +69,12 @@ def _add_object_penetration(
         number = np.int64(0)
         for group in range(len(groups.reach)):
             size = groups.start[group + 1] - groups.start[group]
-            if size > 2 and least_clearance(grids, grid[i], groups, frames, i, group) >= margin:
+            if size > 2 and least_clearance(frames, i, shapes, group) >= margin:
                 continue
             for k in range(groups.start[group], groups.start[group + 1]):
                 member = groups.members[k]
                 point = place(frames, i, spheres.body[member], spheres.offset[member])
-                distance, gx, gy, gz = signed_distance(grids, grid[i], point)
+                distance, gx, gy, gz = signed_distance(shapes.grids, grid[i], point)
                 deep = margin - distance + spheres.radius[member]
                 if deep > 0:
                     depth[number], ball[number] = deep, member

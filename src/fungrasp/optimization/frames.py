@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fungrasp.geometry.compiling import compiled, compiled_part
-from fungrasp.optimization.hand_arrays import Chains, HandArrays, Tree
+from fungrasp.optimization.hand_state import Chains, HandArrays, Tree
 
 
 class Frames(NamedTuple):

@@ -1,22 +1,28 @@
-"""N robot hands at one iterate of the solver: key points, collision spheres, distances, Jacobians."""
+"""What the solver knows of a hand, for compiled loops as well, and of N hands at one iterate: key points,
+collision spheres, distances, Jacobians."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
-from typing import Generic, Self, TypeVar
+from typing import Generic, NamedTuple, Self, TypeVar
 
+import mujoco
 import numpy as np
 
+from fungrasp.geometry.compiling import plain
+from fungrasp.geometry.poses import rotation_matrix
 from fungrasp.hands import Hand
 from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
-from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_arrays import HandArrays, SelfPairs, hand_arrays
+from fungrasp.optimization.problem import CollisionScene
 
 DENSE_SPACING = 0.006
 """Distance of the collision spheres with which solutions are judged [m]."""
+GROUP_SIZE = 8
+"""Most spheres in a group that is passed over together where it is far from everything."""
 
 
 class HandPoints:
@@ -55,7 +61,7 @@ class HandPoints:
     @cached_property
     def arrays(self) -> HandArrays:
         """The same for compiled loops."""
-        return hand_arrays(self.kinematics, self.keypoints, self.spheres, self.self_pairs)
+        return _hand_arrays(self)
 
     def _thickness(self) -> np.ndarray:
         """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest
@@ -119,3 +125,195 @@ class HandState(Generic[ProblemT]):
         """Jacobian of some centers. which: sphere indices, shape [N, Q]; returns shape [N, Q, 3, D]."""
         positions = np.take_along_axis(self.spheres, which[..., None], axis=1)
         return self.points.kinematics.jacobian(self.points.spheres.points.bodies[which], positions)
+
+
+class Tree(NamedTuple):
+    """Bodies and joints of a hand's model; B bodies, M joints, U independent joints."""
+
+    parent: np.ndarray
+    """Parent of each body, shape [B]."""
+    position: np.ndarray
+    """Of each body in its parent [m], shape [B, 3]."""
+    rotation: np.ndarray
+    """Of each body in its parent, shape [B, 3, 3]."""
+    first_joint: np.ndarray
+    """Of each body, shape [B + 1]: its joints are ``first_joint[b]`` to ``first_joint[b + 1]``."""
+    anchor: np.ndarray
+    """Of each joint in its body [m], shape [M, 3]."""
+    axis: np.ndarray
+    """Of each joint in its body, shape [M, 3]."""
+    coupling: np.ndarray
+    """``joint_positions - qpos0 = coupling @ independent + offset``, shape [M, U]."""
+    offset: np.ndarray
+    """[rad] or [m], shape [M]."""
+    palm_position: np.ndarray
+    """Of the palm in the model [m], shape [3]."""
+    palm_rotation: np.ndarray
+    """Of the palm in the model, shape [3, 3]."""
+
+
+class Chains(NamedTuple):
+    """The joints that move each body: entries ``start[body]`` to ``start[body + 1]``, one for each
+    independent joint that drives a joint."""
+
+    start: np.ndarray
+    """First entry of each body, shape [B + 1]."""
+    joint: np.ndarray
+    """Joint of each entry."""
+    column: np.ndarray
+    """Column of each entry's independent joint in a tangent vector, from 6 on."""
+    factor: np.ndarray
+    """How far the joint moves for a unit of the independent one."""
+    slides: np.ndarray
+    """Whether a joint slides along its axis in place of turning about it, shape [M] bool."""
+
+
+class Spheres(NamedTuple):
+    """Collision spheres that ride on bodies."""
+
+    body: np.ndarray
+    """Body ids, shape [P]."""
+    offset: np.ndarray
+    """Centers in the body [m], shape [P, 3]."""
+    radius: np.ndarray
+    """[m], shape [P]."""
+
+
+class SelfPairs(NamedTuple):
+    """Which spheres of a hand may meet, each pair once: all or none of the spheres of two shapes."""
+
+    first: np.ndarray
+    """Sphere indices, shape [A]."""
+    second: np.ndarray
+    """Sphere indices, shape [B]."""
+    apart: np.ndarray
+    """Whether a pair counts, shape [A, B]."""
+
+
+class Groups(NamedTuple):
+    """Collision spheres in groups of neighbors on one body; G groups, ordered by link."""
+
+    start: np.ndarray
+    """Group g holds ``members[start[g] : start[g + 1]]``, shape [G + 1]."""
+    members: np.ndarray
+    """Sphere indices, shape [P]."""
+    body: np.ndarray
+    """Shape [G]."""
+    center: np.ndarray
+    """In the body [m], shape [G, 3]."""
+    reach: np.ndarray
+    """Largest distance of a sphere's surface from the center [m], shape [G]."""
+    link_start: np.ndarray
+    """Groups of link l are ``link_start[l]`` to ``link_start[l + 1]``, shape [L + 1]."""
+
+
+class HandArrays(NamedTuple):
+    """What compiled terms know of a hand."""
+
+    tree: Tree
+    """Bodies and joints."""
+    chains: Chains
+    """Which joints move which body."""
+    keypoints: BodyPoints
+    """Key points."""
+    spheres: Spheres
+    """Collision spheres."""
+    groups: Groups
+    """Of the spheres."""
+    pairs: np.ndarray
+    """Pairs of groups whose spheres may meet, shape [Q, 2]."""
+
+
+def _hand_arrays(points: HandPoints) -> HandArrays:
+    """Flatten a hand."""
+    kinematics, spheres, keypoints = points.kinematics, points.spheres, points.keypoints
+    flat = Spheres(
+        np.array(spheres.points.bodies, dtype=np.int64), plain(spheres.points.offsets), plain(spheres.radius)
+    )
+    groups = _groups(flat, spheres.link, spheres.geom)
+    return HandArrays(
+        tree=_tree(kinematics),
+        chains=_chains(kinematics),
+        keypoints=BodyPoints(plain(keypoints.bodies, np.int64), plain(keypoints.offsets)),
+        spheres=flat,
+        groups=groups,
+        pairs=_pairs(points.self_pairs, groups),
+    )
+
+
+def _tree(kinematics: HandKinematics) -> Tree:
+    model = kinematics.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    palm = model.body(kinematics.hand.palm).id
+    return Tree(
+        parent=plain(model.body_parentid, np.int64),
+        position=plain(model.body_pos),
+        rotation=plain(rotation_matrix(model.body_quat)),
+        first_joint=np.cumsum([0, *model.body_jntnum]),
+        anchor=plain(model.jnt_pos),
+        axis=plain(model.jnt_axis),
+        coupling=plain(kinematics.matrix),
+        offset=kinematics.offset - model.qpos0[model.jnt_qposadr],
+        palm_position=plain(data.xpos[palm]),
+        palm_rotation=plain(data.xmat[palm].reshape(3, 3)),
+    )
+
+
+def _chains(kinematics: HandKinematics) -> Chains:
+    matrix = kinematics.matrix
+    entries = [
+        [(joint, 6 + u, matrix[joint, u]) for joint in joints for u in np.flatnonzero(matrix[joint])]
+        for joints in (np.flatnonzero(row) for row in kinematics.moves)
+    ]
+    flat = [entry for body in entries for entry in body]
+    return Chains(
+        start=np.cumsum([0, *(len(body) for body in entries)]),
+        joint=np.array([joint for joint, _, _ in flat], dtype=np.int64),
+        column=np.array([column for _, column, _ in flat], dtype=np.int64),
+        factor=np.array([factor for _, _, factor in flat], dtype=float),
+        slides=kinematics.model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE,
+    )
+
+
+def _groups(spheres: Spheres, link: np.ndarray, geom: np.ndarray) -> Groups:
+    parts: list[np.ndarray] = []
+    count = [0] * (link.max() + 1)
+    for number in range(len(count)):
+        for each in np.unique(geom[link == number]):
+            found = list(_split(np.flatnonzero((geom == each) & (link == number)), spheres.offset))
+            parts += found
+            count[number] += len(found)
+    low = [(spheres.offset[p].min(axis=0), spheres.offset[p].max(axis=0)) for p in parts]
+    center = np.array([0.5 * (a + b) for a, b in low]).reshape(-1, 3)
+    reach = [
+        np.max(np.linalg.norm(spheres.offset[p] - c, axis=1) + spheres.radius[p])
+        for p, c in zip(parts, center, strict=True)
+    ]
+    return Groups(
+        start=np.cumsum([0, *(len(p) for p in parts)]),
+        members=np.concatenate(parts),
+        body=np.array([spheres.body[p[0]] for p in parts]),
+        center=center,
+        reach=np.array(reach),
+        link_start=np.cumsum([0, *count]),
+    )
+
+
+def _split(members: np.ndarray, offset: np.ndarray) -> Sequence[np.ndarray]:
+    """Halves along the longest extent until they are small."""
+    if len(members) <= GROUP_SIZE:
+        return [members]
+    places = offset[members]
+    order = members[np.argsort(places[:, np.ptp(places, axis=0).argmax()], kind="stable")]
+    half = len(order) // 2
+    return [*_split(order[:half], offset), *_split(order[half:], offset)]
+
+
+def _pairs(given: SelfPairs, groups: Groups) -> np.ndarray:
+    # The spheres of a group are of one shape of one link, so that all or none of them count.
+    apart = np.zeros((len(groups.reach), len(groups.reach)), dtype=bool)
+    group = np.empty(len(groups.members), dtype=int)
+    group[groups.members] = np.repeat(np.arange(len(groups.reach)), np.diff(groups.start))
+    apart[np.ix_(group[given.first], group[given.second])] = given.apart
+    return np.argwhere(apart)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from fungrasp.geometry.compiling import plain
-from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.optimization.frames import Equations, clear, empty_frames, move_hands
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.steps import StepRule, StepState, accept, propose
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.optimization.terms import Term
 
 TOLERANCE = 3e-3
@@ -38,7 +39,6 @@ def minimize(
     wrist_pose: np.ndarray,
     independent: np.ndarray,
     iterations: int,
-    tolerance: float = TOLERANCE,
     free: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Minimize half the sum of squares of all terms for each grasp by itself.
@@ -52,29 +52,25 @@ def minimize(
         wrist_pose: start, object frame, shape [N, 7].
         independent: start [rad], shape [N, U].
         iterations: number of steps tried.
-        tolerance: share of its objective that a grasp must gain in ``PATIENCE`` steps to go on.
         free: which entries of the tangent vector may change, shape [D] bool; all if None.
 
     Returns:
         wrist poses [N, 7], independent joints [N, U], objective [N].
     """
     lower, upper = plain(points.kinematics.lower), plain(points.kinematics.upper)
-    pose, joints = plain(wrist_pose), plain(independent)
-    new_pose, new_joints = pose.copy(), joints.copy()
+    at, new = (Iterates(plain(wrist_pose), plain(independent)) for _ in range(2))
     count = len(problem)
-    rule = StepRule(tolerance, PATIENCE, LEAST_DAMPING, MOST_DAMPING, EASING, STIFFENING)
-    progress = StepState(np.full(count, 1e-2), np.full(count, STIFFENING), np.zeros(count, dtype=np.int64))
+    state = StepState(np.full(count, 1e-2), np.full(count, STIFFENING), np.zeros(count, dtype=np.int64))
     equations = NormalEquations(points, problem, terms, free)
     current = equations.empty(np.ones(count, dtype=bool))
     trial = equations.empty(current.active)
-    equations.evaluate(current, pose, joints)
+    equations.evaluate(current, *at)
     for _ in range(iterations):
-        propose(current, progress.damping, lower, upper, pose, joints, new_pose, new_joints)
-        equations.evaluate(trial, new_pose, new_joints)
-        left = accept(current, trial, progress, rule, pose, joints, new_pose, new_joints)
-        if not left:
+        propose(current, state.damping, lower, upper, at, new)
+        equations.evaluate(trial, *new)
+        if not accept(current, trial, state, at, new):
             break
-    return pose, joints, current.cost
+    return at.pose, at.independent, current.cost
 
 
 class NormalEquations:
@@ -108,3 +104,172 @@ class NormalEquations:
             equations.gradient[:, self._held] = 0.0
             equations.hessian[:, self._held] = 0.0
             equations.hessian[:, :, self._held] = 0.0
+
+
+class Iterates(NamedTuple):
+    """Of N problems."""
+
+    pose: np.ndarray
+    """Of the wrists, object frame, shape [N, 7]."""
+    independent: np.ndarray
+    """Joints [rad], shape [N, U]."""
+
+
+class StepState(NamedTuple):
+    """How N problems have gone so far."""
+
+    damping: np.ndarray
+    """Share of the Hessian's diagonal that is added to it, shape [N]."""
+    stiffening: np.ndarray
+    """Factor of the damping where the next step fails, shape [N]."""
+    stalled: np.ndarray
+    """Steps in a row without enough gain, shape [N]."""
+
+
+@compiled
+def propose(
+    equations: Equations,
+    damping: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    at: Iterates,
+    new: Iterates,
+) -> None:
+    """Write the damped Gauss-Newton step of each active problem: joints at a limit that would be pushed
+    beyond it are held, long steps shortened, joints clipped.
+
+    Args:
+        damping: shape [N].
+        lower, upper: limits [rad], shape [U].
+        at, new: from where, and where to; the latter is written.
+    """
+    pose, independent, new_pose, new_independent = at.pose, at.independent, new.pose, new.independent
+    size = equations.gradient.shape[1]
+    free, factor, step = np.empty(size, np.int64), np.empty((size, size)), np.empty(size)
+    turn = np.empty(3)
+    for i in range(len(pose)):
+        if not equations.active[i]:
+            continue
+        hessian, gradient = equations.hessian[i], equations.gradient[i]
+        number = np.int64(0)
+        for d in range(size):
+            if d >= 6:
+                low = independent[i, d - 6] <= lower[d - 6] + 1e-9 and gradient[d] > 0
+                high = independent[i, d - 6] >= upper[d - 6] - 1e-9 and gradient[d] < 0
+                if low or high:
+                    continue
+            free[number] = d
+            number += 1
+        largest = 0.0
+        for a in range(number):
+            if hessian[free[a], free[a]] > largest:
+                largest = hessian[free[a], free[a]]
+        for a in range(number):
+            for b in range(a + 1):
+                factor[a, b] = hessian[free[a], free[b]]
+            factor[a, a] += damping[i] * (factor[a, a] + 1e-3 * largest) + 1e-9
+            step[a] = -gradient[free[a]]
+        _solve(factor, step, number)
+        length = 0.0
+        for a in range(number):
+            length += step[a] * step[a]
+        # Longer steps than 0.5 (meters and radians together) leave where the linearization holds.
+        length = math.sqrt(length)
+        scale = 0.5 / length if length > 0.5 else 1.0
+        for k in range(independent.shape[1]):
+            new_independent[i, k] = independent[i, k]
+        for k in range(7):
+            new_pose[i, k] = pose[i, k]
+        for k in range(3):
+            turn[k] = 0.0
+        for a in range(number):
+            d = free[a]
+            if d < 3:
+                new_pose[i, d] += scale * step[a]
+            elif d < 6:
+                turn[d - 3] = scale * step[a]
+            else:
+                value = independent[i, d - 6] + scale * step[a]
+                value = lower[d - 6] if value < lower[d - 6] else value
+                new_independent[i, d - 6] = upper[d - 6] if value > upper[d - 6] else value
+        _rotate(new_pose[i, 3:], turn)
+
+
+@compiled_part
+def _solve(matrix, vector, number: int) -> None:
+    """Solve by Cholesky factors in place; matrix: its lower triangle, positive definite."""
+    for a in range(number):
+        for b in range(a):
+            total = matrix[a, b]
+            for k in range(b):
+                total -= matrix[a, k] * matrix[b, k]
+            matrix[a, b] = total / matrix[b, b]
+        total = matrix[a, a]
+        for k in range(a):
+            total -= matrix[a, k] * matrix[a, k]
+        matrix[a, a] = math.sqrt(1e-300 if total < 1e-300 else total)
+    for a in range(number):
+        total = vector[a]
+        for k in range(a):
+            total -= matrix[a, k] * vector[k]
+        vector[a] = total / matrix[a, a]
+    for a in range(number - 1, -1, -1):
+        total = vector[a]
+        for k in range(a + 1, number):
+            total -= matrix[k, a] * vector[k]
+        vector[a] = total / matrix[a, a]
+
+
+@compiled_part
+def _rotate(q, turn) -> None:
+    """Turn a quaternion by a rotation vector [rad], in place."""
+    angle = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+    half = 0.5 if angle < 1e-12 else math.sin(0.5 * angle) / angle
+    a, b, c, d = math.cos(0.5 * angle), half * turn[0], half * turn[1], half * turn[2]
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    q[0] = a * w - b * x - c * y - d * z
+    q[1] = a * x + b * w + c * z - d * y
+    q[2] = a * y - b * z + c * w + d * x
+    q[3] = a * z + b * y - c * x + d * w
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for k in range(4):
+        q[k] /= length
+
+
+@compiled
+def accept(equations: Equations, trial: Equations, state: StepState, at: Iterates, new: Iterates) -> int:
+    """Keep the trials that are better; problems that gained too little in a row become inactive. Returns the
+    number of active problems."""
+    damping, stiffening, stalled = state
+    pose, independent = at
+    left = 0
+    for i in range(len(pose)):
+        if not equations.active[i]:
+            continue
+        gain = equations.cost[i] - trial.cost[i]
+        # A cost that is not a number gains nothing.
+        stalled[i] = 0 if gain >= TOLERANCE * equations.cost[i] else stalled[i] + 1
+        if gain > 0:
+            for k in range(7):
+                pose[i, k] = new.pose[i, k]
+            for k in range(independent.shape[1]):
+                independent[i, k] = new.independent[i, k]
+            equations.cost[i] = trial.cost[i]
+            for p in range(equations.gradient.shape[1]):
+                equations.gradient[i, p] = trial.gradient[i, p]
+                for q in range(equations.gradient.shape[1]):
+                    equations.hessian[i, p, q] = trial.hessian[i, p, q]
+            damping[i] *= EASING
+            if damping[i] < LEAST_DAMPING:
+                damping[i] = LEAST_DAMPING
+            stiffening[i] = STIFFENING
+        else:
+            damping[i] *= stiffening[i]
+            if damping[i] > MOST_DAMPING:
+                damping[i] = MOST_DAMPING
+            stiffening[i] *= 2
+        if stalled[i] >= PATIENCE:
+            equations.active[i] = False
+        else:
+            left += 1
+    return left

@@ -10,7 +10,6 @@ import numpy as np
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import distance_bound, signed_distance, unit_vector
 from fungrasp.geometry.signed_distance import GridArrays
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,
@@ -23,12 +22,30 @@ from fungrasp.optimization.frames import (
     move_hands,
     place,
 )
-from fungrasp.optimization.hand_arrays import Groups, Spheres
-from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.hand_state import Groups, HandPoints, Spheres
+from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 CONTACT_DISTANCE = 0.003
 """A link of a retargeted or synthesized hand nearer to the object than this touches it [m]."""
+
+
+class Shapes(NamedTuple):
+    """A hand's collision spheres, and the objects near N copies of it."""
+
+    spheres: Spheres
+    """Of the hand."""
+    groups: Groups
+    """Of the spheres."""
+    grids: GridArrays
+    """Signed distances of the objects."""
+    grid: np.ndarray
+    """Index of each hand's object, shape [N]."""
+
+
+def shapes_of(points: HandPoints, problem: CollisionScene) -> Shapes:
+    """What compiled loops know of hands and objects."""
+    arrays = points.arrays
+    return Shapes(arrays.spheres, arrays.groups, problem.bank.arrays, plain(problem.grid, np.int64))
 
 
 class LinkContacts(NamedTuple):
@@ -74,31 +91,20 @@ def contacts_of_links(
     active = np.ones(count, dtype=bool) if which is None else plain(which, bool)
     frames = empty_frames(count, hand)
     move_hands(hand.tree, plain(wrist_pose), plain(independent), active, frames)
-    grid = plain(problem.grid, np.int64)
-    _find(frames, hand.spheres, hand.groups, problem.bank.arrays, grid, active, float(within), found)
+    _find(frames, shapes_of(points, problem), active, float(within), found)
     return found
 
 
 @compiled
-def _find(
-    frames: Frames,
-    spheres: Spheres,
-    groups: Groups,
-    grids: GridArrays,
-    grid: np.ndarray,
-    active: np.ndarray,
-    within: float,
-    found: LinkContacts,
-) -> None:
+def _find(frames: Frames, shapes: Shapes, active: np.ndarray, within: float, found: LinkContacts) -> None:
     """Write ``contacts_of_links``."""
+    spheres = shapes.spheres
     chains = frames.chains
-    for i in range(len(grid)):
+    for i in range(len(active)):
         if not active[i]:
             continue
-        for link in range(len(groups.link_start) - 1):
-            nearest, clearance, nx, ny, nz = nearest_sphere(
-                frames, i, spheres, groups, link, grids, grid[i], within
-            )
+        for link in range(found.clearance.shape[1]):
+            nearest, clearance, nx, ny, nz = nearest_sphere(frames, i, shapes, link, within)
             if nearest < 0:
                 continue
             body, r = spheres.body[nearest], spheres.radius[nearest]
@@ -118,26 +124,14 @@ def _find(
 def contact_gap(points: HandPoints, problem: RetargetingProblem, unit: float = 0.003) -> AddTerm:
     """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
     [m]."""
-    spheres, groups = points.arrays.spheres, points.arrays.groups
-    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
-    wanted = plain(problem.contacts, bool)
-    return lambda frames, equations, *_: _add_gaps(
-        frames, equations, spheres, groups, grids, grid, wanted, unit
-    )
+    shapes, wanted = shapes_of(points, problem), plain(problem.contacts, bool)
+    return lambda frames, equations, *_: _add_gaps(frames, equations, shapes, wanted, unit)
 
 
 @compiled
-def _add_gaps(
-    frames: Frames,
-    equations: Equations,
-    spheres: Spheres,
-    groups: Groups,
-    grids: GridArrays,
-    grid: np.ndarray,
-    wanted: np.ndarray,
-    unit: float,
-) -> None:
+def _add_gaps(frames: Frames, equations: Equations, shapes: Shapes, wanted: np.ndarray, unit: float) -> None:
     """Add ``contact_gap``. wanted: links that should touch, shape [N, L] bool."""
+    spheres = shapes.spheres
     row = empty_row(equations.gradient.shape[1])
     for i in range(len(wanted)):
         if not equations.active[i]:
@@ -145,9 +139,7 @@ def _add_gaps(
         for link in range(1, wanted.shape[1]):
             if not wanted[i, link]:
                 continue
-            nearest, least, nx, ny, nz = nearest_sphere(
-                frames, i, spheres, groups, link, grids, grid[i], math.inf
-            )
+            nearest, least, nx, ny, nz = nearest_sphere(frames, i, shapes, link, math.inf)
             if nearest >= 0 and least > 0:
                 body = spheres.body[nearest]
                 point = place(frames, i, body, spheres.offset[nearest])
@@ -156,30 +148,22 @@ def _add_gaps(
 
 
 @compiled_part
-def nearest_sphere(
-    frames: Frames,
-    i: int,
-    spheres: Spheres,
-    groups: Groups,
-    link: int,
-    grids: GridArrays,
-    grid: int,
-    within: float,
-):
+def nearest_sphere(frames: Frames, i: int, shapes: Shapes, link: int, within: float):
     """The sphere of a link that is nearest to the object.
 
     Returns:
         its index, -1 where none is nearer than ``within`` [m]; its clearance [m]; the distance's gradient at
         its center.
     """
+    spheres, groups, grid = shapes.spheres, shapes.groups, shapes.grid[i]
     nearest, least, nx, ny, nz = np.int64(-1), within, 0.0, 0.0, 0.0
     for group in range(groups.link_start[link], groups.link_start[link + 1]):
-        if least_clearance(grids, grid, groups, frames, i, group) > least:
+        if least_clearance(frames, i, shapes, group) > least:
             continue
         for k in range(groups.start[group], groups.start[group + 1]):
             ball = groups.members[k]
             point = place(frames, i, spheres.body[ball], spheres.offset[ball])
-            distance, gx, gy, gz = signed_distance(grids, grid, point)
+            distance, gx, gy, gz = signed_distance(shapes.grids, grid, point)
             clearance = distance - spheres.radius[ball]
             if clearance < least:
                 nearest, least, nx, ny, nz = ball, clearance, gx, gy, gz
@@ -187,7 +171,8 @@ def nearest_sphere(
 
 
 @compiled_part
-def least_clearance(grids: GridArrays, grid: int, groups: Groups, frames: Frames, i: int, group: int):
+def least_clearance(frames: Frames, i: int, shapes: Shapes, group: int):
     """A bound below the clearances [m] of a group's spheres."""
+    groups = shapes.groups
     point = place(frames, i, groups.body[group], groups.center[group])
-    return distance_bound(grids, grid, point) - groups.reach[group]
+    return distance_bound(shapes.grids, shapes.grid[i], point) - groups.reach[group]

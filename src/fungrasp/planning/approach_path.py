@@ -20,9 +20,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
+from fungrasp.optimization.problem import CollisionScene
 
 RETREATS = (0.015, 0.03, 0.05, 0.08, 0.12)
 """How far the wrist has withdrawn at each waypoint after the first, which is at the grasp [m]. Between

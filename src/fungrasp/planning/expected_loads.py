@@ -1,4 +1,4 @@
-"""What a grip must withstand: the object's weight and disturbances, and the motion that it is held for."""
+"""What a grip must withstand in the motion that the object is held for."""
 
 from __future__ import annotations
 
@@ -15,26 +15,12 @@ from fungrasp.geometry.poses import (
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.collision_scene import project_to_surface
-from fungrasp.optimization.firmness import load_directions
+from fungrasp.optimization.problem import project_to_surface
 from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task.use import UseMotion
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis
 
 _UP = np.array([0.0, 0.0, 1.0])
-
-
-def lift_loads(up: np.ndarray, weight: np.ndarray, disturbance: float) -> np.ndarray:
-    """Weight and a disturbance of ``disturbance`` times the weight, up, down or horizontal, at the center of
-    mass: forces [N] and torques [N m], object frame, shape [N, 6, 6].
-
-    Args:
-        up: unit vectors against gravity, object frame, shape [N, 3].
-        weight: [N], shape [N].
-        disturbance: in weights.
-    """
-    force = weight[:, None, None] * (disturbance * load_directions(up) - up[:, None])
-    return np.concatenate([force, np.zeros_like(force)], axis=-1)
 
 
 def use_loads(

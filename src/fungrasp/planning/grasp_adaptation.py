@@ -21,10 +21,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
+from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,13 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.optimization.grip_forces import squeeze_torques
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.wrench_resistance import grip_of, lift_loads
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
-from fungrasp.planning.expected_loads import lift_loads, use_loads
+from fungrasp.planning.expected_loads import use_loads
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
-from fungrasp.planning.grip_forces import squeeze_torques
 from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.setpoints import SETPOINT_PERIOD
@@ -303,17 +305,10 @@ def squeeze_offsets(
                 for i in rows
             ]
             loads = np.concatenate([loads, np.array(of_use)], axis=1)
-        torques[rows] = squeeze_torques(
-            hand,
-            around.rows(rows),
-            [models[i] for i in rows],
-            palm[rows],
-            joints[rows],
-            # In use whatever lies at the object carries, as in ``selection.use_strength``.
-            grasps.link_contacts[rows] | (motion is not None),
-            stiffness[rows],
-            loads,
-            least[rows],
-        )
+        points = HandPoints(HandKinematics(hand, len(rows)))
+        grip = grip_of(points, around.rows(rows), [models[i] for i in rows], palm[rows], joints[rows])
+        # In use whatever lies at the object carries, as in ``selection.use_strength``.
+        wanted = grasps.link_contacts[rows] | (motion is not None)
+        torques[rows] = squeeze_torques(grip, wanted, stiffness[rows], loads, least[rows])
     torques = _setting(grasps, "force_scale", 1.0) * torques
     return np.clip(torques / stiffness, -s.squeeze_limit, s.squeeze_limit)

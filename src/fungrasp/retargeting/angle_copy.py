@@ -22,7 +22,7 @@ from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting.contact_optimization import RetargetSettings, palm_alignment
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))

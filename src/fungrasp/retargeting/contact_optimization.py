@@ -22,12 +22,11 @@ from fungrasp.hands.collision_spheres import self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.hands.opening import partly_closed
 from fungrasp.optimization import terms
-from fungrasp.optimization.firmness import DEEPEST, NO_GRIP, unresisted_share
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.pose_terms import contact_error
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
-from fungrasp.optimization.terms import Term
+from fungrasp.optimization.problem import RetargetingProblem
+from fungrasp.optimization.terms import Term, contact_error
+from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, unresisted_share
 
 FIRM = 0.2
 """Unresisted share of the load below which a grasp counts as firm: of those below six of seven hold, however

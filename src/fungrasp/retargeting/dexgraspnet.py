@@ -24,10 +24,9 @@ import numpy as np
 
 from fungrasp.geometry.poses import cross
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import gradient_derivative
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem, gradient_derivative
 from fungrasp.optimization.terms import Residual, Term
 from fungrasp.retargeting.contact_optimization import RetargetSettings, initial_pose
 

@@ -20,7 +20,7 @@ from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting.angle_copy import retarget_by_angle_copy
 from fungrasp.retargeting.contact_optimization import RetargetSettings, retarget_by_contact_optimization
 from fungrasp.retargeting.dexgraspnet import retarget_by_dexgraspnet

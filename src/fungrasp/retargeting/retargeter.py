@@ -22,10 +22,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import CollisionScene, RetargetingProblem, project_to_surface
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 

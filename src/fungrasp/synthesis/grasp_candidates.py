@@ -14,9 +14,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.collision_spheres import self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import HumanPoints, part_samples
 

@@ -17,9 +17,8 @@ from fungrasp.core.errors import UnknownNameError
 from fungrasp.grasps import HUMAN_LINKS
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.hand_arrays import SelfPairs
-from fungrasp.optimization.hand_state import HandPoints, HandState
+from fungrasp.optimization.hand_state import HandPoints, HandState, SelfPairs
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.optimization.terms import Residual
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspSpecification
 

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.grasps import HUMAN_LINKS
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandState
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, GraspSpecification
 from fungrasp.synthesis.human_hand_terms import HumanPoints
 

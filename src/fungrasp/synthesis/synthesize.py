@@ -17,10 +17,9 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene, project_to_surface
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.retargeting_problem import GRAVITY, RetargetingProblem
+from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem, project_to_surface
 from fungrasp.optimization.terms import Term
 from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates
 from fungrasp.synthesis.grasp_specification import GraspSpecification

@@ -8,7 +8,7 @@ import numpy as np
 
 from fungrasp.media.grasp_scenes import CONTACT, SKIN
 from fungrasp.media.hand_mesh import human_hand_mesh
-from fungrasp.media.object_looks import painted_parts
+from fungrasp.media.materials import painted_parts
 from fungrasp.objects import ObjectModel
 from fungrasp.viewer.scene_nodes import Color, color_bytes, creased, move
 

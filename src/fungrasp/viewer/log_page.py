@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.deployment.log import RecordedDeployment
 from fungrasp.hands import Hand, load_hand
-from fungrasp.media.deployment_page import deployment_curves, deployment_fault
 from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
@@ -82,7 +82,7 @@ class LogPage(BrowserPage):
         held = [frames[i].time for i in range(len(frames)) if frames[i].phase == "hold"]
         if held:
             self._player.go_to(held[-1])
-        fault = deployment_fault(log)
+        fault = _fault(log)
         self._player.status.content = f"**fault: {fault}**" if fault else "no fault"
         for event in log.messages["/event"]:
             time = max(float(event["time"]) - start, 0.0)
@@ -93,7 +93,7 @@ class LogPage(BrowserPage):
         gui = self.client.gui
         with gui.add_modal("Curves") as modal:
             close = gui.add_button("Close")
-            gui.add_html(WIDE_MODAL + deployment_curves(self._log))
+            gui.add_html(WIDE_MODAL + curves(self._log))
         close.on_click(lambda _: modal.close())
 
     def _jump(self) -> None:
@@ -147,3 +147,71 @@ def _measured_palm(log: RecordedDeployment, hand: Hand) -> Callable[..., np.ndar
         return ArmKinematics(load_cell(str(log.about.get("cell", ""))), hand).palm_pose
     except FungraspError:
         return None
+
+
+def _fault(log: RecordedDeployment) -> str:
+    """The first fault of a deployment; "" if there was none."""
+    return next((str(e["text"]) for e in log.messages["/event"] if e["what"] == "fault"), "")
+
+
+def curves(log: RecordedDeployment) -> str:
+    """Palm, object, hand, arm and lateness over time, as SVG. log: with setpoints."""
+    setpoints, phases = log.messages["/setpoint"], _phases(log)
+    time = _times(log)
+    (arm, arm_seen), (hand, hand_seen), late = _joints(log, "arm"), _joints(log, "hand"), _lateness(log)
+    palm = np.array([message["sent"]["palm"][:3] for message in setpoints])
+    height = np.array([message["object"] or [np.nan] * 7 for message in setpoints])[:, 2]
+    fingers, bones = _names(log, hand.shape[1]), [f"joint {j + 1}" for j in range(arm.shape[1])]
+
+    def lines(values: np.ndarray, names: Sequence[str]) -> Iterator[PlotLine]:
+        return (PlotLine(time, column, name) for column, name in zip(values.T, names, strict=True))
+
+    panels = (
+        ("Palm: setpoint", "place [m]", lines(palm, ("x", "y", "z"))),
+        ("Tracked object: height of its origin", "height [m]", [PlotLine(time, height)]),
+        ("Hand: setpoints", "angle [rad]", lines(hand, fingers)),
+        ("Hand: setpoint less measured", "angle [rad]", lines(hand - hand_seen, fingers)),
+        ("Arm: setpoint less measured", "angle [rad]", lines(arm - arm_seen, bones)),
+        (
+            "Lateness of control steps",
+            "time [ms]",
+            [PlotLine(np.linspace(0.0, float(time[-1]), len(late)), late)],
+        ),
+    )
+    return panels_svg([PlotPanel(title, "time [s]", y, list(drawn), phases) for title, y, drawn in panels])
+
+
+def _times(log: RecordedDeployment) -> np.ndarray:
+    """Of the setpoints, from the first one on [s], shape [N]."""
+    times = np.array([message["time"] for message in log.messages["/setpoint"]])
+    return times - times[0]
+
+
+def _joints(log: RecordedDeployment, part: str) -> tuple[np.ndarray, np.ndarray]:
+    """Joints of "arm" or "hand" as told and as measured [rad], shape [N, J] each."""
+    setpoints = log.messages["/setpoint"]
+    told = [message["sent"][part] for message in setpoints]
+    return np.array(told), np.array([message[part]["positions"] for message in setpoints])
+
+
+def _lateness(log: RecordedDeployment) -> np.ndarray:
+    """How late each control step began [ms]."""
+    return 1e3 * np.array([step["late"] for step in log.messages["/step"]] or [0.0])
+
+
+def _phases(log: RecordedDeployment) -> list[tuple[float, str]]:
+    """Start [s] and name of each phase."""
+    found: list[tuple[float, str]] = []
+    for message, when in zip(log.messages["/setpoint"], _times(log), strict=True):
+        if not found or message["phase"] != found[-1][1]:
+            found.append((float(when), str(message["phase"])))
+    return found
+
+
+def _names(log: RecordedDeployment, count: int) -> list[str]:
+    """Of the driven joints of the hand, by numbers where the hand is not known."""
+    try:
+        names = [] if log.plan is None else list(load_hand(log.plan.hand).actuators)
+    except FungraspError:
+        names = []
+    return names if len(names) == count else [f"joint {j + 1}" for j in range(count)]

@@ -10,9 +10,8 @@ import numpy as np
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands import Hand
 from fungrasp.media.grasp_scenes import CONTACT
-from fungrasp.media.hand_shells import dressed_model
-from fungrasp.media.model_surfaces import drawn_geoms, geom_surface
-from fungrasp.media.shading import model_materials
+from fungrasp.media.surfaces import drawn_geoms, geom_surface, model_materials
+from fungrasp.media.visual_meshes import dressed_model
 from fungrasp.viewer.scene_nodes import Color, color_bytes, creased, move
 
 if TYPE_CHECKING:

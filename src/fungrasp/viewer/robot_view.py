@@ -15,9 +15,9 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.mirroring import mirrored_object
-from fungrasp.optimization.collision_scene import CollisionScene
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, contacts_of_links
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.retargeting import retarget
 from fungrasp.retargeting.retargeter import Retargeter
 from fungrasp.viewer.figures import ContactMarks, ObjectFigure

@@ -42,8 +42,8 @@ def view(
         what: grasps, a result, a recorded episode, what ``perceive`` returned, a hand, or the path of one of
             their files, of a deployment's log or of a capture; the built-in grasps if None.
         objects: those of grasps, by name; built-in objects if None. A result has its own.
-        out: HTML file to write in place of it, which needs no other file and no server; of grasps, a result,
-            what was perceived, or the path of a deployment's log.
+        out: HTML file to write in place of it, which needs no other file and no server; of grasps, a result
+            or what was perceived.
         hand: that imitates human grasps at first.
         host: address to listen at; by default only this machine reaches the page.
         port: 0 for any that is free; the first free one from 8080 on if None.
@@ -58,7 +58,7 @@ def view(
             can't be read or written, or the extra ``viewer`` is not installed.
     """
     if out is not None:
-        from fungrasp.media.view import write_view
+        from fungrasp.media.grasp_pages import write_view
 
         path = write_view(what, objects, out)
         if browser:

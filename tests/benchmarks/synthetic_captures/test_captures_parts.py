@@ -13,8 +13,8 @@ from benchmarks.synthetic_captures.skin_and_sleeve import (
     painted_hand,
     painted_sleeve,
 )
-from fungrasp.media.ray_tracing import NOTHING, RayTracer
-from fungrasp.media.shading import Look, linear
+from fungrasp.media.ray_tracing import NOTHING, Look, RayTracer
+from fungrasp.media.surfaces import linear
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Intrinsics
 
@@ -51,7 +51,7 @@ def test_things_throw_shadows():
     vertices = np.array(floor.vertices) + np.array([0, 0, 0.8])
     ground = PaintedMesh(vertices, np.array(floor.faces), np.ones((len(vertices), 3))).surface(0.0)
     ball = a_ball(radius=0.05, center=(0.08, 0, 0.7)).surface()
-    look = Look(light=(1, 0, -1.0), light_radius=0.0)
+    look = Look(light=(1, 0, -1.0))
     alone, both = RayTracer([ground], look), RayTracer([ground, ball], look)
     points = both.see(AT_ORIGIN)
     seen = points.surface.reshape(60, 80)

@@ -19,13 +19,12 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
-from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.firmness import DEEPEST
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.planning.expected_loads import lift_loads
+from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.wrench_resistance import DEEPEST, grip_of, lift_loads, resisted_share_of
 from fungrasp.planning.grasp_adaptation import adapt_to_settled_object
-from fungrasp.planning.selection.use_strength import loads_of_use, share_of_loads
+from fungrasp.planning.selection.use_strength import loads_of_use
 from fungrasp.retargeting.contact_optimization import STARTS, Start, moved_starts
 from fungrasp.sim2real import random_stream
 from fungrasp.simulation.scene import GRAVITY
@@ -155,7 +154,7 @@ class _Grips:
                 )
                 loads = np.concatenate([loads, of_use], axis=1)
             points, around = self._points.for_hands(len(some)), self._around.rows(some)
-            share[some] = share_of_loads(points, around, models, palm[some], joints[some], loads)
+            share[some] = resisted_share_of(grip_of(points, around, models, palm[some], joints[some]), loads)
         collisions = [
             partial(terms.object_penetration, unit=DEEPEST),
             partial(terms.table_penetration, unit=DEEPEST, margin=0.0),

@@ -11,12 +11,11 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.collision_scene import CollisionScene
-from fungrasp.optimization.firmness import unresisted_wrenches
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.link_contacts import contacts_of_links
+from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.wrench_resistance import grip_of, resisted_share_of
 from fungrasp.planning.expected_loads import use_loads
-from fungrasp.planning.grip_forces import FRICTION, NEAR
 from fungrasp.task import GraspPlan
 from fungrasp.task.use import UseMotion, load_use_motions, motion_of
 from fungrasp.task.use.functional_contact import touched_parts
@@ -111,18 +110,11 @@ def parts_to_hold(
 def _share(plans: GraspPlan, motion: UseMotion, hand: Hand, objects: Mapping[str, ObjectModel]) -> np.ndarray:
     names = plans.object_name.tolist()
     around = CollisionScene.settled(names, plans.object_pose, objects)
-    loads = loads_of_use(
-        motion,
-        hand,
-        [objects[name] for name in names],
-        plans.object_pose,
-        plans.grasp_palm_pose,
-        plans.grasp_joints,
-        plans.object_mass,
-    )
-    points = HandPoints(HandKinematics(hand, len(plans)))
+    models = [objects[name] for name in names]
     grip = plans.grasp_palm_pose, plans.grasp_joints
-    return share_of_loads(points, around, [objects[name] for name in names], *grip, loads)
+    loads = loads_of_use(motion, hand, models, plans.object_pose, *grip, plans.object_mass)
+    points = HandPoints(HandKinematics(hand, len(plans)))
+    return resisted_share_of(grip_of(points, around, models, *grip), loads)
 
 
 def loads_of_use(
@@ -141,39 +133,3 @@ def loads_of_use(
             for i, model in enumerate(models)
         ]
     )
-
-
-def share_of_loads(
-    points: HandPoints,
-    around: CollisionScene,
-    models: Sequence[ObjectModel],
-    palm: np.ndarray,
-    joints: np.ndarray,
-    loads: np.ndarray,
-) -> np.ndarray:
-    """Share of the worst load that the contacts can take within friction cones and torque limits, from 0 to
-    1, shape [N].
-
-    Args:
-        points: of the hand, made for N hands.
-        around: N objects and tables.
-        models: the objects, N of them.
-        palm: object frame, shape [N, 7].
-        joints: independent joints [rad], shape [N, U].
-        loads: forces [N] at the center of mass and torques [N m], object frame, shape [N, K, 6].
-    """
-    contacts = contacts_of_links(points, around, palm, joints)
-    reach = np.array([0.5 * float(np.max(model.size)) for model in models])
-    scaled = np.concatenate([loads[..., :3], loads[..., 3:] / reach[:, None, None]], axis=-1)
-    size = np.linalg.norm(scaled, axis=-1)
-    left = unresisted_wrenches(
-        contacts,
-        contacts.clearance < NEAR,
-        np.array([model.center_of_mass for model in models]),
-        reach,
-        scaled,
-        size.max(axis=1),
-        np.array([servo.force_limit for servo in points.kinematics.hand.actuators.values()]),
-        FRICTION,
-    )
-    return np.clip(1.0 - (np.linalg.norm(left, axis=-1) / size).max(axis=1), 0.0, 1.0)

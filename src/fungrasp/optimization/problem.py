@@ -1,4 +1,4 @@
-"""What a hand may collide with, in the object's frame: the object's signed distance and the table."""
+"""What hands are to solve, in the object's frame: what they may collide with, and whom they imitate."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ import numpy as np
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.distance_queries import gradient_derivatives, nearest_surfaces
-from fungrasp.geometry.poses import invert, rotate
+from fungrasp.geometry.poses import invert, rotate, transform_points
+from fungrasp.grasps import HumanGraspSet
+from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import settled_up
+
+GRAVITY = 9.81
+"""[m/s^2]."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,52 @@ class CollisionScene:
 
     def __len__(self) -> int:
         return len(self.grid)
+
+
+@dataclass(frozen=True)
+class RetargetingProblem(CollisionScene):
+    """N human grasps to imitate, in their objects' frames, and what the hands may collide with."""
+
+    joints: np.ndarray
+    """Human joints [m], shape [N, 21, 3]."""
+    contacts: np.ndarray
+    """Which robot links should touch, palm first, shape [N, L] bool."""
+    surface: np.ndarray
+    """Surface point nearest to each human joint [m], shape [N, 21, 3]."""
+    normals: np.ndarray
+    """Outward surface normal there, shape [N, 21, 3]."""
+    center: np.ndarray
+    """Center of mass of each object [m], shape [N, 3]."""
+    extent: np.ndarray
+    """Half of each object's diagonal [m], shape [N]: the unit of lever arms in force closure."""
+    weight: np.ndarray
+    """Weight of each object [N], shape [N]."""
+
+    @classmethod
+    def from_grasps(
+        cls, grasps: HumanGraspSet, objects: Mapping[str, ObjectModel], match: Correspondence
+    ) -> RetargetingProblem:
+        """Bring grasps into their objects' frames.
+
+        Args:
+            grasps: N human grasps.
+            objects: by name, each object of the grasps.
+            match: which robot link stands for which human one.
+        """
+        names = grasps.object_name.tolist()
+        scene = CollisionScene.measured_and_settled(names, grasps.object_rest_pose, objects)
+        joints = transform_points(invert(grasps.object_pose), grasps.hand_joints)
+        surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+        return cls(
+            **{f.name: getattr(scene, f.name) for f in fields(scene)},
+            joints=joints,
+            contacts=match.link_contacts(grasps.link_contacts),
+            surface=surface,
+            normals=normals,
+            center=np.array([objects[name].center_of_mass for name in names]),
+            extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+            weight=GRAVITY * grasps.object_mass,
+        )
 
 
 def project_to_surface(

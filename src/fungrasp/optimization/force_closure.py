@@ -1,24 +1,30 @@
-"""Force closure: contact forces within friction cones that balance as well as they can."""
+"""Force closure: contact forces within friction cones that balance as well as they can, as a term of the
+objective and as a measure."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull, QhullError
 
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import gradient_derivative, nearest_surface
 from fungrasp.geometry.signed_distance import GridArrays
+from fungrasp.hands.kinematics import BodyPoints
 from fungrasp.optimization.frames import AddTerm, Equations, Frames, joint_motion, place
-from fungrasp.optimization.friction_cones import circle, cone_edges, largest_eigenvalue
+from fungrasp.optimization.friction_cones import circle, cone_edges, friction_cone_edges, largest_eigenvalue
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.retargeting_problem import RetargetingProblem
+from fungrasp.optimization.problem import RetargetingProblem
 
 BALANCE_CONE_EDGES = 6
 """Edges of the pyramids that stand for friction cones."""
-
 BALANCE_ITERATIONS = 40
 """Iterations of the descent to the best contact forces."""
+CLOSURE_CONE_EDGES = 8
+"""Edges of the pyramids that stand for friction cones in the wrenches that are measured."""
 
 
 def force_closure(
@@ -41,13 +47,47 @@ def force_closure(
         friction: coefficient to count on, well below the true one.
         reach: half width of the difference that gives the curvature [m]; it also smooths edges.
     """
-    far, wanted = points.match.far, plain(problem.contacts[:, 1:], bool)
-    body, offset = points.arrays.keypoints.bodies[far], points.arrays.keypoints.offsets[far]
-    grids, grid = problem.bank.arrays, plain(problem.grid, np.int64)
-    center, extent = plain(problem.center), plain(problem.extent)
-    return lambda frames, equations, *_: _add_force_closure(
-        frames, equations, grids, grid, body, offset, wanted, center, extent, unit, friction, reach
+    targets = _Targets(
+        points.arrays.keypoints[points.match.far],
+        plain(problem.contacts[:, 1:], bool),
+        plain(problem.center),
+        plain(problem.extent),
+        plain(problem.grid, np.int64),
     )
+    grids, numbers = problem.bank.arrays, (unit, friction, reach)
+    return lambda frames, equations, *_: _add_force_closure(frames, equations, grids, targets, numbers)
+
+
+class _Targets(NamedTuple):
+    """What should touch, and where the objects are."""
+
+    far: BodyPoints
+    """Far key points of the links."""
+    wanted: np.ndarray
+    """Which links should touch, shape [N, S] bool."""
+    center: np.ndarray
+    """Of mass [m], shape [N, 3]."""
+    extent: np.ndarray
+    """[m], shape [N]."""
+    grid: np.ndarray
+    """Index of each object, shape [N]."""
+
+
+class _Contact(NamedTuple):
+    """One contact, and the unit of the residual."""
+
+    lever: np.ndarray
+    """Its point, relative to the center over the extent, shape [3]."""
+    force: np.ndarray
+    """Shape [3]."""
+    pressure: float
+    """Normal part of the force."""
+    curve: np.ndarray
+    """Derivative of the normal [1/m], shape [3, 3]."""
+    extent: float
+    """[m]."""
+    unit: float
+    """Dimensionless."""
 
 
 @compiled
@@ -55,25 +95,19 @@ def _add_force_closure(
     frames: Frames,
     equations: Equations,
     grids: GridArrays,
-    grid: np.ndarray,
-    body: np.ndarray,
-    offset: np.ndarray,
-    wanted: np.ndarray,
-    center: np.ndarray,
-    extent: np.ndarray,
-    unit: float,
-    friction: float,
-    reach: float,
+    targets: _Targets,
+    numbers: tuple[float, float, float],
 ) -> None:
-    """Add ``force_closure``; body, offset: of each link's far key point, shape [S] and [S, 3]."""
+    """Add ``force_closure``. numbers: unit, friction and reach."""
+    unit, friction, reach = numbers
+    wanted, center, extent, grid = targets.wanted, targets.center, targets.extent, targets.grid
+    body, offset = targets.far.bodies, targets.far.offsets
     size = equations.gradient.shape[1]
     most = len(body)
     point, lever, inward = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
     force, curve, link = np.empty((most, 3)), np.empty((3, 3)), np.empty(most, np.int64)
     jacobian, residual = np.empty((6, size)), np.empty(6)
-    edges = np.empty((most * BALANCE_CONE_EDGES, 3))
-    matrix = np.empty((7, most * BALANCE_CONE_EDGES))
-    around = circle(np.int64(BALANCE_CONE_EDGES))
+    work = _work(most)
     for i in range(len(wanted)):
         if not equations.active[i]:
             continue
@@ -89,7 +123,7 @@ def _add_force_closure(
                 number += 1
         if number < 2:
             continue
-        _balance(lever, inward, number, friction, around, BALANCE_ITERATIONS, edges, matrix, force)
+        _balance(lever, inward, number, friction, BALANCE_ITERATIONS, work, force)
         for k in range(6):
             residual[k] = 0.0
             for d in range(size):
@@ -103,9 +137,8 @@ def _add_force_closure(
                 residual[3 + k] += (lever[c, m] * force[c, n] - lever[c, n] * force[c, m]) / unit
             at = (point[c, 0], point[c, 1], point[c, 2])
             gradient_derivative(grids, grid[i], at, reach, curve)
-            _add_motion(
-                frames, i, body[link[c]], at, lever[c], force[c], pressure, curve, extent[i], unit, jacobian
-            )
+            contact = _Contact(lever[c], force[c], pressure, curve, extent[i], unit)
+            _add_motion(frames, i, body[link[c]], at, contact, jacobian)
         for k in range(6):
             equations.cost[i] += 0.5 * residual[k] * residual[k]
         hessian, gradient = equations.hessian[i], equations.gradient[i]
@@ -118,9 +151,7 @@ def _add_force_closure(
 
 
 @compiled_part
-def _add_motion(
-    frames: Frames, i, body, point, lever, force, pressure, curve, extent, unit, jacobian
-) -> None:
+def _add_motion(frames: Frames, i: int, body: int, point, contact: _Contact, jacobian: np.ndarray) -> None:
     """Derivative of a contact's force and moment with respect to the tangent vector."""
     chains = frames.chains
     rx, ry, rz = point[0] - frames.wrist[i, 0], point[1] - frames.wrist[i, 1], point[2] - frames.wrist[i, 2]
@@ -128,19 +159,17 @@ def _add_motion(
         a, b, c = 1.0 * (k % 3 == 0), 1.0 * (k % 3 == 1), 1.0 * (k % 3 == 2)
         if k >= 3:
             a, b, c = b * rz - c * ry, c * rx - a * rz, a * ry - b * rx
-        _add_column(jacobian, k, a, b, c, lever, force, pressure, curve, extent, unit)
+        _add_column(jacobian, k, a, b, c, contact)
     for entry in range(chains.start[body], chains.start[body + 1]):
         factor = chains.factor[entry]
         a, b, c = joint_motion(frames, i, chains.joint[entry], point)
-        _add_column(
-            jacobian, chains.column[entry], factor * a, factor * b, factor * c, lever, force, pressure, curve,
-            extent, unit,
-        )  # fmt: skip
+        _add_column(jacobian, chains.column[entry], factor * a, factor * b, factor * c, contact)
 
 
 @compiled_part
-def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve, extent, unit) -> None:
+def _add_column(jacobian: np.ndarray, column: int, mx, my, mz, contact: _Contact) -> None:
     """The change of force and moment where the contact's point moves along (mx, my, mz)."""
+    lever, force, pressure, curve, extent, unit = contact
     # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
     fx = -pressure * (curve[0, 0] * mx + curve[0, 1] * my + curve[0, 2] * mz) / unit
     fy = -pressure * (curve[1, 0] * mx + curve[1, 1] * my + curve[1, 2] * mz) / unit
@@ -154,10 +183,25 @@ def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve
     jacobian[5, column] += ax * force[1] - ay * force[0] + lever[0] * fy - lever[1] * fx
 
 
+class _Work(NamedTuple):
+    """Space for ``_balance``."""
+
+    around: np.ndarray
+    """Directions of a cone's edges."""
+    edges: np.ndarray
+    """Of the cones, shape [K, 3]."""
+    matrix: np.ndarray
+    """Wrenches of the edges and their normal parts, shape [7, K]."""
+
+
 @compiled_part
-def _balance(
-    lever, inward, number: int, friction: float, around, iterations: int, edges, matrix, force
-) -> None:
+def _work(contacts: int) -> _Work:
+    room = contacts * BALANCE_CONE_EDGES
+    return _Work(circle(np.int64(BALANCE_CONE_EDGES)), np.empty((room, 3)), np.empty((7, room)))
+
+
+@compiled_part
+def _balance(lever, inward, number: int, friction: float, iterations: int, work: _Work, force) -> None:
     """Contact forces within friction cones whose sum and moment are as small as possible; their normal parts
     sum to one.
 
@@ -169,11 +213,11 @@ def _balance(
         inward: unit normals into the object, shape [C, 3].
         number: of contacts.
         friction: coefficient.
-        around: ``circle``.
         iterations: of the descent.
-        edges, matrix: space to work in.
+        work: space to work in.
         force: written, shape [C, 3].
     """
+    around, edges, matrix = work
     count = number * BALANCE_CONE_EDGES
     for c in range(number):
         cone_edges(inward[c], friction, around, edges, c * BALANCE_CONE_EDGES)
@@ -225,3 +269,57 @@ def _balance(
             for e in range(BALANCE_CONE_EDGES):
                 k = c * BALANCE_CONE_EDGES + e
                 force[c, m] += weights[k] * edges[k, m] / total
+
+
+def primitive_wrenches(points: np.ndarray, inward: np.ndarray, length: float, friction: float) -> np.ndarray:
+    """Wrenches of forces along the edges of the friction cones, normal part 1.
+
+    Args:
+        points: contacts relative to the center of mass [m], shape [C, 3].
+        inward: unit normals into the object, shape [C, 3].
+        length: what torques are divided by [m].
+        friction: coefficient.
+
+    Returns:
+        force and torque over ``length``, shape [C * CLOSURE_CONE_EDGES, 6].
+    """
+    forces = friction_cone_edges(inward, friction, CLOSURE_CONE_EDGES)
+    torques = np.cross(points[:, None] / length, forces)
+    return np.concatenate([forces, torques], axis=-1).reshape(-1, 6)
+
+
+def closure_residual(wrenches: np.ndarray) -> float:
+    """Smallest norm of a sum of these wrenches with non-negative weights that add up to 1.
+
+    Exact, by non-negative least squares, and with more edges than the solver, whose
+    own error it must not share.
+
+    Zero: contact forces exist that cancel out (the condition on the grasp matrix). 1 without contacts.
+
+    Args:
+        wrenches: shape [K, 6].
+    """
+    if not len(wrenches):
+        return 1.0
+    # The sum of the weights is one more equation, with a large factor; ``nnls`` keeps the weights
+    # non-negative.
+    heavy = 1e3
+    weights, _ = nnls(np.vstack([wrenches.T, np.full(len(wrenches), heavy)]), np.array([0.0] * 6 + [heavy]))
+    return float(np.linalg.norm(wrenches.T @ (weights / weights.sum())))
+
+
+def closure_epsilon(wrenches: np.ndarray) -> float:
+    """Radius of the largest ball around the origin within the convex hull of these wrenches: the weakest
+    wrench that the contacts resist with normal forces that add up to 1 (Ferrari and Canny, 1992). Zero if the
+    origin is not inside.
+
+    Args:
+        wrenches: shape [K, 6].
+    """
+    if len(wrenches) <= 6 or np.linalg.matrix_rank(wrenches - wrenches.mean(axis=0), tol=1e-6) < 6:
+        return 0.0
+    try:
+        hull = ConvexHull(wrenches)
+    except QhullError:
+        return 0.0
+    return float(max(0.0, -hull.equations[:, -1].max()))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fungrasp.optimization.firmness import unresisted_load
 from fungrasp.optimization.link_contacts import LinkContacts
+from fungrasp.optimization.wrench_resistance import Grip, unresisted_load
 
 UP = np.array([[0.0, 0.0, 1.0]])
 ONE = np.ones(1)
@@ -23,17 +23,8 @@ def pinch(
     for finger in range(2):
         jacobian[0, finger, range(3), range(3 * finger, 3 * finger + 3)] = 0.1
     contacts = LinkContacts(place, inward, np.zeros((1, 2)), jacobian)
-    force, torque = unresisted_load(
-        contacts,
-        np.array([used]),
-        np.zeros((1, 3)),
-        0.05 * ONE,
-        weight * ONE,
-        UP,
-        np.full(6, limit),
-        friction,
-        iterations=2000,
-    )
+    grip = Grip(contacts, np.array([used]), np.zeros((1, 3)), 0.05 * ONE, np.full(6, limit), friction)
+    force, torque = unresisted_load(grip, weight * ONE, UP, iterations=2000)
     return force[0], torque[0]
 
 

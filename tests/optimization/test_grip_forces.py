@@ -7,14 +7,18 @@ import pytest
 from planned_grasps import belief, grasps_and_objects, hand
 
 from fungrasp.geometry.poses import compose, invert
-from fungrasp.optimization.collision_scene import CollisionScene
+from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization.friction_cones import outside_cones
-from fungrasp.planning.grip_forces import (
+from fungrasp.optimization.grip_forces import (
     TORQUE_SHARE,
+    Fingers,
     elastic_forces,
     holding_forces,
     squeeze_torques,
 )
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.wrench_resistance import grip_of
 
 LEVER = np.array([[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]])
 """Two contacts opposite each other, shape [1, 2, 3]."""
@@ -22,35 +26,30 @@ DOWN = np.array([[[0.0, 0.0, -1.0, 0.0, 0.0, 0.0]]])
 """A load of one newton across the line between them, shape [1, 1, 6]."""
 
 
-def fingers() -> np.ndarray:
-    """Jacobian of two fingers of three sliding joints each, x y z, shape [1, 2, 3, 6]."""
+def fingers(stiffness=100.0, used=(True, True)) -> Fingers:
+    """Two fingers of three sliding joints each, x y z."""
     jacobian = np.zeros((1, 2, 3, 6))
     jacobian[0, 0, :, :3] = jacobian[0, 1, :, 3:] = np.eye(3)
-    return jacobian
+    return Fingers(LEVER, -LEVER, jacobian, np.array([used]), np.full((1, 6), stiffness))
 
 
 def pinch(load: float, least: float, limit: float = 100.0, friction: float = 0.5) -> np.ndarray:
     """Forces of the two fingers, shape [2, 3]."""
-    used, stiffness = np.ones((1, 2), dtype=bool), np.full((1, 6), 100.0)
     loads, floor, limits = load * DOWN, np.array([least]), np.full(6, limit)
-    return holding_forces(
-        LEVER, -LEVER, fingers(), used, stiffness, loads, floor, limits, friction, iterations=3000
-    )[0]
+    return holding_forces(fingers(), loads, floor, limits, friction, iterations=3000)[0]
 
 
 def test_fingers_share_a_load_as_their_stiffness_is():
-    used = np.ones((1, 2), dtype=bool)
-    even = elastic_forces(LEVER, fingers(), used, np.full((1, 6), 100.0), 2 * DOWN)
+    even = elastic_forces(fingers(), 2 * DOWN)
     np.testing.assert_allclose(even[0, 0], [[0, 0, 1], [0, 0, 1]], atol=0.01)
     # A push along the line between them; the second finger is three times as stiff.
-    stiffness = np.repeat([[10.0, 30.0]], 3, axis=1)
-    along = elastic_forces(LEVER, fingers(), used, stiffness, np.array([[[4.0, 0, 0, 0, 0, 0]]]))
+    stiffness = np.repeat([10.0, 30.0], 3)
+    along = elastic_forces(fingers(stiffness), np.array([[[4.0, 0, 0, 0, 0, 0]]]))
     np.testing.assert_allclose(along[0, 0], [[-1, 0, 0], [-3, 0, 0]], atol=0.02)
 
 
 def test_what_is_not_used_does_not_answer():
-    used = np.array([[True, False]])
-    answer = elastic_forces(LEVER, fingers(), used, np.full((1, 6), 100.0), DOWN)
+    answer = elastic_forces(fingers(used=(True, False)), DOWN)
     assert np.all(answer[0, 0, 1] == 0.0) and answer[0, 0, 0, 2] > 0.1
 
 
@@ -102,13 +101,14 @@ def test_torques_of_grasps_grow_with_the_load_to_their_limits():
     limit = TORQUE_SHARE * np.array([servo.force_limit for servo in servos])
     stiffness = np.tile([servo.kp for servo in servos], (len(grasps), 1))
 
+    points = HandPoints(HandKinematics(hand(), len(grasps)))
+    grip = grip_of(points, around, models, palm, joints)
+
     def torques(weight: float) -> np.ndarray:
         loads = np.zeros((len(grasps), 1, 6))
         loads[:, 0, :3] = -weight * around.up[:, 0]
         least = np.full(len(grasps), weight)
-        return squeeze_torques(
-            hand(), around, models, palm, joints, grasps.link_contacts, stiffness, loads, least
-        )
+        return squeeze_torques(grip, grasps.link_contacts, stiffness, loads, least)
 
     soft, twice, firm = torques(0.2), torques(0.4), torques(100.0)
     np.testing.assert_allclose(twice, 2 * soft, atol=0.1 * np.abs(soft).max())
