@@ -10,7 +10,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from benchmarks.engines.bare_stepping import recorded_steps, step_bare
+from benchmarks.speed.bare_stepping import recorded_steps, step_bare
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

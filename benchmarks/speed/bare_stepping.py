@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
-import mujoco
 import numpy as np
 
 from fungrasp.simulation.mujoco_cpu import MujocoCpuEngine
@@ -40,26 +39,3 @@ def step_bare(engine: MujocoCpuEngine, calls: list[StepCall]) -> float:
         ctrl[:, actuators] = controls
         batch.step(worlds, nstep=steps)
     return perf_counter() - start
-
-
-def step_in_loop(
-    engine: MujocoCpuEngine, calls: list[StepCall], worlds: np.ndarray
-) -> tuple[np.ndarray, int, float]:
-    """Make the steps of some worlds one after the other with ``mj_step``.
-
-    Returns:
-        Generalised positions at the end, shape [C, nq]; steps made; seconds.
-    """
-    ends, steps, seconds = [], 0, 0.0
-    for world in worlds.tolist():
-        model, data = engine.batch.get_model(world), engine.batch.get_data(world)
-        chosen = [(c[world], n) for c, n, which in calls if which is None or world in which]
-        start = perf_counter()
-        for controls, number in chosen:
-            data.ctrl[engine.actuators] = controls
-            for _ in range(number):
-                mujoco.mj_step(model, data)
-            steps += number
-        seconds += perf_counter() - start
-        ends.append(data.qpos.copy())
-    return np.array(ends), steps, seconds
