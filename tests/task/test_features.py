@@ -14,17 +14,19 @@ from fungrasp.geometry.poses import invert
 from fungrasp.hands import load_hand
 from fungrasp.task.features import (
     INPUT_LIMIT,
+    LAYOUTS,
     MeasuredState,
     PlanTarget,
     contact_features,
+    encoder_parts,
     flatten,
     layout,
     network_input,
+    network_parts,
     robot_features,
     value_features,
 )
-from fungrasp.task.observation import Privileged
-from fungrasp.task.observation_layouts import LAYOUTS, encoder_parts, network_parts
+from fungrasp.task.policy import Privileged
 
 HALF = np.sqrt(0.5)
 LEFT = [HALF, 0, 0, HALF]

@@ -25,9 +25,8 @@ from fungrasp.simulation.mujoco_engine import controls_of
 from fungrasp.task import Action, LiftProtocol, LiftTask
 from fungrasp.task.actuation import Actuation
 from fungrasp.task.features import contact_features, value_features
-from fungrasp.task.observation import Privileged
-from fungrasp.task.setpoints import SetpointGenerator
-from fungrasp.task.wrist_limits import WristSetpoint
+from fungrasp.task.policy import Privileged
+from fungrasp.task.setpoints import SetpointGenerator, WristSetpoint
 from fungrasp.training.rewards import LiftReward
 
 torch = pytest.importorskip("torch", reason="torch is not installed")

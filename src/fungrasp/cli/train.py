@@ -14,7 +14,7 @@ from fungrasp.cli.training_options import (
     progress_lines,
 )
 from fungrasp.sim2real import preset
-from fungrasp.task.observation_layouts import LayoutName
+from fungrasp.task.features import LayoutName
 from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import CurveSettings, PpoSettings

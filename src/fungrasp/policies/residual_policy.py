@@ -15,8 +15,7 @@ from fungrasp.policies.checkpoint.network import PolicyNetwork
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
-from fungrasp.task.features import contact_features, layout, network_input
-from fungrasp.task.observation_layouts import network_parts
+from fungrasp.task.features import contact_features, layout, network_input, network_parts
 
 ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
     "plan": ("position", "rotation", "fingers"),

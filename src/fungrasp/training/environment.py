@@ -18,8 +18,16 @@ from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization, draw
 from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene, make_engine
 from fungrasp.task import LiftEnvironment, LiftProtocol
-from fungrasp.task.features import contact_features, layout, limited, network_input, value_features
-from fungrasp.task.observation_layouts import LayoutName, encoder_parts, network_parts
+from fungrasp.task.features import (
+    LayoutName,
+    contact_features,
+    encoder_parts,
+    layout,
+    limited,
+    network_input,
+    network_parts,
+    value_features,
+)
 from fungrasp.task.reward import RewardWeights, total
 from fungrasp.task.sensors import Jitter
 from fungrasp.training.history import History

@@ -18,8 +18,8 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.candidates import VariationSpread, vary, with_settings
 from fungrasp.planning.selection.success_predictor import plan_features
-from fungrasp.planning.selection.variations import VariationSpread, vary, with_settings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, play
