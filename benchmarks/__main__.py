@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 BENCHMARKS = {
-    "speed": "retargeting, planning, training, clusters and drivers: how fast, at what quality",
+    "speed": "retargeting, planning, training, a control step, the start of the program: how fast",
     "engines": "recorded grasps in another physics engine",
     "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",
@@ -15,7 +15,7 @@ BENCHMARKS = {
     "fault_series": "faults of all kinds in every phase of deployments on twins and over emulated wires",
     "hands": "hands of other makers: what hands add makes of their descriptions, how well they grasp",
     "identification": "fitted joint dynamics against known ones",
-    "paper": "the free policies of all hands, and the paper's tables",
+    "paper": "the paper's tables of simulation",
     "cold_start": "a newcomer's first commands, from nothing",
     "extras": "each optional extra alone, from nothing",
     "builtin_objects": "writes the meshes of the built-in objects",

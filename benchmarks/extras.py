@@ -2,22 +2,19 @@
 
 For each extra a virtual environment is made, and the wheel installed with that extra and no other; the
 command that the extra is for must work there. In one more environment, with no extra, the same command must
-end with status 2 and say in one line which extra is missing. Needs Python 3.11 and a package index alone:
-nothing of the project, and nothing that it depends on, is imported here.
+end with status 2 and say in one line which extra is missing. Needs Python 3.11 and a package index alone.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import re
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,81 +40,59 @@ from pathlib import Path
 Path("dexycb/subject/sequence").mkdir(parents=True)
 Path("dexycb/subject/sequence/meta.yml").write_text("{}")
 """
-COMPLAIN = """
-import sys
-def complain(error):
-    print(f"fungrasp: error: {error}", file=sys.stderr)
-    raise SystemExit(2)
-"""
-"""Scripts end as commands do."""
-
-MANO = (
-    COMPLAIN
-    + """
-from fungrasp.grasps.importers.mano import ManoHand
-from fungrasp.core.errors import FungraspError
-try:
-    ManoHand("nowhere")
-except FungraspError as error:
-    complain(error)
-"""
-)
-"""The one thing that is asked of Python: every command that needs MANO needs its licensed files first."""
-
 RECORDED = """
 import fungrasp
 human = fungrasp.builtin_grasps()[:1]
 objects = fungrasp.load_objects(human)
 fungrasp.evaluate(fungrasp.retarget(human, objects, "allegro"), objects, "reference", record="episodes")
 """
-PAGE = (
-    COMPLAIN
-    + """
-import fungrasp
-from fungrasp.core.errors import FungraspError
-try:
-    fungrasp.view("few.npz", port=0, wait=False).close()
-except FungraspError as error:
-    complain(error)
-"""
-)
-WORLDS = (
-    COMPLAIN
-    + """
-from fungrasp.core.errors import FungraspError
-try:
-    from fungrasp.training.gymnasium_env import LiftEnv
-except FungraspError as error:
-    complain(error)
+WORLDS = """
+from fungrasp.training.gymnasium_env import LiftEnv
 LiftEnv(grasps="few.npz").reset(seed=0)
 """
-)
-TRAIN = "fungrasp train --out t --grasps few.npz --steps 100 --environment.worlds 4 --variety.copies 1"
-FIT = "fungrasp identify fit step.csv --hand inspire --method"
-PEERS = "python -m benchmarks.peers --grasps few.npz --method"
-DRIVER = "python -m benchmarks.speed drivers --seconds 0.5 --devices"
+MANO = """
+from fungrasp.grasps.importers.mano import ManoHand
+ManoHand("nowhere")
+"""
+PAGE = """
+import fungrasp
+fungrasp.view("few.npz", port=0, wait=False).close()
+"""
 
 
-@dataclass(frozen=True)
-class Trial:
+def script(code: str) -> str:
+    """Python code that writes ``script.py``, which ends as commands do."""
+    lines = "".join(f"    {line}\n" for line in code.strip().splitlines())
+    end = "    print('fungrasp: error:', error, file=sys.stderr)\n    sys.exit(2)\n"
+    text = f"import sys\ntry:\n{lines}except ValueError as error:\n{end}"
+    return f"open('script.py', 'w').write({text!r})\n"
+
+
+def client(module: str, extra: str) -> Trial:
+    """The client library of a device."""
+    code = "from fungrasp.robots.optional_packages import import_client\n"
+    return Trial("python script.py", script(f"{code}import_client({module!r}, {extra!r}, 'the device')"))
+
+
+class Trial(NamedTuple):
     """The command that an extra is for."""
 
     command: str
     """Words of the command; ``python`` and ``fungrasp`` are those of the environment."""
     prepare: str = ""
     """Python code that writes the command's files, with the package and no extra."""
-    setup: str = ""
-    """A command that is run before, where the extra is installed."""
     ends_with: str = ""
     """What the command says at last where the rest needs a device or files that are not ours; by default it
     must end with status 0."""
-    missing: str = ""
-    """The extra that the command asks for where it has none; its own by default."""
+    setup: str = ""
+    """A command that is run before, where the extra is installed."""
 
 
 TRIALS = {
-    "allegro": Trial(f"{DRIVER} allegro-v4"),
-    "bench": Trial(f"{PEERS} dex-retargeting dexi-rs mink", GRASPS),
+    "allegro": client("can", "allegro"),
+    "bench": Trial(
+        "python -m benchmarks.peers --grasps few.npz --method dex-retargeting dexi-rs mink", GRASPS
+    ),
     "calibration": Trial(
         "fungrasp robots calibrate ur5e-allegro --images images --out c.toml", IMAGE, ends_with="board"
     ),
@@ -130,25 +105,25 @@ TRIALS = {
     ),
     # Kernels are compiled first, which takes minutes.
     "gpu": Trial("fungrasp evaluate --grasps few.npz --device cpu-warp --json result.json", GRASPS),
-    "gymnasium": Trial("python worlds.py", f"{GRASPS}\nopen('worlds.py', 'w').write({WORLDS!r})"),
-    "inspire": Trial(f"{DRIVER} inspire inspire-serial"),
-    "leap": Trial(f"{DRIVER} leap"),
-    "learning": Trial(TRAIN, GRASPS),
+    "gymnasium": Trial("python script.py", GRASPS + script(WORLDS)),
+    "inspire": client("pymodbus", "inspire"),
+    "leap": client("dynamixel_sdk", "leap"),
+    "learning": Trial(
+        "fungrasp train --out t --grasps few.npz --steps 100 --environment.worlds 4 --variety.copies 1",
+        GRASPS,
+    ),
     "lerobot": Trial("fungrasp export episodes --out dataset", RECORDED),
-    "mano": Trial("python mano.py", f"open('mano.py', 'w').write({MANO!r})", ends_with="does not exist"),
+    # Every command that needs MANO needs its licensed files first.
+    "mano": Trial("python script.py", script(MANO), ends_with="does not exist"),
     "perception": Trial("fungrasp demo --from-image", setup="fungrasp setup perception"),
-    "pose": Trial("python -m benchmarks.faults --devices tracker --trials 1"),
+    "pose": client("zmq", "pose"),
     "ray": Trial("fungrasp retarget --grasps few.npz --ray --out r.npz", GRASPS),
     "realsense": Trial("fungrasp perceive --camera --mesh mug --out g.npz", ends_with="camera|libusb"),
-    "sysid": Trial(f"{FIT} cma-es --evaluations 30", STEP),
-    "ur": Trial(f"{DRIVER} ur"),
-    "viewer": Trial("python page.py", f"{GRASPS}\nopen('page.py', 'w').write({PAGE!r})"),
+    "sysid": Trial("fungrasp identify fit step.csv --hand inspire --method cma-es --evaluations 30", STEP),
+    "ur": client("ruckig", "ur"),
+    "viewer": Trial("python script.py", GRASPS + script(PAGE)),
 }
 """By extra; those of development, ``dev`` and ``docs``, are what ``make test`` installs."""
-
-
-COLUMNS = ("extra", "with it alone", "command", "without it the command says")
-"""Of the table."""
 
 
 class ExtraError(Exception):
@@ -162,7 +137,6 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("extras", nargs="*", help="all by default")
     parser.add_argument("--wheel", type=Path, help="of the package; built by default")
-    parser.add_argument("--table", type=Path, help="CSV file in which rows of these extras are put anew")
     options = parser.parse_args(arguments)
     if unknown := set(options.extras) - set(TRIALS):
         parser.error(f"unknown extra: {', '.join(sorted(unknown))}; there are {', '.join(TRIALS)}")
@@ -173,26 +147,13 @@ def main(arguments: list[str] | None = None) -> int:
         wheel = options.wheel or bare.built_wheel()
         bare.install(str(wheel.absolute()))
         for extra in options.extras or TRIALS:
-            start = perf_counter()
             try:
                 said = _try(extra, bare, Environment(folder / extra), wheel.absolute())
-                found = "works"
-                print(f"{extra}: works; without it: {said} ({perf_counter() - start:.0f} s)", flush=True)
+                print(f"{extra}: works; without it: {said}", flush=True)
             except ExtraError as error:
                 failed += 1
-                found, said = "fails", " ".join(str(error).split())[:200]
                 print(f"{extra}: FAILED: {error}", flush=True)
-            if options.table:
-                _note(options.table, (extra, found, TRIALS[extra].command, said))
     return failed
-
-
-def _note(path: Path, row: tuple[str, ...]) -> None:
-    """Put the row of an extra into a table, which may be there."""
-    rows = list(csv.reader(path.read_text().splitlines()))[1:] if path.exists() else []
-    rows = sorted([*(one for one in rows if one[0] != row[0]), list(row)])
-    with path.open("w", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([COLUMNS, *rows])
 
 
 class Environment:
@@ -266,7 +227,7 @@ def _try(extra: str, bare: Environment, own: Environment, wheel: Path) -> str:
             environment.write(trial.prepare)
     without = bare.run(trial.command)
     lines = [line for line in without.stderr.splitlines() if line.startswith("fungrasp: error:")]
-    wanted = f"pip install 'fungrasp[{trial.missing or extra}]'"
+    wanted = f"pip install 'fungrasp[{extra}]'"
     if without.returncode != 2 or len(lines) != 1 or "Traceback" in without.stderr:
         raise ExtraError(
             f"without it, '{trial.command}' ended with {without.returncode}: {without.stderr[-2000:]}"

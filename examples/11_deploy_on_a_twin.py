@@ -7,9 +7,15 @@ human = human.select(human.object_name == "can")[:1]
 objects = fungrasp.load_objects(human)
 robot = fungrasp.retarget(human, objects, hand="allegro")
 
+
+class Phases(fungrasp.DeploymentObserver):
+    def phase(self, time, phase):
+        print(f"{time:6.2f} s  {phase}")
+
+
 # As fast as the machine goes: the twin has a clock of its own.
 spec = fungrasp.DeploymentSpec(cell="ur5e-allegro", policy="plan", real_time=False)
-result = fungrasp.deploy(robot, objects, spec=spec, log="lift.mcap", on_phase=print)
+result = fungrasp.deploy(robot, objects, spec=spec, log="lift.mcap", observer=Phases())
 
 print(result)
-fungrasp.view("lift.mcap", out="lift.html")
+print("look at it: fungrasp view lift.mcap")

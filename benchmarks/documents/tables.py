@@ -1,8 +1,8 @@
-"""Writes the tables of measured numbers in README.md and docs/ from the files in lab/results/.
+"""Writes the tables of measured numbers in README.md, docs/ and lab/ from the files in lab/results/.
 
 ``python -m benchmarks.documents.tables`` replaces what stands between ``<!-- table: NAME -->`` and
 ``<!-- end of table -->`` in every page; with ``--check`` it writes nothing and fails where a page and the
-results differ.
+results differ. Tables of the laboratory that are not among ``BUILDERS`` are records: they stay as they are.
 """
 
 from __future__ import annotations
@@ -13,51 +13,227 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from benchmarks.documents import choice_tables, other_tables, policy_tables, robot_tables
-from benchmarks.documents.measured import (
-    RESULTS,
-    ROOT,
-    Table,
-    read,
+import numpy as np
+
+from fungrasp.core.formats import (
+    image_file,
+    json_file,
+    mesh_file,
+    mujoco_model,
+    numpy_files,
+    onnx_file,
+    pickle_file,
+    sandbox,
+    toml_file,
+    yaml_file,
 )
+from fungrasp.core.formats.file_bytes import DEEPEST, MOST_NODES
+from fungrasp.core.formats.xml_file import DEEPEST_ELEMENT
+from fungrasp.evaluation.result_files import ResultFile, read_result
+from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.task.use import load_use_motions, motion_of
 
+ROOT = Path(__file__).resolve().parents[2]
+LAB = ROOT / "lab"
+RESULTS = ROOT / "lab" / "results"
+NONE = "—"
+HANDS = {
+    "allegro": "Allegro",
+    "shadow": "Shadow",
+    "faive": "Faive P0",
+    "inspire": "Inspire RH56",
+    "leap": "LEAP",
+}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "lab").glob("*.md"))]
 MARKED = re.compile(r"(<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(<!-- end of table -->)", re.DOTALL)
 RENAMED = {
     "fungrasp bench retarget --peers": "python -m benchmarks.peers",
-    "fungrasp bench perception --varied": "python -m benchmarks.perception varied",
-    "fungrasp bench perception": "python -m benchmarks.perception captures",
-    "fungrasp bench depth": "python -m benchmarks.perception depth",
-    "fungrasp bench cluster": "python -m benchmarks.speed cluster",
-    "fungrasp bench robot": "python -m benchmarks.speed drivers",
-    "fungrasp bench faults": "python -m benchmarks.faults",
-    "fungrasp bench wire": "python -m benchmarks.wire",
-    "fungrasp bench identify": "python -m benchmarks.identification",
     "fungrasp reproduce": "python -m benchmarks.paper",
 }
 """Beginnings of commands in results, and of the same ones today."""
+USED = ("allegro", "shadow", "inspire")
+"""Hands of the use test."""
+
+
+class Table(NamedTuple):
+    """A table and where its numbers come from."""
+
+    head: Sequence[str]
+    """Names of the columns."""
+    rows: Sequence[Sequence[str]]
+    """Cells, as many in each row as columns."""
+    results: Sequence[str]
+    """Names of the result files."""
+
+
+def read(name: str) -> ResultFile:
+    """A result. name: of its file in ``RESULTS``."""
+    return read_result(RESULTS / f"{name}.json")
+
+
+def percent(share: float | None) -> str:
+    """A share, 0 to 1, in percent."""
+    return NONE if share is None else f"{100 * share:.1f} %"
+
+
+def hands() -> Table:
+    """Static quality and success of each hand."""
+    head = ("hand", "contact error [mm]", "contact gap [mm]", "link direction [°]")
+    head += ("object penetration, mean / p95 [mm]", "success", "contact ratio", "success, not adapted")
+    rows = []
+    for name, title in HANDS.items():
+        header = read(f"hand-{name}").header
+        q = header["quality"]
+        rows.append(
+            (
+                title,
+                f"{q['contact_error_mm']['mean']:.1f}",
+                f"{q['contact_gap_mm']['mean']:.2f}",
+                f"{q['link_direction_error_deg']['mean']:.0f}",
+                f"{q['object_penetration_mm']['mean']:.1f} / {q['object_penetration_mm']['p95']:.1f}",
+                percent(header["success_rate"]),
+                f"{header['contact_ratio']:.2f}",
+                percent(read(f"hand-{name}-unadapted").header["success_rate"]),
+            )
+        )
+    files = [file for name in HANDS for file in (f"hand-{name}", f"hand-{name}-unadapted")]
+    return Table(head, rows, files)
+
+
+def policies() -> Table:
+    """Success of what comes with the package: belief right, and belief wrong."""
+    files = {
+        "`reference`": ("hand-allegro", "reference-pose-noise"),
+        "`reference`, `--refine 16` in the test's own world": ("refined", None),
+        "`student`, `--no-rollouts`": ("student-no-rollouts", None),
+        "`student`": ("student", "student-pose-noise"),
+        "`plan`: the student's plan, open loop": ("plan", None),
+    }
+    rows, used = [], []
+    for title, names in files.items():
+        found = [name for name in names if name and (RESULTS / f"{name}.json").is_file()]
+        if names[0] not in found:
+            continue
+        headers = [read(name).header for name in found]
+        low, high = headers[0]["success_interval"]
+        wrong = percent(headers[1]["success_rate"]) if len(found) > 1 else NONE
+        cells = (percent(headers[0]["success_rate"]), f"{100 * low:.0f} – {100 * high:.0f} %")
+        rows.append((title, *cells, f"{headers[0]['contact_ratio']:.2f}", wrong))
+        used += found
+    head = ("policy", "success", "95 % interval", "contact ratio", "success, object 1 cm and 10° off")
+    return Table(head, rows, used)
+
+
+def use_test() -> Table:
+    """The use test of the built-in grasps whose task has a motion, by hand; of all, not of those held."""
+    known = load_use_motions().values()
+    rows = []
+    for hand in USED:
+        counts: dict[str, list[bool]] = {motion.name: [] for motion in known}
+        held = []
+        for row in read(f"use-{hand}").rows:
+            if (motion := motion_of(row["task"], known)) is not None:
+                counts[motion.name].append(row["use_success"])
+                held.append(row["success"])
+        number, used = len(held), sum(map(sum, counts.values()))
+        low, high = wilson_interval(used, number)
+        whole = f"{used}: {100 * used / number:.0f} % ({100 * low:.0f} – {100 * high:.0f})"
+        each = (f"{sum(passed)} of {len(passed)}" for passed in counts.values())
+        rows.append((HANDS[hand], str(number), str(sum(held)), whole, *each))
+    motions = (motion.name.replace("_", " ") for motion in known)
+    return Table(("hand", "grasps", "held", "used", *motions), rows, [f"use-{hand}" for hand in USED])
+
+
+def peers() -> Table:
+    """Retargeting methods of this package and of others, by one judge."""
+    result = read("peers")
+    speed = result.header["grasps_per_cpu_second"]
+    rows = []
+    for name in speed:
+        mine = [row for row in result.rows if row["method"] == name]
+
+        def mean(key: str, mine: list[dict[str, Any]] = mine) -> float:
+            return float(np.mean([row[key] for row in mine]))
+
+        depths = (f"{mean(f'{what}_penetration_mm'):.1f}" for what in ("object", "table", "self"))
+        rows.append(
+            (
+                name,
+                f"{speed[name]:.0f}",
+                f"{mean('contact_error_mm'):.1f}, {mean('contact_gap_mm'):.1f}",
+                " / ".join(depths),
+                f"{mean('link_direction_error_deg'):.0f}",
+                *(
+                    percent(mean(f"{test}_success")) if f"{test}_success" in mine[0] else NONE
+                    for test in ("adapted", "as_given")
+                ),
+            )
+        )
+    head = ("method", "grasps per CPU second", "contact error, gap [mm]")
+    head += (
+        "object / table / self penetration [mm]",
+        "link direction [°]",
+        "success",
+        "success, not adapted",
+    )
+    return Table(head, rows, ["peers"])
+
+
+def limits() -> Table:
+    """What is read of each format, from the constants that the readers use."""
+    plain = f"{MOST_NODES / 1e6:g} million values, {DEEPEST} levels, integers of 64 bits"
+    child = f"{sandbox.SECONDS:g} s and 1 s for each {sandbox.BYTES_PER_SECOND / 1e6:g} MB"
+    child += f"; {sandbox.MEMORY / 1e9:g} GB"
+    kept = f"{numpy_files.LARGEST >> 20} MB of arrays, {numpy_files.MOST_ARRAYS} arrays, "
+    kept += f"{numpy_files.MOST_AXES} axes"
+    rows = [
+        ("NumPy (`.npz`, `.npy`)", _megabytes(numpy_files.LARGEST), f"{kept}; numbers, flags, text", NONE),
+        ("JSON", _megabytes(json_file.LARGEST), plain, NONE),
+        ("TOML", _megabytes(toml_file.LARGEST), plain, NONE),
+        ("YAML", _megabytes(yaml_file.LARGEST), plain, NONE),
+        (
+            "pickle",
+            _megabytes(pickle_file.LARGEST),
+            f"{pickle_file.MOST_STEPS / 1e6:g} million steps; arrays",
+            NONE,
+        ),
+        (
+            f"images ({', '.join(image_file.FORMATS)})",
+            _megabytes(image_file.LARGEST),
+            f"{image_file.LARGEST_PIXELS / 1e6:g} million pixels",
+            NONE,
+        ),
+        ("meshes", _megabytes(mesh_file.LARGEST), f"{mesh_file.MOST_FACES / 1e6:g} million faces", child),
+        (
+            "MJCF, URDF",
+            _megabytes(mujoco_model.LARGEST),
+            f"{DEEPEST_ELEMENT} levels, no entities, declared sizes up to {mujoco_model.LARGEST_SIZE:,}",
+            child,
+        ),
+        (
+            "ONNX",
+            _megabytes(onnx_file.LARGEST),
+            f"{onnx_file.MOST_MESSAGES:,} nodes, attributes, tensors; {len(onnx_file.OPERATORS)} operators",
+            child,
+        ),
+    ]
+    return Table(
+        ("format", "largest file", "what it may hold", "processor time; memory to parse it"), rows, []
+    )
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:,.3g} MB"
+
+
 BUILDERS: dict[str, Callable[[], Table]] = {
-    "hands": policy_tables.hands,
-    "policies": policy_tables.policies,
-    "use_test": policy_tables.use_test,
-    "students": policy_tables.students,
-    "confirmed_peers": choice_tables.confirmed_peers,
-    "confirmed_hands": choice_tables.confirmed_hands,
-    "methods": policy_tables.methods,
-    "peers": policy_tables.peers,
-    "robustness": policy_tables.robustness,
-    "privileged_from_nothing": policy_tables.privileged_from_nothing,
-    "hands_from_nothing": policy_tables.hands_from_nothing,
-    "retargeting_from_nothing": policy_tables.retargeting_from_nothing,
-    "perception": other_tables.perception,
-    "identification": robot_tables.identification,
-    "fault_series": robot_tables.fault_series,
-    "identification_twins": robot_tables.identification_twins,
-    "twin_variants": robot_tables.twin_variants,
-    "wire": robot_tables.wire,
-    "limits": other_tables.limits,
-    "hands_added": other_tables.hands_added,
+    "hands": hands,
+    "policies": policies,
+    "use_test": use_test,
+    "peers": peers,
+    "limits": limits,
 }
 """By the name in a page."""
 
@@ -75,6 +251,8 @@ def rewritten(page: Path) -> str:
 
     def replace(match: re.Match[str]) -> str:
         name = match["name"]
+        if name not in BUILDERS and LAB in page.parents:
+            return match[0]
         if name not in BUILDERS:
             raise SystemExit(f"{page}: no table is called '{name}'; there are {', '.join(BUILDERS)}")
         return match[1] + markdown(BUILDERS[name](), page) + match[4]

@@ -9,8 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.deployment.log import DeploymentLog
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
 from fungrasp.grasps import RobotGraspSet
@@ -20,6 +19,7 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
@@ -118,6 +118,31 @@ class PreparerOf:
         return self._prepared
 
 
+class Happened(DeploymentObserver):
+    """Says when phases begin, and lets a judge watch the hold."""
+
+    def __init__(self, said: Callable[[str], None], judge: TwinJudge | None = None):
+        """
+        Args:
+            said: told each phase.
+            judge: of a twin.
+        """
+        self._said, self._judge = said, judge
+
+    def phase(self, time: float, phase: Phase) -> None:
+        """See ``DeploymentObserver.phase``."""
+        self._said(phase.value)
+
+    def fault(self, time: float, reason: str) -> None:
+        """See ``DeploymentObserver.fault``."""
+        self._said(Phase.FAULT.value)
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        """See ``DeploymentObserver.setpoint``."""
+        if self._judge is not None:
+            self._judge.watch(phase is Phase.HOLD)
+
+
 @dataclass(eq=False)
 class TwinRun:
     """A deployment on a twin that is on its own clock, ready to begin."""
@@ -147,7 +172,7 @@ def twin_run(
     policy: Policy,
     *,
     clock: TwinClock | None = None,
-    log: DeploymentLog | None = None,
+    log: DeploymentObserver | None = None,
 ) -> TwinRun:
     """Make a robot of a twin whose object has settled, and its deployment."""
     devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
@@ -161,10 +186,7 @@ def twin_run(
         robot,
         policy,
         PreparerOf(robot, prepared, happened),
-        log=log,
-        settings=DeploymentSettings(),
-        on_phase=lambda phase: happened(phase.value),
-        on_setpoint=lambda phase, command: judge.watch(phase is Phase.HOLD),
+        observers=[*([] if log is None else [log]), Happened(happened, judge)],
     )
     return TwinRun(world, robot, deployment, judge, events)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from benchmarks.command import check_positive
 from fungrasp.cli.console import table
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
     from benchmarks.fault_series.moments import Scene

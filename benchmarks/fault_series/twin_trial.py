@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.fault_series.moments import Scene, TwinRun, twin_run, twin_world
 from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch, judged
-from fungrasp.deployment.holding import endings_as_interrupts
-from fungrasp.deployment.log import DeploymentLog
+from fungrasp.deployment.hold_after_stop import endings_as_interrupts
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.world import TwinWorld
@@ -69,7 +69,7 @@ class SpoiledPolicy(OpenLoopPolicy):
         return action
 
 
-class FullLog(DeploymentLog):
+class FullLog(DeploymentObserver):
     """Can't be written once the disk is full."""
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class FullLog(DeploymentLog):
         if self.full:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    begin = setpoint = step = event = _write  # pyright: ignore[reportAssignmentType]
+    planned = setpoint = step = phase = note = _write  # pyright: ignore[reportAssignmentType]
 
 
 def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from benchmarks.fault_series.moments import LOOK, PreparerOf, Scene
+from benchmarks.fault_series.moments import LOOK, Happened, PreparerOf, Scene
 from benchmarks.faults.control_session import driver_process
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.log import McapLog
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import wired_robot
@@ -50,9 +49,7 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
                 robot,
                 OpenLoopPolicy(),
                 PreparerOf(robot, scene.prepared, happened),
-                log=log,
-                settings=DeploymentSettings(),
-                on_phase=lambda phase: happened(phase.value),
+                observers=[log, Happened(happened)],
             )
             happened(LOOK)
             result = deployment.run(scene.grasp)

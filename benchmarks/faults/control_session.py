@@ -5,21 +5,22 @@ from __future__ import annotations
 
 import contextlib
 import resource
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from multiprocessing.connection import Connection
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.log import McapLog
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
+from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
@@ -85,9 +86,10 @@ def run_session(session: ControlSession, pipe: Connection) -> None:
     cell = session.cell
     hand = load_hand(cell.hand)
 
-    def phase(now: Phase) -> None:
-        if now is Phase.GRASP:
-            pipe.send(("moving", time.monotonic()))
+    class Moving(DeploymentObserver):
+        def phase(self, time: float, phase: Phase) -> None:
+            if phase is Phase.GRASP:
+                pipe.send(("moving", monotonic()))
 
     raise_priority()
     wrong, reacted = "", np.nan
@@ -96,13 +98,13 @@ def run_session(session: ControlSession, pipe: Connection) -> None:
             pipe.send(("drivers", (driver_process(robot.arm), driver_process(robot.hand_driver))))
             policy = _Sway(session, pipe)
             preparer = _Prepared(session.prepared)
-            settings = DeploymentSettings(look_time=0.2, until=Phase.HOLD)
-            deployment = Deployment(robot, policy, preparer, log=log, settings=settings, on_phase=phase)
+            spec = DeploymentSpec(look_time=0.2, until="lift")
+            deployment = Deployment(robot, policy, preparer, spec, [log, Moving()])
             result = deployment.run(session.grasp)
             wrong, reacted = result.fault, result.times.get(Phase.FAULT, np.nan)
     except (FungraspError, OSError) as error:
         wrong = wrong or f"{type(error).__name__}: {error}"
-    pipe.send(("ended", time.monotonic(), wrong, reacted))
+    pipe.send(("ended", monotonic(), wrong, reacted))
 
 
 def driver_process(driver: JointDriver) -> int | None:
@@ -143,7 +145,7 @@ class _Sway:
         if session.fault is not None and observation.time[0] >= session.after:
             if not self._brought:
                 self._brought = True
-                self._pipe.send(("fault", time.monotonic()))
+                self._pipe.send(("fault", monotonic()))
                 if session.fault is ControlFault.DISK_FULL:
                     _fill_the_disk(session.log)
             if session.fault is ControlFault.POLICY_NAN:

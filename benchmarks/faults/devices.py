@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import progress_bar, table
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
     import numpy as np

@@ -9,7 +9,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
-from fungrasp.sim2real.identification.excitation import Excitation, excitation_motion
+from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, excitation_motion
 from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
 from fungrasp.sim2real.identification.log_simulation import prediction_rms, simulate_log
 from fungrasp.sim2real.identification.motion_log import MotionLog, read_step_csv
@@ -66,8 +66,8 @@ def known_truth_fit(hand: Hand, finger: str, method: str, seed: int, evaluations
     values = {name: getattr(model, name)[columns] * f for name, f in zip(FITTED, factors, strict=True)}
     truth = JointDynamics(joints, model.stiffness[columns], **values, delay=float(rng.uniform(*DELAYS)))
     limits = np.array([hand.joint_limits[hand.joint_names.index(joint)] for joint in joints])
-    rest, excitation, one = limits.mean(axis=1), Excitation(seconds=8.0, seed=seed), np.ones(len(joints))
-    motion = excitation_motion(excitation, rest, limits[:, 0], limits[:, 1], np.inf * one, 0 * one)
+    rest, excitation = limits.mean(axis=1), Excitation(seconds=8.0, seed=seed)
+    motion = excitation_motion(excitation, rest, JointRoom(*limits.T), np.zeros(len(joints)))
     commands, times = motion.commands, np.arange(len(motion.commands)) / excitation.rate
     gravity = np.array([0.0, 0.0, -9.81])
     log = MotionLog(joints, times, commands, np.tile(rest, (len(times), 1)), gravity)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.command import main
-from benchmarks.paper.commands import COMMAND
+from benchmarks.paper.tables import PaperTable
 
 if __name__ == "__main__":
-    main("paper", COMMAND)
+    main("paper", PaperTable)

@@ -21,7 +21,7 @@ from fungrasp.retargeting import retarget
 
 
 class PerceivedGrasps:
-    """``GraspSource`` of images of grasps, each rendered, perceived and retargeted when its turn comes;
+    """Images of grasps, each rendered, perceived and retargeted when its turn comes;
     neither mask nor pose is given."""
 
     def __init__(
@@ -56,7 +56,7 @@ class PerceivedGrasps:
         self._seed, self._store, self._threads, self._taken = seed, store, threads, 0
 
     def take(self, row: int) -> RobotGraspSet | None:
-        """See ``GraspSource.take``.
+        """One grasp; None where perception is not confident of its image.
 
         Raises:
             FungraspError: the models of hands are not set up.
@@ -73,7 +73,7 @@ class PerceivedGrasps:
 
     @property
     def about(self) -> Mapping[str, Any]:
-        """See ``GraspSource``."""
+        """What the header of a result says of those that were taken so far."""
         return {"images": self._taken, "not_seen": {str(n): why for n, why in self.refused.items()}}
 
     @cached_property

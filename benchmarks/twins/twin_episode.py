@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from benchmarks.twins.placements import MOST_PLACEMENTS, deploy_where_reached
 from fungrasp.core.jobs import PartStore, part_key
-from fungrasp.deployment.deployment_result import DeploymentSettings
-from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.deployment_task import DeploymentTask
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.twin_deployment import (
-    TwinOutcome,
-    deploy_on_twin,
-    reachable_placements,
-)
+from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placements
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -30,6 +26,11 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.task import Belief, GraspPlan, Policy
+
+OutcomeT = TypeVar("OutcomeT")
+
+MOST_PLACEMENTS = 3
+"""Places where the object is put before a grasp counts as one that the robot can't reach."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class TwinVariant:
     identified: bool = True
     """Whether planner and robot know the identified dynamics of the hand."""
     attempts: int = 1
-    """Most attempts of the robot at the object (``DeploymentSettings.attempts``)."""
+    """Most attempts of the robot at the object (``DeploymentSpec.attempts``)."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +140,6 @@ class TwinSetup:
     """What acts."""
     planner: Planner
     """Of the policy."""
-    physics: TwinPhysics | None = None
-    """Of the twins; the default if None."""
     store: PartStore | None = None
     """Keeps what is finished, and knows what an earlier run has finished; None to keep nothing."""
     policy_key: str = ""
@@ -149,15 +148,8 @@ class TwinSetup:
     """Places in which each grasp is tried."""
 
     def place(self, number: int, grasp: RobotGraspSet) -> list[PlacedGrasp]:
-        """Look for placements of the object from which the arm can reach a grasp.
-
-        Args:
-            number: row of the grasp in its file.
-            grasp: one.
-
-        Returns:
-            the grasp in each of its places; one without placements if the arm can't reach it.
-        """
+        """A grasp, of that number in its file, in each of its places: placements of the object from which the
+        arm can reach it; one without placements if it can't."""
         thing = self.objects[grasp.object_name[0]]
         most = MOST_PLACEMENTS * self.places
 
@@ -174,12 +166,7 @@ class TwinSetup:
         return [PlacedGrasp(number, grasp, found[k :: self.places], k) for k in places]
 
     def identified(self, truth: TwinParameters, fit: Callable[[], HandDynamics]) -> HandDynamics:
-        """What identification says of a twin's hand.
-
-        Args:
-            truth: of the twin.
-            fit: identifies it, where that was not done by an earlier run.
-        """
+        """What identification says of a twin's hand. fit: identifies it, where no earlier run has."""
         return HandDynamics(**self._kept("dynamics", None, lambda: vars(fit()), asdict(truth)))
 
     def run(
@@ -191,34 +178,20 @@ class TwinSetup:
         dynamics: HandDynamics | None,
         planner: RememberingPlanner,
     ) -> TwinEpisode:
-        """Deploy one grasp on one twin.
-
-        Args:
-            placed: with placements.
-            twin: names the twin.
-            truth: what is true of it.
-            variant: how.
-            dynamics: what is known of the hand; the model's if None.
-            planner: of this grasp.
-        """
+        """Deploy one grasp on one twin. dynamics: what is known of the hand; the model's if None."""
         thing = self.objects[placed.grasp.object_name[0]]
 
-        def deploy_at(where: np.ndarray) -> TwinOutcome:
-            return deploy_on_twin(
-                self.cell,
-                self.hand,
-                thing,
-                placed.grasp,
-                where,
-                self.policy,
-                planner,
-                truth,
-                dynamics=dynamics,
-                compensate=variant.compensate,
-                physics=self.physics,
-                settings=DeploymentSettings(look_time=0.4, until=Phase.HOLD, attempts=variant.attempts),
-                advise=False,
-            )
+        spec = DeploymentSpec(
+            attempts=variant.attempts,
+            until="lift",
+            gravity_compensation=variant.compensate,
+            real_time=False,
+            look_time=0.4,
+        )
+        task = DeploymentTask(spec, self.cell, self.hand, thing, placed.grasp, self.policy, planner, dynamics)
+
+        def deploy_at(where: np.ndarray) -> DeploymentResult:
+            return deploy_on_twin(task, where, truth, advise=False)
 
         def deploy() -> dict[str, np.ndarray]:
             outcome, count, said = deploy_where_reached(placed.placements, deploy_at)
@@ -233,7 +206,7 @@ class TwinSetup:
             {} if dynamics is None else vars(dynamics),
             variant.compensate,
             variant.attempts,
-            self.physics or TwinPhysics(),
+            TwinPhysics(),
             self.policy_key,
         )
         values = {name: value.item() for name, value in found.items()}
@@ -254,14 +227,14 @@ class TwinSetup:
         return self.store.kept(part_key(what, self.cell, self.hand, held, *besides), make)
 
 
-def _measured(outcome: TwinOutcome, placements: int) -> dict[str, np.ndarray]:
+def _measured(outcome: DeploymentResult, placements: int) -> dict[str, np.ndarray]:
     """What was measured in an episode, by the names of ``TwinEpisode``."""
     values = {"height_m": outcome.height, "tracking_rad": outcome.tracking, "sag_rad": outcome.sag}
     return {
         "success": np.asarray(outcome.success),
-        "fault": np.asarray(outcome.result.fault),
+        "fault": np.asarray(outcome.fault),
         "placements": np.asarray(placements),
-        "attempts": np.asarray(outcome.result.attempts),
+        "attempts": np.asarray(outcome.attempts),
         **{name: np.asarray(value if np.isfinite(value) else -1.0) for name, value in values.items()},
     }
 
@@ -271,3 +244,30 @@ def _refused(why: str, placements: int) -> dict[str, np.ndarray]:
     values = {"success": False, "fault": why, "placements": placements, "attempts": 0}
     values |= {"height_m": -1.0, "tracking_rad": -1.0, "sag_rad": -1.0}
     return {name: np.asarray(value) for name, value in values.items()}
+
+
+def deploy_where_reached(
+    placements: Iterable[np.ndarray], deploy: Callable[[np.ndarray], OutcomeT]
+) -> tuple[OutcomeT | None, int, str]:
+    """Deploy with the object at a placement, and elsewhere where the robot says that it can't reach it, as a
+    person would do: at ``MOST_PLACEMENTS`` at most.
+
+    Args:
+        placements: of the object, world frame, each of shape [7]; looking for them may fail as well.
+        deploy: with the object there; raises ``UnreachableError`` before anything moves.
+
+    Returns:
+        what came of it, None if all were refused; number of placements; and why the last was refused, "" if
+        none was.
+    """
+    count, said, left = 0, "", iter(placements)
+    while count < MOST_PLACEMENTS:
+        try:
+            where = next(left, None)
+            if where is None:
+                break
+            count += 1
+            return deploy(where), count, said
+        except UnreachableError as error:
+            said = str(error)
+    return None, count, said

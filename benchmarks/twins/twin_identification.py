@@ -16,13 +16,10 @@ from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.sim2real.identification.excitation import Excitation
-from fungrasp.sim2real.identification.finger_chains import place_in_finger
-from fungrasp.sim2real.identification.fingertip_weights import hang_weights
+from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion
 from fungrasp.sim2real.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
-from fungrasp.sim2real.identification.log_simulation import prediction_rms
+from fungrasp.sim2real.identification.log_simulation import hang_weights, place_in_finger, prediction_rms
 from fungrasp.sim2real.identification.motion_log import MotionLog
-from fungrasp.sim2real.identification.safe_motion import safe_motion
 
 ALL_ERRORS = FitSettings(errors=("offset", "backlash"), prior=1.0, iterations=20)
 """Encoder offsets and lost motion are fitted too; where a log says nothing the model's values are right
@@ -86,7 +83,8 @@ def record_on_twin(
     with driver:
         rest = driver.read().positions
     names, limits = tuple(hand.actuators), driver.limits
-    motion = safe_motion(e, hand, rest, limits.lower, limits.upper, limits.velocity, limits.torque, gravity)
+    room = JointRoom(limits.lower, limits.upper, limits.velocity, limits.torque)
+    motion = safe_motion(e, hand, rest, room, gravity)
     alike, more = place_in_finger(hand, names), np.ones(len(names))
     for _ in range(MOST_LOGS):
         larger = np.clip(rest + more * (motion.commands - rest), limits.lower, limits.upper)

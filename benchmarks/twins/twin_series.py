@@ -1,80 +1,92 @@
 """The lift test on twins, without a clock: what identification and gravity compensation are worth (Table VI
-of the paper)."""
+of the paper), and what perceived grasps do (Table II)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+import tyro
 
-from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup, TwinVariant
-from benchmarks.twins.twin_identification import identify_on_twin
-from benchmarks.twins.twin_schedule import (
-    GraspSource,
-    Identify,
-    KnownGrasps,
-    given_dynamics,
-    placed_grasps,
-    try_on_twins,
+from benchmarks.twins.twin_episode import (
+    PlacedGrasp,
+    RememberingPlanner,
+    TwinEpisode,
+    TwinSetup,
+    TwinVariant,
 )
+from benchmarks.twins.twin_identification import identify_on_twin
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import digest
 from fungrasp.core.formats.record_json import record_to_json
 from fungrasp.core.jobs import PartStore
 from fungrasp.core.provenance import run_record
 from fungrasp.core.text_table import table
-from fungrasp.deployment.deploy import deployable_policy, robot_planner
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.deployment_task import deployable_policy, robot_planner
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.policies import policy_files
-from fungrasp.robots.cell import RobotCell, load_cell
+from fungrasp.robots.cell import load_cell
 from fungrasp.robots.torque_limits import limited_hand
-from fungrasp.robots.twin.parameters import TwinParameters
+from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 
-VARIANTS = (
-    TwinVariant("full"),
-    TwinVariant("no identification", identified=False),
-    TwinVariant("no gravity compensation", compensate=False),
-    TwinVariant("full, two attempts", attempts=2),
-)
-"""The columns of Table VI, and what a second attempt adds."""
+if TYPE_CHECKING:
+    from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
+
+Identify = Callable[[TwinParameters], HandDynamics]
+"""What is known of the hand's dynamics of a twin."""
+
+VARIANTS = {
+    variant.name: variant
+    for variant in (
+        TwinVariant("full"),
+        TwinVariant("no identification", identified=False),
+        TwinVariant("no gravity compensation", compensate=False),
+        TwinVariant("full, two attempts", attempts=2),
+    )
+}
+"""The columns of Table VI, and what a second attempt adds, by name."""
 
 
 @dataclass(frozen=True)
 class TwinSeriesSpec:
     """What is asked of a series on twins, as JSON by ``fungrasp.core.formats.record_json``."""
 
-    cell: str = "ur5e-allegro"
+    cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
     """A robot cell that is a twin: one that comes with the package, or a TOML file."""
     policy: str = "plan"
     """What moves the hand (``DeploymentSpec.policy``)."""
     variants: tuple[str, ...] = ("no identification", "no gravity compensation", "full")
-    """Names of ``VARIANTS``."""
+    """Ways to deploy: "no identification", "no gravity compensation", "full", "full, two attempts" (of a
+    student)."""
     twins: tuple[int, ...] = (0, 1, 2)
     """Seeds of the twins' true parameters."""
     in_turn: bool = False
-    """Whether each grasp is tried on one of the twins, in turn, in place of all."""
+    """Try each grasp on one of the twins, in turn, in place of all."""
     placements: int = 1
     """Placements of the object in which each grasp is tried."""
     grasps_per_object: int | None = None
-    """Of each object the first so many grasps that the arm can reach; all if None."""
+    """Of each object the first so many grasps that the arm can reach; all if not given."""
     given_dynamics: bool = False
-    """Whether the true dynamics of the twins' hands are given in place of identified ones: what an
-    identification without error would give."""
+    """Give the true dynamics of the twins' hands in place of identified ones: what an identification without
+    error would give."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
         """
         Raises:
             FungraspError: a number that can't be, an unknown variant, or one that the policy is not for.
         """
-        object.__setattr__(self, "variants", tuple(map(variant_name, self.variants)))
+        for name in self.variants:
+            if name not in VARIANTS:
+                raise UnknownNameError("variant", name, sorted(VARIANTS))
         for name in ("variants", "twins"):
             values = getattr(self, name)
             if not values or len(set(values)) < len(values):
@@ -85,9 +97,7 @@ class TwinSeriesSpec:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise FungraspError(f"--{name.replace('_', '-')} must be at least 1, not {value}")
-        again = [
-            variant.name for variant in VARIANTS if variant.attempts > 1 and variant.name in self.variants
-        ]
+        again = [name for name in self.variants if VARIANTS[name].attempts > 1]
         if again and policy_files(self.policy, load_hand(load_cell(self.cell).hand).name).network is None:
             raise FungraspError(
                 f"the variant '{again[0]}' needs a policy that watches, and '{self.policy}' plays its plan "
@@ -95,32 +105,30 @@ class TwinSeriesSpec:
             )
 
 
-def variant_name(name: str) -> str:
-    """The name of a variant, checked.
+@dataclass(frozen=True, eq=False)
+class KnownGrasps:
+    """Grasps that are known already, as ``PerceivedGrasps`` are not."""
 
-    Raises:
-        FungraspError: there is none of this name.
-    """
-    known = {variant.name for variant in VARIANTS}
-    if name not in known:
-        raise UnknownNameError("variant", name, sorted(known))
-    return name
+    grasps: RobotGraspSet
+    """N of them."""
+    numbers: Sequence[int]
+    """Of each in results, N."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """What the header of a result says of those that were taken so far."""
 
+    @property
+    def hand(self) -> str:
+        """Name of the hand that they are of."""
+        return self.grasps.hand
 
-@dataclass(frozen=True)
-class VariantSummary:
-    """How the episodes of one variant went."""
+    @property
+    def names(self) -> Sequence[str]:
+        """Name of the object of each."""
+        return self.grasps.object_name.tolist()
 
-    episodes: int
-    """Number of them."""
-    begun: int
-    """Of these, those in which the motion began."""
-    lifted: int
-    """Of these, those in which the object was lifted and held."""
-    tracking_rad: float
-    """Median of ``TwinEpisode.tracking_rad`` where the motion began [rad]; NaN if it never did."""
-    sag_rad: float
-    """Median of ``TwinEpisode.sag_rad``, as above [rad]."""
+    def take(self, row: int) -> RobotGraspSet | None:
+        """One grasp; None where it turns out to be none."""
+        return self.grasps.select(np.array([row]))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,36 +146,30 @@ class TwinSeriesResult:
     about: Mapping[str, Any] = field(default_factory=dict)
     """What else a file of the result says in its header."""
 
-    @property
-    def summary(self) -> dict[str, VariantSummary]:
-        """By variant, in the order of ``spec.variants``; variants without an episode are left out."""
-        found: dict[str, VariantSummary] = {}
+    def table(self) -> str:
+        """By variant: episodes, those in which the motion began, rates of success, and medians of the hand's
+        errors where it began (``TwinEpisode``), as text."""
+        rows = [("variant", "episodes", "begun", "lifted", "95 % interval", "tracking [rad]", "sag [deg]")]
         for name in self.spec.variants:
             mine = [e for e in self.episodes if e.variant == name]
             begun = [e for e in mine if e.tracking_rad >= 0]
-            if mine:
-                tracking, sag = (
-                    float(np.median([getattr(e, part) for e in begun])) if begun else float("nan")
-                    for part in ("tracking_rad", "sag_rad")
-                )
-                lifted = sum(e.success for e in mine)
-                found[name] = VariantSummary(len(mine), len(begun), lifted, tracking, sag)
-        return found
-
-    def table(self) -> str:
-        """Rates of success and errors of the hand's joints by variant, as text."""
-        rows = [("variant", "episodes", "begun", "lifted", "95 % interval", "tracking [rad]", "sag [deg]")]
-        for name, one in self.summary.items():
-            low, high = wilson_interval(one.lifted, one.episodes)
+            if not mine:
+                continue
+            tracking, sag = (
+                float(np.median([getattr(e, part) for e in begun])) if begun else float("nan")
+                for part in ("tracking_rad", "sag_rad")
+            )
+            lifted = sum(e.success for e in mine)
+            low, high = wilson_interval(lifted, len(mine))
             rows.append(
                 (
                     name,
-                    str(one.episodes),
-                    str(one.begun),
-                    f"{one.lifted / one.episodes:.0%}",
+                    str(len(mine)),
+                    str(len(begun)),
+                    f"{lifted / len(mine):.0%}",
                     f"{low:.0%} to {high:.0%}",
-                    f"{one.tracking_rad:.3f}",
-                    f"{np.rad2deg(one.sag_rad):.1f}",
+                    f"{tracking:.3f}",
+                    f"{np.rad2deg(sag):.1f}",
                 )
             )
         return table(rows, left=None)
@@ -196,10 +198,8 @@ class TwinSeriesResult:
 def evaluate_on_twins(
     spec: TwinSeriesSpec,
     out: str | Path,
-    robot: RobotGraspSet | GraspSource,
+    source: KnownGrasps | PerceivedGrasps,
     objects: Mapping[str, ObjectModel],
-    *,
-    numbers: Sequence[int] | None = None,
     about: Mapping[str, Any] | None = None,
     threads: int = 0,
 ) -> TwinSeriesResult:
@@ -209,9 +209,8 @@ def evaluate_on_twins(
     Args:
         spec: what is asked.
         out: JSON file to write, with a CSV file beside it.
-        robot: N grasps, of the cell's hand, or a source that makes each as its turn comes.
+        source: of grasps of the cell's hand, each made as its turn comes.
         objects: theirs, by name.
-        numbers: of the grasps in the result, N; 0 to N - 1 if None. A source has its own.
         about: what else the header of the file says.
         threads: of planning; 0 means all processors.
 
@@ -219,13 +218,9 @@ def evaluate_on_twins(
         FungraspError: grasps of another hand, no such cell or policy, none of the grasps can be reached, or a
             file can't be written.
     """
+    spec.check()
     cell = load_cell(spec.cell)
     hand = load_hand(cell.hand)
-    source: GraspSource
-    if isinstance(robot, RobotGraspSet):
-        source = KnownGrasps(robot, range(len(robot)) if numbers is None else numbers)
-    else:
-        source = robot
     if source.hand != hand.name:
         raise FungraspError(
             f"robot cell '{cell.name}' carries the hand '{hand.name}', and the grasps are of '{source.hand}'"
@@ -235,24 +230,28 @@ def evaluate_on_twins(
     placed: list[PlacedGrasp] = []
     result = None
     with PartStore.beside(out) as store:
-        setup = _setup(spec, cell, hand, objects, store, threads)
+        planner = robot_planner(spec.policy, limited_hand(cell, hand), objects, threads)
+        files = policy_files("student" if spec.policy == "plan" else spec.policy, hand.name)
+        setup = TwinSetup(
+            objects,
+            hand,
+            cell,
+            deployable_policy(spec.policy, hand, objects),
+            planner,
+            store,
+            digest(spec.policy, files.digests(), getattr(planner, "key", "")),
+            spec.placements,
+        )
 
         def watched() -> Iterator[PlacedGrasp]:
             for one in placed_grasps(setup, source, spec.grasps_per_object):
                 placed.append(one)
                 yield one
 
-        obj = objects[source.names[0]]
-        known = {variant.name: variant for variant in VARIANTS}
+        identify = given_dynamics(hand) if spec.given_dynamics else _identified(setup, source.names[0])
+        variants = [VARIANTS[name] for name in spec.variants]
         episodes: list[TwinEpisode] = []
-        for episode in try_on_twins(
-            setup,
-            watched(),
-            spec.twins,
-            [known[name] for name in spec.variants],
-            in_turn=spec.in_turn,
-            identify=given_dynamics(hand) if spec.given_dynamics else _identification(setup, obj),
-        ):
+        for episode in try_on_twins(setup, watched(), spec.twins, variants, identify, spec.in_turn):
             episodes.append(episode)
             reached, beyond = (
                 tuple(sorted({one.number for one in placed if bool(len(one.placements)) is within}))
@@ -268,39 +267,101 @@ def evaluate_on_twins(
     return result
 
 
-def _setup(
-    spec: TwinSeriesSpec,
-    cell: RobotCell,
-    hand: Hand,
-    objects: Mapping[str, ObjectModel],
-    store: PartStore,
-    threads: int,
-) -> TwinSetup:
-    planner = robot_planner(spec.policy, limited_hand(cell, hand), objects, threads)
-    files = policy_files("student" if spec.policy == "plan" else spec.policy, hand.name)
-    return TwinSetup(
-        objects,
-        hand,
-        cell,
-        deployable_policy(spec.policy, hand, objects),
-        planner,
-        store=store,
-        policy_key=digest(spec.policy, files.digests(), getattr(planner, "key", "")),
-        places=spec.placements,
-    )
-
-
-def _identification(setup: TwinSetup, obj: ObjectModel) -> Identify:
-    """The hand of each twin is identified, as it would be on a robot.
+def placed_grasps(
+    setup: TwinSetup, source: KnownGrasps | PerceivedGrasps, per_object: int | None = None
+) -> Iterator[PlacedGrasp]:
+    """Look for a placement of the object of every grasp, as they are asked for: the first grasp of every
+    object that can be reached comes before the second of any.
 
     Args:
         setup: of the test.
-        obj: lies in the twin's world meanwhile.
+        source: of grasps of its hand.
+        per_object: of each object the first so many that can be reached; all if None.
+
+    Yields:
+        the grasps that were tried, in each of their places, those out of reach included.
     """
+    waiting: dict[str, deque[int]] = {}
+    for row, name in enumerate(source.names):
+        waiting.setdefault(name, deque()).append(row)
+    for _ in range(len(source.names) if per_object is None else per_object):
+        for rows in waiting.values():
+            while rows:
+                row = rows.popleft()
+                grasp = source.take(row)
+                if grasp is None:
+                    continue
+                placed = setup.place(source.numbers[row], grasp)
+                yield from placed
+                if len(placed[0].placements):
+                    break
+
+
+def try_on_twins(
+    setup: TwinSetup,
+    placed: Iterable[PlacedGrasp],
+    twins: Sequence[int],
+    variants: Sequence[TwinVariant],
+    identify: Identify,
+    in_turn: bool = False,
+) -> Iterator[TwinEpisode]:
+    """Try each grasp once on each twin in each variant.
+
+    Every grasp is tried on one of the twins, in turn, before any is tried on its next one, so that what a
+    stopped run has done is balanced. The object is not put down afterwards; all else is as on a robot.
+
+    Args:
+        setup: of the test.
+        placed: grasps, and where the objects are put; those out of reach are passed over.
+        twins: seeds of their true parameters.
+        variants: ways to deploy.
+        identify: what is known of the dynamics of a twin.
+        in_turn: each grasp on one of the twins, in turn, in place of all.
+    """
+    known: dict[int, HandDynamics] = {}
+    for one, twin in _turns(placed, twins, 1 if in_turn else len(twins)):
+        truth = cell_twin(setup.cell, setup.hand, twin)
+        planner = RememberingPlanner(setup.planner)
+        for variant in variants:
+            if variant.identified and twin not in known:
+                known[twin] = identify(truth)
+            dynamics = known[twin] if variant.identified else None
+            yield setup.run(one, twin, truth, variant, dynamics, planner)
+
+
+def _turns(
+    placed: Iterable[PlacedGrasp], twins: Sequence[int], turns: int
+) -> Iterator[tuple[PlacedGrasp, int]]:
+    """Grasps within reach, each with a twin: in every turn each grasp with another one."""
+    reached: list[PlacedGrasp] = []
+    for one in placed:
+        if len(one.placements):
+            yield one, twins[len(reached) % len(twins)]
+            reached.append(one)
+    for turn in range(1, turns):
+        for row, one in enumerate(reached):
+            yield one, twins[(row + turn) % len(twins)]
+
+
+def given_dynamics(hand: Hand) -> Identify:
+    """The true stiffness and damping of twins, for comparison: an identification without error."""
+    driven = [hand.joint_names.index(name) for name in hand.actuators]
+
+    def identify(truth: TwinParameters) -> HandDynamics:
+        stiffness = np.ones(len(hand.joint_names))
+        stiffness[driven] = truth.stiffness
+        return HandDynamics(truth.damping, stiffness, stiffness.copy())
+
+    return identify
+
+
+def _identified(setup: TwinSetup, aside: str) -> Identify:
+    """The hand of each twin is identified, as it would be on a robot. aside: object that lies in the twin's
+    world meanwhile."""
 
     def identify(truth: TwinParameters) -> HandDynamics:
         def fit() -> HandDynamics:
-            found = identify_on_twin(setup.cell, setup.hand, obj, truth).found
+            found = identify_on_twin(setup.cell, setup.hand, setup.objects[aside], truth).found
             return HandDynamics.of(setup.hand, found.dynamics)
 
         return setup.identified(truth, fit)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from fungrasp.cli.console import table
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.deploy import deployment_task
-from fungrasp.deployment.deployment_result import DeploymentSpec
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.deployment_task import deployment_task
+from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 
 if TYPE_CHECKING:
     from benchmarks.wire.timed_grasp import TimedGrasp
@@ -85,9 +84,8 @@ class BenchWire:
     def _run(self, chosen: TimedGrasp, twin: int) -> WireRun:
         from benchmarks.wire.wire_run import run_over_the_wire
 
-        spec = DeploymentSpec(self.robot, self.policy, seed=twin)
-        task = deployment_task(chosen.robot, chosen.objects, spec, self.choice.threads)
-        run = run_over_the_wire(task, twin, self.attempts)
+        spec = DeploymentSpec(self.robot, self.policy, self.attempts, seed=twin, threads=self.choice.threads)
+        run = run_over_the_wire(deployment_task(chosen.robot, chosen.objects, spec), twin)
         return replace(run, images=chosen.images, grasp_seconds=chosen.seconds)
 
 

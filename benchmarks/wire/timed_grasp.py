@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.synthetic_captures.render_capture import render_capture
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.grasp_choice import GraspChoice, why_not_tried
+from fungrasp.deployment.spec import GraspChoice, why_not_tried
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel

@@ -9,15 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.processor_time import processor_time
-from benchmarks.twins.placements import deploy_where_reached
+from benchmarks.twins.twin_episode import deploy_where_reached
 from benchmarks.wire.emulation_worker import EmulationProcess, EmulationRecord, EmulationTask
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.deadlines import DeadlineMonitor
-from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
+from fungrasp.deployment.deploy import deploy_on_robot
+from fungrasp.deployment.deployment_result import DeadlineMonitor, DeploymentResult
+from fungrasp.deployment.deployment_task import DeploymentTask
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.twin_deployment import reachable_placements
-from fungrasp.deployment.wired_deployment import DeploymentTask, deploy_on_robot
 from fungrasp.robots.device import JointDriver
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.judge import held_throughout
@@ -77,13 +78,12 @@ class WireRun:
         return self.phase == Phase.IDLE
 
 
-def run_over_the_wire(task: DeploymentTask, twin: int, attempts: int = 1) -> WireRun:
+def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
     """Start emulators with a twin in another process and deploy on them.
 
     Args:
         task: its cell's addresses are on the loopback.
         twin: which one.
-        attempts: most of them at the object.
 
     Returns:
         how it went. Where the robot says that it can't reach the grasp, the object is put elsewhere, as a
@@ -93,28 +93,20 @@ def run_over_the_wire(task: DeploymentTask, twin: int, attempts: int = 1) -> Wir
         FungraspError: the emulators can't be started, or a device does not answer.
     """
     began = time.monotonic()
-    placements = reachable_placements(task.cell, task.hand, task.thing, task.grasp, task.seed)
-    run, count, said = deploy_where_reached(
-        placements, lambda placement: _run_at(task, twin, placement, attempts)
-    )
+    placements = reachable_placements(task.cell, task.hand, task.thing, task.grasp, task.spec.seed)
+    run, count, said = deploy_where_reached(placements, lambda placement: _run_at(task, twin, placement))
     seconds = time.monotonic() - began
     if run is None:
         return _not_begun(task, twin, said, count, seconds)
     return replace(run, placements=count, seconds=seconds)
 
 
-def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray, attempts: int) -> WireRun:
+def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
     """A run with the object at a placement, shape [7]."""
     meter = _ProcessMeter()
     with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
         try:
-            result = deploy_on_robot(
-                task,
-                settings=DeploymentSettings(attempts=attempts),
-                on_connect=meter.watch,
-                on_phase=meter.note,
-                hold=lambda robot: None,
-            )
+            result = deploy_on_robot(task, [meter])
         except UnreachableError:
             process.end()
             raise
@@ -186,7 +178,7 @@ def _latest(monitor: DeadlineMonitor) -> float:
     return 1e3 * max(monitor.lateness, default=-1e-3)
 
 
-class _ProcessMeter:
+class _ProcessMeter(DeploymentObserver):
     """Processor time of this process and of the drivers', from the first motion to the end."""
 
     def __init__(self) -> None:
@@ -194,12 +186,23 @@ class _ProcessMeter:
         self._began: tuple[float, dict[str, float]] | None = None
         self._cores: dict[str, float] = {}
 
-    def watch(self, robot: Robot) -> None:
-        """Called with the connected robot."""
+    def connected(self, robot: Robot) -> None:
+        """See ``DeploymentObserver.connected``."""
         self._drivers = {"arm driver": robot.arm, "hand driver": robot.hand_driver}
 
-    def note(self, phase: Phase) -> None:
-        """Called as a phase begins."""
+    def hold(self, robot: Robot) -> bool:
+        """See ``DeploymentObserver.hold``: nobody is there."""
+        return True
+
+    def phase(self, time: float, phase: Phase) -> None:
+        """See ``DeploymentObserver.phase``."""
+        self._note(phase)
+
+    def fault(self, time: float, reason: str) -> None:
+        """See ``DeploymentObserver.fault``."""
+        self._note(Phase.FAULT)
+
+    def _note(self, phase: Phase) -> None:
         now = time.monotonic(), self._times()
         if phase is Phase.MOVE_TO_START:
             self._began = now

@@ -19,7 +19,8 @@ from fungrasp.core.version import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
-    "deployment.deployment_result": "DeploymentSpec",
+    "deployment.observer": "DeploymentObserver",
+    "deployment.spec": "DeploymentSpec",
     "evaluation": "LiftTestSpec evaluate static_quality",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
@@ -34,6 +35,9 @@ _NAMES = {
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
+    "training.settings": "TrainSpec",
+    "training.train": "train",
+    "training.training_sets": "TrainingSet",
     "viewer.view": "view",
     "task": "Action Belief GraspPlan LiftEnvironment Observation Policy play",
 }

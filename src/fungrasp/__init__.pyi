@@ -3,7 +3,8 @@
 from fungrasp.core.jobs import PartStore as PartStore
 from fungrasp.core.jobs import RayCluster as RayCluster
 from fungrasp.deployment.deploy import deploy as deploy
-from fungrasp.deployment.deployment_result import DeploymentSpec as DeploymentSpec
+from fungrasp.deployment.observer import DeploymentObserver as DeploymentObserver
+from fungrasp.deployment.spec import DeploymentSpec as DeploymentSpec
 from fungrasp.evaluation import LiftTestSpec as LiftTestSpec
 from fungrasp.evaluation import evaluate as evaluate
 from fungrasp.evaluation import static_quality as static_quality
@@ -39,6 +40,9 @@ from fungrasp.task import LiftEnvironment as LiftEnvironment
 from fungrasp.task import Observation as Observation
 from fungrasp.task import Policy as Policy
 from fungrasp.task import play as play
+from fungrasp.training.settings import TrainSpec as TrainSpec
+from fungrasp.training.train import train as train
+from fungrasp.training.training_sets import TrainingSet as TrainingSet
 from fungrasp.viewer.view import view as view
 
 __version__: str

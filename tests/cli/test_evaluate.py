@@ -142,7 +142,7 @@ SOME = {
 
 
 def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", SOME)
+    monkeypatch.setattr("fungrasp.sim2real.randomization.ROBUSTNESS", SOME)
     path, plain, record = tmp_path / "r.json", tmp_path / "e.json", tmp_path / "trials"
     options = ("--grasps", human, "--seed", 0, 1, "--protocol", "robustness")
     options += ("--json", path, "--record", record)

@@ -70,11 +70,9 @@ print([name for name in {HEAVY!r} if name in sys.modules], status)
 
 
 def test_the_help_of_training_does_not_wait_for_torch():
-    modules = ("train", "distill", "predictor")
-    program = f"""
-import importlib, sys
-for name in {modules!r}:
-    importlib.import_module("fungrasp.cli." + name)
+    program = """
+import sys
+import fungrasp.cli.train
 print("torch" in sys.modules, "rsl_rl" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

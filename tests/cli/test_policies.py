@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -75,13 +73,6 @@ def test_the_list_of_what_comes_with_the_package_fits_a_page(capsys: pytest.Capt
     assert len(lines) > 3 and max(map(len, lines)) <= 130
 
 
-def test_list_as_json(shipped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["policies", "list", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [row["name"] for row in rows] == list(NAMES)
-    assert rows[1]["bytes"] == (shipped / "allegro-teacher.onnx").stat().st_size
-
-
 def test_a_list_of_none(tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(policy_file, "FOLDER", tmp_path / "none")
     assert main(["policies", "list"]) == 0
@@ -108,14 +99,6 @@ def test_info_says_everything(shipped: Path, capsys: pytest.CaptureFixture[str])
     assert "\x1b" not in out
 
 
-def test_info_of_a_file_as_json(shipped: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["policies", "info", str(shipped / "allegro-student.onnx"), "--json"]) == 0
-    card = json.loads(capsys.readouterr().out)
-    assert card["observation"] == [{"name": "joint_positions", "size": 4}]
-    assert list(card["gains"]) == card["joint_names"] and card["gains"][card["joint_names"][0]] == [4.0, 0.15]
-    assert card["budget"] == {"steps": 3_000_000, "seconds": 5400.0, "machine": "two cores"}
-
-
 def test_unknown_and_damaged(shipped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["policies", "info", "allegro-studen"]) == 2
     assert "Did you mean 'allegro-student'?" in capsys.readouterr().err
@@ -124,21 +107,3 @@ def test_unknown_and_damaged(shipped: Path, tmp_path: Path, capsys: pytest.Captu
     assert main(["policies", "info", str(tmp_path / "cut.onnx")]) == 2
     said = capsys.readouterr()
     assert said.out == "" and said.err.count("\n") == 1 and "cut.onnx: damaged or changed since" in said.err
-
-
-def test_neither_torch_nor_onnx_is_needed(folder: Path) -> None:
-    program = f"""
-import sys
-
-class Nothing:
-    def find_spec(self, name, path=None, target=None):
-        if name in ("torch", "onnx"):
-            raise ModuleNotFoundError(name)
-
-sys.meta_path.insert(0, Nothing())
-from fungrasp.cli.main import main
-sys.exit(main(["policies", "list"]) or main(["policies", "info", {str(folder / "allegro-student.onnx")!r}]))
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "allegro-student: student" in done.stdout

@@ -71,15 +71,15 @@ def test_what_differs_from_an_interrupted_training_is_named(tmp_path, capsys):
 
 def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):
     pytest.importorskip("rsl_rl")
-    import fungrasp.training.run as training
+    import fungrasp.training.train as training
 
     class Enough(Exception):
         pass
 
     asked = []
 
-    def stand_in(out, sets, hand, settings, *others, **more):
-        asked.append(settings.environment)
+    def stand_in(out, sets, hand, spec, **more):
+        asked.append(spec.environment)
         raise Enough
 
     monkeypatch.setattr(training, "train", stand_in)
@@ -87,7 +87,7 @@ def test_worlds_can_be_named_by_what_they_are_drawn_from(tmp_path, monkeypatch):
     save_human_grasps(grasps, some_grasps())
     for worlds in ("reality", None):
         with pytest.raises(Enough):
-            Train(tmp_path / "out", (str(grasps),), worlds=worlds).run()
+            Train(out=tmp_path / "out", grasps=(str(grasps),), worlds=worlds).run()
     assert [one.randomization for one in asked] == [REALITY, MODERATE]
 
 

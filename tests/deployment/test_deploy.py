@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from robot_cells import Told
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.record_json import record_from_json, record_to_json
-from fungrasp.deployment.deployment_result import DeploymentSpec
 from fungrasp.deployment.log import read_log
+from fungrasp.deployment.spec import DeploymentSpec
 
 FAST = DeploymentSpec(policy="reference", until="lift", real_time=False)
 
@@ -32,7 +33,7 @@ def robot(human, objects):
 def test_a_grasp_is_deployed_on_a_twin_and_logged(robot, objects, tmp_path):
     phases: list[str] = []
     result = fungrasp.deploy(
-        robot[:1], objects, spec=FAST, log=tmp_path / "lift.mcap", on_phase=lambda phase: phases.append(phase)
+        robot[:1], objects, spec=FAST, log=tmp_path / "lift.mcap", observer=Told(phases.append)
     )
     assert result.phase == "done" and result.spec == FAST
     assert phases[:3] == ["move to start", "grasp", "lift"]

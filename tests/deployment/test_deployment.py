@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robot_cells import cell_and_hand, deploy, grasp_and_object, near_cell, placed
+from robot_cells import Told, cell_and_hand, deploy, grasp_and_object, near_cell, placed
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.log import McapLog, read_log
+from fungrasp.deployment.log import McapLog, read_log, replay_log
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
-from fungrasp.deployment.replay import replay_log
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import RobotError
@@ -43,19 +43,19 @@ class Spoiled(OpenLoopPolicy):
 def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     pytest.importorskip("mcap")
     path = tmp_path_factory.mktemp("log") / "log.mcap"
-    with McapLog(path) as log:
-        return deploy(log=log, until=Phase.HOME, about={"policy": "reference"}), path
+    with McapLog(path, {"policy": "reference"}) as log:
+        return deploy(log, until="home"), path
 
 
 def test_a_grasp_is_lifted_put_down_and_the_arm_goes_home(lifted: tuple[Any, Path]) -> None:
     outcome, path = lifted
-    assert outcome.result.fault == ""
-    assert outcome.result.phase is Phase.DONE
+    assert outcome.fault == ""
+    assert outcome.phase is Phase.DONE
     assert outcome.success and outcome.height > 0.1
     phases = [e["text"] for e in read_log(path).messages["/event"] if e["what"] == "phase"]
     assert phases == [p.value for p in Phase if p not in (Phase.IDLE, Phase.FAULT, Phase.WITHDRAW)]
     # Without a wall clock no tick is late.
-    assert max(outcome.result.ticks.lateness) < 0.003
+    assert max(outcome.ticks.lateness) < 0.003
 
 
 def test_every_setpoint_keeps_the_limits(lifted: tuple[Any, Path]) -> None:
@@ -107,7 +107,7 @@ def test_a_log_is_not_overwritten(lifted: tuple[Any, Path]) -> None:
 def test_the_same_twin_does_the_same_again() -> None:
     one, two = deploy(), deploy()
     assert one.height == two.height
-    assert one.result.times == two.result.times
+    assert one.times == two.times
 
 
 def spoil_tracker(world: Any) -> None:
@@ -147,7 +147,7 @@ def flip_tracker(world: Any) -> None:
 
 
 def test_a_tracker_that_flips_is_refused_before_anything_is_planned() -> None:
-    result = deploy(prepare_world=flip_tracker).result
+    result = deploy(spoil=flip_tracker)
     assert result.phase is Phase.FAULT and result.prepared is None
     assert "turned by" in result.fault and "look at the tracker" in result.fault
 
@@ -157,7 +157,7 @@ def test_a_tracker_that_flips_is_refused_before_anything_is_planned() -> None:
     [(spoil_tracker, "the tracked pose is"), (jump_tracker, "the tracked object has jumped")],
 )
 def test_a_tracker_that_fails_before_the_hand_closes_stops_the_arm(spoil: Any, said: str) -> None:
-    result = deploy(prepare_world=spoil).result
+    result = deploy(spoil=spoil)
     assert result.phase is Phase.FAULT
     assert said in result.fault
     assert "lift" not in result.times
@@ -174,7 +174,7 @@ def test_an_object_that_is_moved_while_the_arm_goes_to_the_start_stops_it() -> N
 
         world._track = track
 
-    result = deploy(cell=cell_and_hand()[0], prepare_world=carry_away).result
+    result = deploy(cell=cell_and_hand()[0], spoil=carry_away)
     assert "the tracked object has jumped" in result.fault
     assert result.times["fault"] < 2.5 and "grasp" not in result.times
 
@@ -189,7 +189,7 @@ def test_an_object_that_is_moved_while_the_arm_goes_to_the_start_stops_it() -> N
     ],
 )
 def test_a_policy_gone_wrong_stops_the_robot(change: Any, said: str) -> None:
-    result = deploy(policy=Spoiled(5, change)).result
+    result = deploy(policy=Spoiled(5, change))
     assert result.phase is Phase.FAULT
     assert said in result.fault
 
@@ -207,7 +207,7 @@ def test_a_device_that_fails_stops_the_robot(
         return read(self)
 
     monkeypatch.setattr(device, "read", failing)
-    result = deploy().result
+    result = deploy()
     assert result.phase is Phase.FAULT
     assert said in result.fault
     assert ("silent" if how == "frozen" else "motor hot") in result.fault
@@ -228,7 +228,7 @@ def test_the_stop_file_stops_the_arm_and_it_comes_to_rest(tmp_path: Path) -> Non
         if now is Phase.LIFT:
             file.touch()
 
-    result = deploy(switch=switch, prepare_world=keep, on_phase=phase).result
+    result = deploy(Told(phase), switch=switch, spoil=keep)
     assert result.phase is Phase.FAULT
     assert "stop file" in result.fault
     world = seen["world"]
@@ -237,9 +237,7 @@ def test_the_stop_file_stops_the_arm_and_it_comes_to_rest(tmp_path: Path) -> Non
 
 
 def test_a_full_disk_stops_the_robot() -> None:
-    from fungrasp.deployment.log import DeploymentLog
-
-    class Full(DeploymentLog):
+    class Full(DeploymentObserver):
         count = 0
 
         def step(self, *given: Any) -> None:
@@ -247,7 +245,7 @@ def test_a_full_disk_stops_the_robot() -> None:
             if self.count > 10:
                 raise OSError(28, "No space left on device")
 
-    result = deploy(log=Full()).result
+    result = deploy(Full())
     assert result.phase is Phase.FAULT
     assert "No space left" in result.fault
 
@@ -256,7 +254,7 @@ def test_a_disk_that_is_full_at_the_end_hides_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with McapLog(tmp_path / "a.mcap") as log:
-        log.event(0.0, "phase", "done")
+        log.phase(0.0, Phase.DONE)
 
         def full() -> None:
             raise OSError(28, "No space left on device")
@@ -272,8 +270,8 @@ def test_a_dry_run_moves_nothing() -> None:
     def keep(world: Any) -> None:
         seen["world"], seen["before"] = world, world.arm_state()[0].copy()
 
-    outcome = deploy(dry_run=True, prepare_world=keep)
-    assert outcome.result.fault == ""
+    outcome = deploy(dry_run=True, spoil=keep)
+    assert outcome.fault == ""
     assert not outcome.success
     assert np.abs(seen["world"].arm_state()[0] - seen["before"]).max() < 0.01
 
@@ -320,9 +318,7 @@ def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest
         if now is Phase.PUT_DOWN:
             seen["put down"] = seen["world"].time
 
-    result = deploy(
-        cell=cell, until=Phase.HOME, prepare_world=lambda world: seen.update(world=world), on_phase=phase
-    ).result
+    result = deploy(Told(phase), cell=cell, until="home", spoil=lambda world: seen.update(world=world))
     assert "the arm has been silent" in result.fault
     world = seen["world"]
     high = float(world.center_of_mass()[2])

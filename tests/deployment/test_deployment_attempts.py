@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robot_cells import deploy
+from robot_cells import Told, deploy
 
-from fungrasp.deployment.log import McapLog, read_log
+from fungrasp.deployment.log import McapLog, read_log, replay_log
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.replay import replay_log
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.twin.twin_model import OBJECT
 from fungrasp.task import Action, GraspPlan, Observation
@@ -46,14 +45,14 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path, Low]:
     path, policy = tmp_path_factory.mktemp("log") / "log.mcap", Low(1)
     with McapLog(path) as log:
         # Let go of from so low, the glass of other grasps topples, and is not found where it stood.
-        return deploy(log=log, policy=policy, until=Phase.HOME, attempts=2, row=9), path, policy
+        return deploy(log, policy=policy, until="home", attempts=2, row=9), path, policy
 
 
 def test_what_is_held_too_low_is_put_down_and_lifted_by_another_attempt(twice: tuple[Any, Path, Low]) -> None:
     outcome, path, policy = twice
-    assert outcome.result.fault == ""
+    assert outcome.fault == ""
     assert outcome.success and outcome.height > 0.1
-    assert outcome.result.attempts == 2 and not outcome.result.missed
+    assert outcome.attempts == 2 and not outcome.missed
     once = [Phase.MOVE_TO_START, Phase.GRASP, Phase.LIFT, Phase.HOLD]
     assert phases(path) == [*once, Phase.WITHDRAW, *once, Phase.PUT_DOWN, Phase.HOME, Phase.DONE]
     # The object was put down about where it stood, and looked at again.
@@ -73,16 +72,16 @@ def test_the_log_of_two_attempts_replays_to_the_same_actions(twice: tuple[Any, P
 def test_the_last_attempt_that_fails_ends_at_home_with_an_open_hand(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     with McapLog(tmp_path / "log.mcap") as log:
-        outcome = deploy(log=log, policy=Low(2), until=Phase.HOME, attempts=2)
-    assert outcome.result.fault == "" and outcome.result.phase is Phase.DONE
-    assert outcome.result.missed and outcome.result.attempts == 2 and not outcome.success
+        outcome = deploy(log, policy=Low(2), until="home", attempts=2)
+    assert outcome.fault == "" and outcome.phase is Phase.DONE
+    assert outcome.missed and outcome.attempts == 2 and not outcome.success
     assert phases(tmp_path / "log.mcap")[-3:] == [Phase.WITHDRAW, Phase.HOME, Phase.DONE]
 
 
 def test_one_attempt_is_not_judged() -> None:
     outcome = deploy(policy=Low(1), attempts=1)
-    assert outcome.result.phase is Phase.DONE
-    assert not outcome.result.missed and not outcome.success
+    assert outcome.phase is Phase.DONE
+    assert not outcome.missed and not outcome.success
 
 
 def test_an_object_that_is_taken_away_is_not_looked_for_elsewhere() -> None:
@@ -99,6 +98,6 @@ def test_an_object_that_is_taken_away_is_not_looked_for_elsewhere() -> None:
             address = world.model.jnt_qposadr[joint]
             world.data.qpos[address] += 0.6
 
-    outcome = deploy(policy=Low(1), attempts=2, prepare_world=remember, on_phase=take)
-    assert outcome.result.attempts == 1 and outcome.result.missed
-    assert outcome.result.fault == "" and outcome.result.phase is Phase.DONE
+    outcome = deploy(Told(take), policy=Low(1), attempts=2, spoil=remember)
+    assert outcome.attempts == 1 and outcome.missed
+    assert outcome.fault == "" and outcome.phase is Phase.DONE

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from emulated_robots import GRASP, EmulatedRobot, MeanwhilePreparer, emulated_robot
+from robot_cells import Told
 
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
 from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp_emulators.emulator import Fault
 
@@ -23,9 +24,9 @@ for module in ("rtde_control", "ruckig", "pymodbus", "mink"):
 def planned(device: EmulatedRobot, meanwhile: Any) -> tuple[str, float, list[Phase]]:
     """What was wrong with a run to the start of a plan, by how much the arm moved [rad], and its phases."""
     begun: list[Phase] = []
-    preparer, settings = MeanwhilePreparer(meanwhile), DeploymentSettings(look_time=0.1)
+    preparer, spec = MeanwhilePreparer(meanwhile), DeploymentSpec(look_time=0.1)
     before, grasp = device.postures()[0], GRASP
-    run = Deployment(device.robot, OpenLoopPolicy(), preparer, settings=settings, on_phase=begun.append)
+    run = Deployment(device.robot, OpenLoopPolicy(), preparer, spec, [Told(begun.append)])
     # After the motion to the start: there is no plan.
     with contextlib.suppress(AttributeError):
         run.run(grasp)

@@ -8,7 +8,7 @@ from small_parts import evaluate_in_parts
 
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, result_json
 from fungrasp.geometry.poses import compose
-from fungrasp.policies.scripted import plan_step
+from fungrasp.policies.open_loop import plan_step
 from fungrasp.sim2real import REALITY, MeasurementError, Randomization
 from fungrasp.task import Action, GraspPlan, Observation
 

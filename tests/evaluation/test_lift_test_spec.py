@@ -41,7 +41,7 @@ def test_policy_and_protocol_take_the_place_of_those_asked(good, things):
 
 def test_conditions_are_results_of_their_own(good, things, monkeypatch):
     some = {"nominal": Randomization(), "heavy": Randomization(mass=(2.0, 2.0))}
-    monkeypatch.setattr("fungrasp.sim2real.presets.ROBUSTNESS", some)
+    monkeypatch.setattr("fungrasp.sim2real.randomization.ROBUSTNESS", some)
     result = evaluate(good.select([0]), things, spec=LiftTestSpec(protocol="robustness", lift=SHORT))
     assert list(result.conditions) == ["nominal", "heavy"] and result.episodes == 2
     np.testing.assert_array_equal(result.success, result.conditions["nominal"].success)

@@ -15,10 +15,9 @@ MODULES = {
     "grasp_set": "commands",
     "hands": "added_hands",
     "identification": "comparison",
-    "paper": "commands",
+    "paper": "tables",
     "peers": "compare",
     "perception": "commands",
-    "speed": "commands",
     "wire": "series",
 }
 """Where the command of a benchmark is."""

@@ -14,12 +14,10 @@ def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Objects of the deployments, of which every second misses; each object can be put in two places."""
     names: list[str] = []
 
-    def deploy(cell, hand, thing, *arguments, **options):
-        names.append(thing.name)
-        result = SimpleNamespace(fault="", attempts=options["settings"].attempts)
-        return SimpleNamespace(
-            result=result, success=len(names) % 2 == 1, height=0.11, tracking=0.02, sag=0.03
-        )
+    def deploy(task, *arguments, **options):
+        names.append(task.thing.name)
+        measured = {"height": 0.11, "tracking": 0.02, "sag": 0.03}
+        return SimpleNamespace(fault="", attempts=task.spec.attempts, success=len(names) % 2 == 1, **measured)
 
     def reach(cell, hand, thing, grasp, seed=0):
         yield from (np.array([x, 0, 0, 1, 0, 0, 0]) for x in (0.1, 0.2))

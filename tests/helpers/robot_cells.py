@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -9,10 +10,13 @@ from typing import Any
 import numpy as np
 from ideal_twin import IDEAL
 
-from fungrasp.deployment.deployment import DeploymentSettings
+from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.deployment_task import DeploymentTask
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer
-from fungrasp.deployment.twin_deployment import TwinOutcome, deploy_on_twin, reachable_placement
+from fungrasp.deployment.spec import DeploymentSpec, Until
+from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
@@ -20,7 +24,9 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.twin.parameters import draw_twin
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp.robots.twin.parameters import TwinParameters, draw_twin
 
 ROW = 10
 """A built-in grasp that an ideal twin lifts: the wine glass."""
@@ -57,29 +63,70 @@ def near_cell(row: int = ROW) -> RobotCell:
     return replace(cell, arm=replace(cell.arm, home=tuple(start.tolist())))
 
 
-def deploy(
-    *,
-    until: Phase = Phase.HOLD,
-    speed: float = 1.0,
-    policy: Any = None,
-    cell: RobotCell | None = None,
-    attempts: int = 1,
-    row: int = ROW,
-    **options: Any,
-) -> TwinOutcome:
-    """The built-in grasp on an ideal twin, without a clock."""
+class Told(DeploymentObserver):
+    """Calls what it was given."""
+
+    def __init__(
+        self,
+        phase: Callable[[Phase], object] = lambda phase: None,
+        connected: Callable[[Robot], object] = lambda robot: None,
+        confirm: Callable[[Phase, Callable[[], None]], object] = lambda phase, meanwhile: None,
+        hold: Callable[[Robot], object] | None = None,
+    ):
+        self._phase, self._connected, self._confirm, self._hold = phase, connected, confirm, hold
+
+    def phase(self, time: float, phase: Phase) -> None:
+        self._phase(phase)
+
+    def connected(self, robot: Robot) -> None:
+        self._connected(robot)
+
+    def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
+        self._confirm(phase, meanwhile)
+
+    def hold(self, robot: Robot) -> bool:
+        if self._hold is not None:
+            self._hold(robot)
+        return self._hold is not None
+
+
+def spec(**options: Any) -> DeploymentSpec:
+    """A short look, without a clock."""
+    return DeploymentSpec(**{"look_time": 0.3, "real_time": False, "policy": "reference", **options})
+
+
+def task(
+    *, policy: Any = None, cell: RobotCell | None = None, row: int = ROW, planner: Any = None, **options: Any
+) -> DeploymentTask:
+    """The built-in grasp with a plan of one motion."""
     _, hand = cell_and_hand()
     grasp, thing = grasp_and_object(row)
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
-    return deploy_on_twin(
+    return DeploymentTask(
+        spec(**options),
         cell or near_cell(row),
         hand,
         thing,
         grasp,
-        placed(row),
         policy or OpenLoopPolicy(),
-        MotionPlanner(hand, {thing.name: thing}),
-        truth,
-        settings=DeploymentSettings(look_time=0.3, until=until, attempts=attempts, speed=speed),
-        **options,
+        planner or MotionPlanner(hand, {thing.name: thing}),
     )
+
+
+@cache
+def ideal() -> TwinParameters:
+    hand = cell_and_hand()[1]
+    return draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
+
+
+def deploy(
+    *observers: DeploymentObserver,
+    until: Until = "lift",
+    spoil: Callable[[Any], object] = lambda world: None,
+    switch: StopSwitch | None = None,
+    row: int = ROW,
+    **options: Any,
+) -> DeploymentResult:
+    """The built-in grasp on an ideal twin, without a clock. spoil: called with the twin's world."""
+    told = Told(connected=lambda robot: spoil(robot.clock._world))  # pyright: ignore[reportAttributeAccessIssue]
+    what = task(until=until, row=row, **options)
+    return deploy_on_twin(what, placed(row), ideal(), [told, *observers], switch=switch)

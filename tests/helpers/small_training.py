@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
+from fungrasp.policies.checkpoint.card import PolicyCard
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.retargeting import retarget
 from fungrasp.simulation import Device
+from fungrasp.training.distill import train_student
 from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
 from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
-from fungrasp.training.run import RunSettings
-from fungrasp.training.settings import PpoSettings
+from fungrasp.training.settings import CurveSettings, DistillSettings, PpoSettings, StudentSpec, TrainSpec
+from fungrasp.training.train import train
 from fungrasp.training.training_sets import TrainingSet
 
 WORLDS = 8
@@ -48,8 +52,32 @@ def environment(seed: int = 0, device: Device = "cpu", **settings: Any) -> Train
     return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, 1, device)
 
 
-def run_settings(**ppo: Any) -> RunSettings:
-    return RunSettings(0, Variety(copies=1), EnvironmentSettings(worlds=WORLDS), replace(PPO, **ppo))
+def run_spec(steps: float = BATCH, curve: CurveSettings | None = None, **ppo: Any) -> TrainSpec:
+    return TrainSpec(
+        steps,
+        threads=1,
+        device="cpu",
+        curve=curve or CurveSettings(every=0),
+        environment=EnvironmentSettings(worlds=WORLDS),
+        ppo=replace(PPO, **ppo),
+        variety=Variety(copies=1),
+    )
+
+
+def trained(
+    folder: Path, spec: TrainSpec | None = None, sets: list[TrainingSet] | None = None, **more: Any
+) -> PolicyCard:
+    """Train, with fields of the spec; the policy's card."""
+    spec = replace(spec or run_spec(), **more)
+    return load_policy(train(folder, sets or [training_set()], hand(), spec)).card
+
+
+def distilled(
+    teacher: Path, folder: Path, steps: float, settings: DistillSettings, **more: Any
+) -> PolicyCard:
+    """Distill; the student's card."""
+    spec = StudentSpec(steps, threads=1, settings=settings)
+    return load_policy(train_student(teacher, folder, spec, **more)).card
 
 
 def unusable(grasps: RobotGraspSet) -> RobotGraspSet:

@@ -8,8 +8,7 @@ from pathlib import Path
 import torch
 from small_training import BATCH, PPO, environment
 
-from fungrasp.training.ppo import Trainer
-from fungrasp.training.processes import Processes, joined
+from fungrasp.training.ppo import Processes, Trainer, joined
 
 
 def trained(processes: Processes, steps: int, checkpoint: Path) -> tuple[torch.Tensor, torch.Tensor]:
@@ -18,7 +17,7 @@ def trained(processes: Processes, steps: int, checkpoint: Path) -> tuple[torch.T
     if checkpoint.exists():
         trainer.load(checkpoint)
     processes.wait()
-    trainer.learn(steps, checkpoint=checkpoint if processes.first else None, every=1)
+    trainer.learn_until(steps, checkpoint=checkpoint if processes.first else None, every=1)
     assert trainer.steps == steps
     processes.wait()
     numbers = [values.double().flatten() for values in trainer.actor.state_dict().values()]

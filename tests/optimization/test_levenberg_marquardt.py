@@ -96,3 +96,26 @@ def test_a_batch_is_each_grasp_by_itself(name: str):
         found = minimize(alone_points, alone, TERMS, *initial_pose(alone_points, alone), 15)
         for batch, single in zip(together, found, strict=True):
             np.testing.assert_allclose(batch[row], single[0], rtol=1e-6, atol=1e-7)
+
+
+def test_grasps_that_have_left_are_not_touched():
+    points, problem = setting("allegro")
+    loops = NormalEquations(points, problem, [terms.contact_gap, terms.link_direction])
+    found = loops.empty(np.array([True, False, True, True, False, True]))
+    found.cost[:] = 7.0
+    loops.evaluate(found, *initial_pose(points, problem))
+    assert np.all((found.cost == 7.0) == [False, True, False, False, True, False])
+    assert np.all(found.gradient[[1, 4]] == 0)
+
+
+def test_a_row_that_is_not_a_number_harms_no_other():
+    points, problem = setting("allegro")
+    start = initial_pose(points, problem)
+    objective = [terms.contact_gap, terms.object_penetration, terms.link_direction]
+    expected = minimize(points, problem, objective, *start, 10)
+    problem.joints[2] = np.nan
+    found = minimize(points, problem, objective, *start, 10)
+    others = [0, 1, 3, 4, 5]
+    for got, wanted in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(got[others], wanted[others])
+    np.testing.assert_array_equal(found[0][2], start[0][2])

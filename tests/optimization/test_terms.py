@@ -1,21 +1,22 @@
-"""Each term: a value worked out by hand, and its derivative against differences. Of the compiled terms, their
-plain versions are tried here; ``test_reference`` compares the two."""
+"""Each term: values worked out by hand, gradients against differences of the cost, Hessians that fit both."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
-import reference_terms as terms
 from retarget_scenes import around_field, field, problem_with
 from scipy.spatial.transform import Rotation
 
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import NormalEquations
+from fungrasp.optimization.link_contacts import contacts_of_links
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting import dexgraspnet
 
@@ -23,249 +24,367 @@ COUNT = 3
 WALL = field(lambda p: p[..., 1] + 0.02)
 """Solid below y = -0.02."""
 BALL = field(lambda p: np.linalg.norm(p, axis=-1) - 0.08, spacing=0.0025, half=0.2)
+FIELDS = ("joints", "contacts", "surface", "normals", "center", "extent")
 
 
 class Case:
     """Hands in random poses, half closed, and what surrounds them."""
 
-    def __init__(self, name: str, grid=WALL, table: float = -10.0, closed: float = 0.5, **given: np.ndarray):
-        kinematics = HandKinematics(load_hand(name), COUNT)
+    def __init__(self, name: str, grid=WALL, table: float = -10.0, closed: float = 0.5):
+        self.kinematics = kinematics = HandKinematics(load_hand(name), COUNT)
         self.points = HandPoints(kinematics)
+        self.match = self.points.match
         random = np.random.default_rng(0)
         rotation = Rotation.random(COUNT, random).as_quat(scalar_first=True)
         self.pose = np.concatenate([random.uniform(-0.02, 0.02, (COUNT, 3)), rotation], axis=1)
         share = closed + random.uniform(-0.1, 0.1, (COUNT, 1))
         self.joints = kinematics.lower + share * (kinematics.upper - kinematics.lower)
-        links = 1 + len(self.points.match.far)
-        default = {
-            "joints": random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
-            "contacts": np.ones((COUNT, links), dtype=bool),
-            "surface": random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
-            "normals": np.broadcast_to([0.0, 1.0, 0.0], (COUNT, 21, 3)),
-        }
-        self.problem = problem_with(around_field(grid, COUNT, table), **(default | given))
+        self.problem: RetargetingProblem = problem_with(
+            around_field(grid, COUNT, table),
+            joints=random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
+            contacts=np.ones((COUNT, 1 + len(self.match.far)), dtype=bool),
+            surface=random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
+            normals=np.broadcast_to([0.0, 1.0, 0.0], (COUNT, 21, 3)),
+        )
 
     @property
     def state(self) -> HandState[RetargetingProblem]:
         return HandState(self.points, self.problem, self.pose, self.joints)
 
+    @property
+    def heights(self) -> np.ndarray:
+        """Of the spheres above the wall [m]."""
+        return self.state.spheres[..., 1] + 0.02 - self.points.spheres.radius
+
     def change(self, **given: np.ndarray) -> None:
         self.problem = problem_with(self.problem, **{k: getattr(self.problem, k) for k in FIELDS} | given)
 
-    def stepped(self, tangent: np.ndarray) -> HandState[RetargetingProblem]:
-        kinematics = self.points.kinematics
-        return HandState(self.points, self.problem, *kinematics.step(self.pose, self.joints, tangent))
+    def touch_with(self, links: np.ndarray) -> None:
+        """Only these links should touch, shape [L - 1] bool."""
+        self.change(contacts=np.tile([False, *links], (COUNT, 1)))
+
+    def around_the_ball(self) -> None:
+        """Fingertips about the ball, which alone should touch."""
+        tips = self.match.far[self.match.is_last]
+        self.pose[:, :3] -= self.state.keypoints[:, tips].mean(axis=1)
+        self.pose[:, 0] -= 0.04
+        self.touch_with(self.match.is_last)
+
+    def equations(self, term: terms.Term, tangent: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+        """Cost, Hessian and gradient, after a step along a tangent vector."""
+        pose, joints = self.pose, self.joints
+        if tangent is not None:
+            pose, joints = self.kinematics.step(pose, joints, np.tile(tangent, (COUNT, 1)))
+        loops = NormalEquations(self.points, self.problem, [term])
+        found = loops.empty(np.ones(COUNT, dtype=bool))
+        loops.evaluate(found, pose, joints)
+        lower = np.tril(found.hessian, -1)
+        diagonal = found.hessian * np.eye(self.kinematics.size)
+        return found.cost, lower + np.swapaxes(lower, 1, 2) + diagonal, found.gradient
+
+    def cost(self, term: terms.Term) -> np.ndarray:
+        return self.equations(term)[0]
+
+    def differences(self, term: terms.Term, what: int, step: float | np.ndarray = 1e-6) -> np.ndarray:
+        """Of the cost (0) or the gradient (2) along each tangent coordinate, on the last axis."""
+        size = self.kinematics.size
+        steps = np.broadcast_to(step, (size,))
+        each = list(zip(steps, np.eye(size), strict=True))
+        pairs = [[self.equations(term, sign * h * e)[what] for sign in (1, -1)] for h, e in each]
+        return np.stack([(a - b) / (2 * h) for (a, b), h in zip(pairs, steps, strict=True)], axis=-1)
 
 
-FIELDS = ("joints", "contacts", "surface", "normals", "center", "extent")
+@pytest.fixture(params=["allegro", "inspire"])
+def case(request: pytest.FixtureRequest) -> Case:
+    """A hand with independent joints, and one with coupled ones."""
+    return Case(request.param)
 
-TERMS: dict[str, tuple[Callable, dict]] = {
+
+def near_start(case: Case) -> terms.Term:
+    start = (case.pose + np.repeat([0.01, 0.0], [1, 6]), case.joints + 0.1)
+    return partial(terms.stay_near, start=start, unit=0.5, position_unit=0.1, rotation_unit=0.2)
+
+
+def own_term(case: Case) -> terms.Term:
+    return terms.residual_terms([dexgraspnet.contact_distance_energy])
+
+
+EVERY: dict[str, tuple[terms.Term | Callable[[Case], terms.Term], dict]] = {
     "fingertip_position": (terms.fingertip_position, {}),
     "link_direction": (terms.link_direction, {}),
+    "links of the thumb": (partial(terms.link_direction, links=np.array([1, 2])), {}),
     "contact_position": (terms.contact_position, {}),
     "contact_gap": (terms.contact_gap, {}),
     "object_penetration": (terms.object_penetration, {}),
     "table_penetration": (terms.table_penetration, {"table": 0.0}),
     "self_penetration": (partial(terms.self_penetration, margin=0.02), {"closed": 0.8}),
-    "stay_near": (terms.stay_near, {}),
-    "dexgraspnet.contact_distance_energy": (dexgraspnet.contact_distance_energy, {}),
+    "stay_near": (near_start, {}),
+    "dexgraspnet: distance": (own_term, {}),
+    "dexgraspnet: object": (dexgraspnet.object_penetration_energy, {}),
+    "dexgraspnet: self": (partial(dexgraspnet.self_penetration_energy, margin=0.02), {"closed": 0.8}),
 }
 
 
+def made(case: Case, term: terms.Term | Callable[[Case], terms.Term]) -> terms.Term:
+    return term(case) if term in (near_start, own_term) else term
+
+
 @pytest.mark.parametrize("hand", ["allegro", "inspire"])
-@pytest.mark.parametrize("name", TERMS)
-def test_jacobian_is_the_derivative(name: str, hand: str):
-    term, given = TERMS[name]
+@pytest.mark.parametrize("name", EVERY)
+def test_gradient_is_the_derivative_of_the_cost(name: str, hand: str):
+    term, given = EVERY[name]
     case = Case(hand, **given)
-    size = case.points.kinematics.size
-    if name == "stay_near":
-        start = (case.pose, case.joints + 0.1)
-        term = partial(term, start=start, unit=0.5, position_unit=0.1, rotation_unit=0.2)
-    residual, jacobian = term(case.state)
-    assert jacobian.shape == (*residual.shape, size)
-    assert np.abs(residual).max() > 0
-    h = 1e-6
-    for direction in range(size):
-        tangent = np.zeros((COUNT, size))
-        tangent[:, direction] = h
-        ahead, behind = term(case.stepped(tangent))[0], term(case.stepped(-tangent))[0]
-        # Terms that pick the nearest spheres may list them in another order: their cost does not depend on
-        # it.
-        if "penetration" in name:
-            expected = (0.5 * (ahead**2).sum(axis=1) - 0.5 * (behind**2).sum(axis=1)) / (2 * h)
-            found = np.einsum("nr,nr->n", residual, jacobian[..., direction])
-        else:
-            expected, found = (ahead - behind) / (2 * h), jacobian[..., direction]
-        scale = max(1.0, float(np.abs(jacobian).max()), float(np.abs(expected).max()))
-        np.testing.assert_allclose(found, expected, atol=1e-4 * scale)
+    term = made(case, term)
+    cost, hessian, gradient = case.equations(term)
+    assert np.any(cost > 0)
+    expected = case.differences(term, 0)
+    np.testing.assert_allclose(gradient, expected, atol=2e-4 * max(1.0, float(np.abs(expected).max())))
+    # Of J^T J, with r^T J: what J explains of the residuals is no more than they are.
+    explained = np.einsum("nd,nde,ne->n", gradient, np.linalg.pinv(hessian, 1e-9, True), gradient)
+    assert np.all(explained <= 2 * cost * (1 + 1e-6))
+
+
+@pytest.mark.parametrize("hand", ["allegro", "inspire"])
+@pytest.mark.parametrize(
+    "name", ["key point", "contact", "gap", "object", "table", "self", "stay_near", "force_closure"]
+)
+def test_a_few_residuals_are_explained_by_hessian_and_gradient(name: str, hand: str):
+    """Where the rows of J are independent, g (J^T J)^+ g = |r|^2: the three belong together."""
+    ball, table = name == "force_closure", 0.0 if name == "table" else -10.0
+    closed = 0.8 if name == "self" else 0.3 if ball else 0.5
+    case = Case(hand, BALL if ball else WALL, table, closed)
+    one = np.arange(len(case.match.far)) == 2
+    if ball:
+        case.around_the_ball()
+    else:
+        case.touch_with(one)
+    at = {"which": case.match.far[one], "target": np.zeros((COUNT, 1, 3)), "weight": np.full((COUNT, 1), 9.0)}
+    term: terms.Term = {
+        "key point": partial(terms.keypoint_position, **at),
+        "contact": terms.contact_position,
+        "gap": terms.contact_gap,
+        "object": partial(terms.object_penetration, margin=0.2, count=2),
+        "table": partial(terms.table_penetration, margin=0.2, count=2),
+        "self": partial(terms.self_penetration, margin=0.02, count=1),
+        "stay_near": near_start(case),
+        "force_closure": terms.force_closure,
+    }[name]
+    cost, hessian, gradient = case.equations(term)
+    some = cost > 1e-12
+    assert some.any()
+    explained = np.einsum("nd,nde,ne->n", gradient, np.linalg.pinv(hessian, 1e-10, True), gradient)
+    np.testing.assert_allclose(explained[some], 2 * cost[some], rtol=1e-6)
+
+
+def test_without_residuals_the_hessian_is_that_of_the_cost(case: Case):
+    """Of directions: the person's links are laid along the robot's."""
+    joints, match = np.zeros((COUNT, 21, 3)), case.match
+    for s in range(len(match.far)):
+        along = case.state.keypoints[:, match.far[s]] - case.state.keypoints[:, match.near[s]]
+        joints[:, match.human_far[s]] = joints[:, match.human_near[s]] + 2 * along
+    case.change(joints=joints)
+    cost, hessian, _ = case.equations(terms.link_direction)
+    np.testing.assert_allclose(cost, 0.0, atol=1e-12)
+    expected = case.differences(terms.link_direction, 2)
+    np.testing.assert_allclose(hessian, expected, atol=1e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("hand", ["allegro", "inspire"])
 @pytest.mark.parametrize(
     "term",
-    [partial(terms.force_closure, friction=0.0), dexgraspnet.force_closure_energy],
+    [partial(terms.force_closure, friction=0.0), terms.residual_terms([dexgraspnet.force_closure_energy])],
     ids=["contact", "dexgraspnet"],
 )
-def test_force_closure_has_the_gradient_of_its_cost(term: Callable, hand: str):
-    """About: the normals' derivative is itself a difference over some millimetres."""
+def test_force_closure_has_about_the_gradient_of_its_cost(term: terms.Term, hand: str):
+    """About: the normals' derivative is itself a difference over some millimeters."""
     case = Case(hand, BALL, closed=0.3)
-    tips = case.points.match.far[case.points.match.is_last]
-    case.pose[:, :3] -= case.state.keypoints[:, tips].mean(axis=1)
-    case.pose[:, 0] -= 0.04
-    case.change(contacts=np.tile([False, *case.points.match.is_last], (COUNT, 1)))
-    size = case.points.kinematics.size
-    residual, jacobian = term(case.state)
-    steps = np.repeat([0.01, 0.1], [3, size - 3])
-    gradient = np.einsum("nr,nrd->nd", residual, jacobian) * steps
-    expected = np.empty_like(gradient)
-    for direction in range(size):
-        tangent = np.zeros((COUNT, size))
-        tangent[:, direction] = steps[direction]
-        ahead, behind = term(case.stepped(tangent))[0], term(case.stepped(-tangent))[0]
-        expected[:, direction] = ((ahead**2).sum(axis=1) - (behind**2).sum(axis=1)) / 4
+    case.around_the_ball()
+    steps = np.repeat([0.01, 0.1], [3, case.kinematics.size - 3])
+    gradient = case.equations(term)[2] * steps
+    expected = case.differences(term, 0, steps) * steps
     norms = np.linalg.norm(gradient, axis=1) * np.linalg.norm(expected, axis=1)
     assert np.all(np.sum(gradient * expected, axis=1) > 0.95 * norms)
 
 
-@pytest.fixture(params=["allegro", "inspire"])
-def case(request: pytest.FixtureRequest) -> Case:
-    return Case(request.param)
-
-
 def test_fingertip_position_counts_units(case: Case):
-    match, joints = case.points.match, case.problem.joints.copy()
+    match, joints = case.match, case.problem.joints.copy()
     tips = match.far[match.is_last]
     joints[:, match.human_far[match.is_last]] = case.state.keypoints[:, tips] - [0.01, 0.0, -0.03]
     case.change(joints=joints)
-    residual, _ = terms.fingertip_position(case.state, unit=0.01)
     np.testing.assert_allclose(
-        residual.reshape(COUNT, -1, 3), np.tile([1.0, 0.0, -3.0], (COUNT, len(tips), 1))
+        case.cost(partial(terms.fingertip_position, unit=0.01)), 0.5 * (1 + 9) * len(tips)
     )
 
 
 def test_link_direction_is_the_chord_between_directions(case: Case):
-    match = case.points.match
-    state = case.state
+    """All links turned by 60 degrees from the person's."""
+    match, state = case.match, case.state
     links = state.keypoints[:, match.far] - state.keypoints[:, match.near]
     side = np.cross(links, [0.3, 0.5, 0.8])
     side *= np.linalg.norm(links, axis=-1, keepdims=True) / np.linalg.norm(side, axis=-1, keepdims=True)
-    for finger in np.unique((match.human_near - 1) // 4):
-        joints = np.zeros((COUNT, 21, 3))
-        chosen = np.flatnonzero((match.human_near - 1) // 4 == finger)
-        for s in chosen:
-            turned = np.cos(np.pi / 3) * links[:, s] + np.sin(np.pi / 3) * side[:, s]
-            joints[:, match.human_far[s]] = joints[:, match.human_near[s]] + 2 * turned
-        case.change(joints=joints + np.random.default_rng(0).normal(size=(COUNT, 1, 3)))
-        with np.errstate(invalid="ignore"):
-            residual, _ = terms.link_direction(case.state, unit=0.5)
-        chord = np.linalg.norm(residual.reshape(COUNT, -1, 3)[:, chosen], axis=-1)
-        np.testing.assert_allclose(chord, 1.0 / 0.5)
+    joints = np.zeros((COUNT, 21, 3))
+    for s in range(len(match.far)):
+        turned = np.cos(np.pi / 3) * links[:, s] + np.sin(np.pi / 3) * side[:, s]
+        joints[:, match.human_far[s]] = joints[:, match.human_near[s]] + 2 * turned
+    case.change(joints=joints + np.random.default_rng(0).normal(size=(COUNT, 1, 3)))
+    chord = 1.0 / 0.5
+    np.testing.assert_allclose(
+        case.cost(partial(terms.link_direction, unit=0.5)), 0.5 * chord**2 * len(match.far)
+    )
 
 
 def test_contact_position_stops_a_radius_off_the_surface(case: Case):
-    match = case.points.match
-    state, contacts = case.state, np.zeros_like(case.problem.contacts)
+    match, state, contacts = case.match, case.state, np.zeros_like(case.problem.contacts)
     contacts[0] = True
-    radius = case.points.far_radius[:, None]
     surface, normals = np.zeros((COUNT, 21, 3)), np.zeros((COUNT, 21, 3))
-    last = match.is_last
     normals[:, match.human_far] = [0.0, 0.0, 1.0]
-    reached = state.keypoints[:, match.far] - radius * np.array([0.0, 0.0, 1.0])
+    reached = state.keypoints[:, match.far] - case.points.far_radius[:, None] * np.array([0.0, 0.0, 1.0])
     surface[:, match.human_far] = reached - [0.004, 0.0, 0.0]
     case.change(surface=surface, normals=normals, contacts=contacts)
-    residual, _ = terms.contact_position(case.state, unit=0.002, inner_weight=0.25)
-    residual = residual.reshape(COUNT, -1, 3)
-    np.testing.assert_allclose(residual[0, last], np.tile([2.0, 0.0, 0.0], (last.sum(), 1)), atol=1e-9)
-    np.testing.assert_allclose(residual[0, ~last], np.tile([0.5, 0.0, 0.0], ((~last).sum(), 1)), atol=1e-9)
-    assert np.all(residual[1:] == 0)
+    cost = case.cost(partial(terms.contact_position, unit=0.002, inner_weight=0.25))
+    last = match.is_last.sum()
+    np.testing.assert_allclose(cost[0], 0.5 * (2.0**2 * last + 0.5**2 * (len(match.far) - last)))
+    assert np.all(cost[1:] == 0)
 
 
 def test_contact_gap_is_the_distance_of_the_nearest_ball(case: Case):
     contacts = case.problem.contacts.copy()
     contacts[2] = False
     case.change(contacts=contacts)
-    state, spheres = case.state, case.points.spheres
-    height = state.spheres[..., 1] + 0.02 - spheres.radius
     links = range(1, len(case.points.link_members))
-    expected = np.stack([height[:, spheres.link == link].min(axis=1) for link in links], axis=1)
-    residual, _ = terms.contact_gap(state, unit=0.002)
-    np.testing.assert_allclose(residual[:2], np.maximum(expected, 0)[:2] / 0.002, atol=1e-6)
-    assert np.all(residual[2] == 0)
+    gap = np.stack([case.heights[:, case.points.spheres.link == link].min(axis=1) for link in links], axis=1)
+    cost = case.cost(partial(terms.contact_gap, unit=0.002))
+    np.testing.assert_allclose(
+        cost[:2], 0.5 * np.sum((np.maximum(gap, 0)[:2] / 0.002) ** 2, axis=1), rtol=1e-6
+    )
+    assert cost[2] == 0
 
 
 def test_object_penetration_is_the_depth_of_the_deepest_balls(case: Case):
-    depth = np.sort(np.maximum(0.003 - (case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius), 0))
-    residual, _ = terms.object_penetration(case.state, unit=0.001, margin=0.003, count=5)
-    np.testing.assert_allclose(np.sort(residual, axis=1), depth[:, -5:] / 0.001, atol=1e-6)
+    depth = np.sort(np.maximum(0.003 - case.heights, 0))[:, -5:]
+    cost = case.cost(partial(terms.object_penetration, unit=0.001, margin=0.003, count=5))
+    np.testing.assert_allclose(cost, 0.5 * np.sum((depth / 0.001) ** 2, axis=1), rtol=1e-6)
 
 
 def test_table_penetration_is_the_depth_of_the_lowest_balls():
     case = Case("allegro", table=0.01)
-    depth = np.sort(np.maximum(0.002 + 0.01 - case.state.spheres[..., 0] + case.points.spheres.radius, 0))
-    residual, _ = terms.table_penetration(case.state, unit=0.001, margin=0.002, count=6)
-    np.testing.assert_allclose(np.sort(residual, axis=1), depth[:, -6:] / 0.001, atol=1e-9)
+    below = 0.002 + 0.01 - case.state.spheres[..., 0] + case.points.spheres.radius
+    depth = np.sort(np.maximum(below, 0))[:, -6:]
+    cost = case.cost(partial(terms.table_penetration, unit=0.001, margin=0.002, count=6))
+    np.testing.assert_allclose(cost, 0.5 * np.sum((depth / 0.001) ** 2, axis=1), rtol=1e-9)
 
 
 def test_self_penetration_finds_the_closest_balls_of_two_fingers():
     case = Case("allegro", closed=0.9)
-    state, spheres = case.state, case.points.spheres
-    finger = np.array([-1, *np.repeat(np.arange(4), 3)])[spheres.link]
-    for row in range(COUNT):
-        gaps = [
-            np.linalg.norm(state.spheres[row, a] - state.spheres[row, b])
-            - spheres.radius[a]
-            - spheres.radius[b]
-            for a in range(len(finger))
-            for b in range(a)
-            if finger[a] != finger[b] and min(finger[a], finger[b]) >= 0
-        ]
-        gaps = [0.01 - g for g in sorted(gaps)[:4]]
-        residual, _ = terms.self_penetration(state, unit=0.001, margin=0.01, count=4)
-        np.testing.assert_allclose(np.sort(residual[row])[::-1], np.maximum(gaps, 0) / 0.001, atol=1e-6)
-    assert residual.max() > 0
+    centers, radius = case.state.spheres, case.points.spheres.radius
+    finger = np.array([-1, *np.repeat(np.arange(4), 3)])[case.points.spheres.link]
+    apart = np.linalg.norm(centers[:, :, None] - centers[:, None], axis=-1) - radius[:, None] - radius
+    counts = (finger[:, None] < finger) & (finger[:, None] >= 0)
+    depth = np.maximum(0.01 - np.sort(apart[:, counts], axis=1)[:, :4], 0.0)
+    cost = case.cost(partial(terms.self_penetration, unit=0.001, margin=0.01, count=4))
+    np.testing.assert_allclose(cost, 0.5 * np.sum((depth / 0.001) ** 2, axis=1), rtol=1e-6, atol=1e-6)
+    assert cost.max() > 0
 
 
 def test_force_closure_cannot_balance_a_wall(case: Case):
-    residual, _ = terms.force_closure(case.state, unit=0.1, friction=0.3)
-    np.testing.assert_allclose(residual[:, 1], -1.0 / 0.1, rtol=1e-6)
-    alone = np.zeros_like(case.problem.contacts)
-    alone[:, 1] = True
-    case.change(contacts=alone)
-    assert np.all(terms.force_closure(case.state)[0] == 0), "one contact asks for no balance"
+    """Normal parts sum to one, and nothing pushes back; along the wall and about its normal all cancels."""
+    cost = case.cost(partial(terms.force_closure, unit=0.1, friction=0.3))
+    assert np.all(cost >= 0.5 * (1 / 0.1) ** 2 - 1e-6)
+    case.touch_with(np.arange(len(case.match.far)) == 0)
+    assert np.all(case.cost(terms.force_closure) == 0), "one contact asks for no balance"
 
 
 def test_stay_near_measures_position_rotation_and_joints(case: Case):
-    turn = Rotation.from_rotvec([0.0, 0.0, 0.4])
     start = case.pose.copy()
     start[:, :3] -= [0.0, 0.03, 0.0]
-    start[:, 3:] = (turn.inv() * Rotation.from_quat(start[:, 3:], scalar_first=True)).as_quat(
-        scalar_first=True
-    )
-    term = partial(terms.stay_near, unit=0.5, position_unit=0.01, rotation_unit=0.2)
-    residual, _ = term(case.state, start=(start, case.joints - 0.25))
-    np.testing.assert_allclose(residual[:, :6], np.tile([0, 3, 0, 0, 0, 2.0], (COUNT, 1)), atol=1e-9)
-    np.testing.assert_allclose(residual[:, 6:], 0.5)
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.4]).inv() * Rotation.from_quat(start[:, 3:], scalar_first=True)
+    start[:, 3:] = turn.as_quat(scalar_first=True)
+    given = {"start": (start, case.joints - 0.25), "unit": 0.5, "position_unit": 0.01, "rotation_unit": 0.2}
+    cost = case.cost(partial(terms.stay_near, **given))
+    np.testing.assert_allclose(cost, 0.5 * (3.0**2 + 2.0**2 + 0.5**2 * (case.kinematics.size - 6)))
 
 
-def test_dexgraspnet_distance_is_the_rounded_absolute_value(case: Case):
-    height = case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius
-    nearest = np.stack([height[:, m].min(axis=1) for m in case.points.link_members if len(m)], axis=1)
-    residual, _ = dexgraspnet.contact_distance_energy(case.state)
-    expected = 100 * (np.hypot(nearest, 5e-4) - 5e-4)
-    np.testing.assert_allclose(0.5 * residual**2, expected, rtol=1e-3, atol=1e-6)
-    assert np.all((residual < 0) == (nearest < 0))
-
-
-def test_dexgraspnet_forces_on_a_wall_add_up_to_four(case: Case):
+def test_dexgraspnet_counts_distances_forces_and_depths(case: Case):
+    clearance = np.stack([case.heights[:, m].min(axis=1) for m in case.points.link_members if len(m)], axis=1)
+    expected = 100 * np.sum(np.hypot(clearance, 5e-4) - 5e-4, axis=1)
+    np.testing.assert_allclose(case.cost(own_term(case)), expected, rtol=1e-3)
     residual, _ = dexgraspnet.force_closure_energy(case.state)
     np.testing.assert_allclose(0.5 * np.sum(residual[:, :3] ** 2, axis=1), 16.0, rtol=1e-6)
-
-
-def test_dexgraspnet_penetration_sums_over_the_hand(case: Case):
-    depth = np.maximum(-(case.state.spheres[..., 1] + 0.02 - case.points.spheres.radius), 0)
-    depth = np.sort(depth, axis=1)[:, -48:]
-    equations = NormalEquations(case.points, case.problem, [dexgraspnet.object_penetration_energy])
-    found = equations.empty(np.ones(COUNT, dtype=bool))
-    equations.evaluate(found, case.pose, case.joints)
+    depth = np.sort(np.maximum(-case.heights, 0), axis=1)[:, -48:]
     expected = 100 * np.sum(np.hypot(depth, 5e-4) - 5e-4, axis=1)
-    np.testing.assert_allclose(found.cost, expected, rtol=1e-4)
+    np.testing.assert_allclose(case.cost(dexgraspnet.object_penetration_energy), expected, rtol=1e-4)
+
+
+def test_links_touch_with_their_nearest_ball(case: Case):
+    """The wall is at y = -0.02; the point moves with the joints as differences say."""
+    found = contacts_of_links(case.points, case.problem, case.pose, case.joints)
+    for link, members in enumerate(case.points.link_members):
+        np.testing.assert_allclose(found.clearance[:, link], case.heights[:, members].min(axis=1), atol=1e-6)
+    np.testing.assert_allclose(found.inward, np.broadcast_to([0.0, -1.0, 0.0], found.inward.shape), atol=1e-6)
+    np.testing.assert_allclose(found.place[..., 1], found.clearance - 0.02, atol=1e-6)
+    step = 1e-6 * np.random.default_rng(0).normal(size=case.joints.shape)
+    ahead, behind = (
+        contacts_of_links(case.points, case.problem, case.pose, case.joints + s * step) for s in (1, -1)
+    )
+    # Across the wall's normal the ball may roll on, along it the point is the ball's.
+    expected = (found.jacobian @ step[:, None, :, None])[..., 1, 0]
+    np.testing.assert_allclose((ahead.clearance - behind.clearance) / 2, expected, atol=2e-9)
+    near = contacts_of_links(case.points, case.problem, case.pose, case.joints, within=0.01)
+    touching = found.clearance < 0.01
+    assert np.any(touching) and not np.all(touching)
+    np.testing.assert_array_equal(near.place[touching], found.place[touching])
+    assert np.all(near.clearance[~touching] == np.inf)
+
+
+SLIDING_HAND = """<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="palm">
+      <geom name="palm" type="box" size="0.01 0.04 0.04" pos="0 0 0.04"/>
+      <body name="index_a" pos="0 0.03 0.1">
+        <joint name="index_j1" axis="0 1 0" range="0 1.5"/>
+        <geom name="index_a" type="capsule" size="0.008" fromto="0 0 0.015 0 0 0.03"/>
+        <site name="index_tip" pos="0 0 0.03"/>
+      </body>
+      <body name="thumb_a" pos="0 -0.03 0.1">
+        <joint name="thumb_j1" type="slide" axis="0 0.6 0.8" range="0 0.05"/>
+        <geom name="thumb_a" type="capsule" size="0.008" fromto="0 0 0.015 0 0 0.03"/>
+        <body name="thumb_b" pos="0 0 0.045">
+          <joint name="thumb_j2" axis="0 1 0" range="0 1.5"/>
+          <geom name="thumb_b" type="capsule" size="0.008" fromto="0 0 0.015 0 0 0.03"/>
+          <site name="thumb_tip" pos="0 0 0.03"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>"""
+SLIDING_HAND_TOML = """name = "sliding"
+model = "sliding.xml"
+palm = "palm"
+[palm_frame]
+fingers = [0.0, 0.0, 1.0]
+normal = [1.0, 0.0, 0.0]
+[fingers.index]
+links = ["index_a"]
+tip = "index_tip"
+[fingers.thumb]
+links = ["thumb_a", "thumb_b"]
+tip = "thumb_tip"
+[actuators]
+kp = 1.0
+kd = 0.1
+force_limit = 0.5
+"""
+
+
+def test_sliding_joints_move_along_their_axes(tmp_path: Path):
+    """The compiled kinematics against MuJoCo's; the thumb slides and turns."""
+    (tmp_path / "sliding.xml").write_text(SLIDING_HAND)
+    (tmp_path / "sliding.toml").write_text(SLIDING_HAND_TOML)
+    case = Case(str(tmp_path / "sliding.toml"))
+    keypoints = np.arange(case.state.keypoints.shape[1])
+    given = {"which": keypoints, "weight": np.ones((COUNT, len(keypoints)))}
+    here = partial(terms.keypoint_position, target=case.state.keypoints, **given)
+    np.testing.assert_allclose(case.cost(here), 0.0, atol=1e-18)
+    away = partial(terms.keypoint_position, target=case.state.keypoints + 0.1, **given)
+    np.testing.assert_allclose(case.equations(away)[2], case.differences(away, 0), atol=1e-6)

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
+from retarget_scenes import held, plain_objects
 
+from fungrasp.hands import load_hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.optimization import terms
+from fungrasp.optimization.hand_state import HandPoints
+from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.link_contacts import LinkContacts
-from fungrasp.optimization.wrench_resistance import Grip, unresisted_load
+from fungrasp.optimization.problem import RetargetingProblem
+from fungrasp.optimization.wrench_resistance import NO_GRIP, Grip, unresisted_load, unresisted_share
+from fungrasp.retargeting.contact_optimization import initial_pose
 
 UP = np.array([[0.0, 0.0, 1.0]])
 ONE = np.ones(1)
@@ -63,3 +73,22 @@ def test_slippery_objects_are_held_less():
 def test_torques_and_forces_scale_with_the_weight():
     light, heavy = pinch(offset=0.03), pinch(offset=0.03, weight=4.0, limit=20.0)
     np.testing.assert_allclose(heavy, 2 * np.array(light), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["allegro", "inspire"])
+def test_shares_of_grasps_and_bounds_between_which_none_is_found(name: str):
+    """Of solved grasps, which are in touch; one goes into its object, one is not asked for."""
+    points = HandPoints(HandKinematics(load_hand(name), len(held())))
+    problem = RetargetingProblem.from_grasps(held(), plain_objects(), points.match)
+    objective = [terms.contact_position, terms.contact_gap, terms.object_penetration]
+    pose, joints, _ = minimize(points, problem, objective, *initial_pose(points, problem), 40)
+    pose[0, :3] = problem.surface[0, 12] - 0.01 * problem.normals[0, 12]
+    which = np.array([True, True, False, True, True, True])
+    shares = partial(unresisted_share, points.dense, problem, pose, joints)
+    found = shares(upper=np.where(which, np.inf, 0.0))
+    assert found[0] == NO_GRIP and found[2] == np.inf
+    assert np.any((found > 1e-3) & (found < NO_GRIP))
+    # Of no use is what is below the lower bound, or beyond the upper one.
+    upper = np.where(which, found + np.array([1, 1, 1, 1, -0.01, -0.01]), 0.0)
+    bounded = np.where(upper > 0.2, np.clip(shares(0.2, upper), 0.2, upper), np.inf)
+    np.testing.assert_allclose(bounded, np.where(upper > 0.2, np.clip(found, 0.2, upper), np.inf), atol=1e-9)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects, hand, plan, start
-from residual_policies import SIZE, policy_file
 
 import fungrasp
 from fungrasp.planning import make_planner
@@ -63,16 +62,6 @@ def assert_same_actions(name: str, recorded: Recorded, planned: GraspPlan, folde
 
 def test_recorded_observations_drive_the_open_loop_as_the_simulation_did(tmp_path):
     assert_same_actions("reference", played("reference", plan()), plan(), tmp_path)
-
-
-def test_recorded_observations_drive_a_network_as_the_simulation_did(tmp_path):
-    offset = np.linspace(-0.3, 0.3, SIZE)
-    (tmp_path / "policy").mkdir()
-    path = policy_file(tmp_path / "policy", offset, watch=("object_deviation", 0.3))
-    recorded = played(str(path), plan())
-    moved = np.array([action.palm_goal for action in recorded.done])
-    assert np.abs(np.diff(moved, axis=0)).max() > 1e-3
-    assert_same_actions(str(path), recorded, plan(), tmp_path)
 
 
 def test_recorded_observations_drive_the_student_as_the_simulation_did(tmp_path):

@@ -14,11 +14,10 @@ from fungrasp.geometry.poses import (
     quaternion_multiply,
     transform_points,
 )
-from fungrasp.policies import OpenLoopPolicy
-from fungrasp.policies.lift_reaction import HARDEST, HIGHEST
 from fungrasp.policies.plan_tracking import ANCHOR_SHARE, PlanTracker, link_directions_of, moved_towards
 from fungrasp.policies.residual_action import ResidualSettings, add_residual
-from fungrasp.task import LiftProtocol, Observation, play
+from fungrasp.policies.slip_response import HARDEST, HIGHEST
+from fungrasp.task import LiftProtocol, Observation
 from fungrasp.task.features import MeasuredState, flatten
 
 PERIOD = LiftProtocol().control_period
@@ -131,36 +130,6 @@ def test_the_target_tells_the_time_to_closing_and_the_lift():
     np.testing.assert_allclose(target.since_lift, [0.3, -1.0])
     goal = compose(seen.object_pose, p.at(p.lift_step + 3)[0])
     np.testing.assert_allclose(target.palm_goal[:, 2] - goal[:, 2], [0.15, 0.0], atol=1e-9)
-
-
-def test_without_actions_episodes_end_as_those_of_the_open_loop():
-    short = LiftProtocol(hold_time=0.5)
-    environment, other = start(protocol=short), start(protocol=short)
-    expected = play(environment, OpenLoopPolicy(), plan())
-    assert expected.success.any()
-    at_work = tracker(other)
-    other.step(at_work.act(nothing(at_work)))
-    while not other.task.done.all():
-        at_work.update(other.observe())
-        other.step(at_work.act(nothing(at_work)))
-    outcomes = other.task.outcomes()
-    np.testing.assert_array_equal(outcomes.success, expected.success)
-    np.testing.assert_array_equal(outcomes.reason, expected.reason)
-    np.testing.assert_array_equal(other.task.lift_time, environment.task.lift_time)
-    np.testing.assert_allclose(outcomes.lifted_height_m, expected.lifted_height_m, atol=3e-3)
-
-
-def test_actions_are_smoothed_residuals_of_the_plan():
-    settings = ResidualSettings(smoothing=0.5)
-    at_work, p = tracker(settings=settings), plan()
-    action = np.random.default_rng(0).uniform(-1, 1, (2, at_work.size))
-    asked = at_work.act(action)
-    goal, fingers = p.at(np.zeros(2, int))
-    expected = add_residual(compose(p.object_pose, goal), fingers, 0.5 * action, settings)
-    np.testing.assert_allclose(asked.palm_goal, expected[0], atol=1e-12)
-    np.testing.assert_allclose(asked.finger_targets, expected[1], atol=1e-12)
-    at_work.act(action)
-    np.testing.assert_allclose(at_work.state().action, 0.75 * action)
 
 
 def test_guided_actions_change_the_grasps_wrist_on_the_tracked_object_and_the_measured_joints():

@@ -34,13 +34,6 @@ def test_actions_are_cut_and_smoothed(array):
     np.testing.assert_allclose(np.asarray(result), [[0.1, 1.0, -0.1]])
 
 
-def test_a_constant_action_is_reached_in_the_end():
-    action, held = np.array([[0.8, -5.0]]), np.zeros((1, 2))
-    for _ in range(60):
-        held = smoothed(action, held, SETTINGS)
-    np.testing.assert_allclose(held, [[0.8, -1.0]], atol=1e-6)
-
-
 def test_a_residual_is_along_the_axes_of_the_palm(array):
     """A palm whose x axis is the world's y axis, moved along and turned about its x axis."""
     half = np.sqrt(0.5)

@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 import numpy as np
 import torch
 from small_parts import parts_of
-from small_training import BATCH, WORLDS, hand, run_settings, training_set
+from small_training import BATCH, WORLDS, distilled, hand, run_spec, trained
 
 from fungrasp.cli.main import main as fungrasp
 from fungrasp.core.formats.onnx_file import message_fields
@@ -44,10 +44,10 @@ from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.retargeting import retarget
 from fungrasp.task import LiftProtocol
+from fungrasp.training.distill import STUDENT
 from fungrasp.training.learning_curve import CURVE, read_curve
-from fungrasp.training.run import POLICY, train
 from fungrasp.training.settings import CurveSettings, DistillSettings
-from fungrasp.training.student_run import STUDENT, train_student
+from fungrasp.training.train import POLICY
 
 UPDATES, ROUNDS = 42, 25
 DISTILL = DistillSettings(steps=2, teacher_rounds=1, updates=2, minibatch=16, kept_rounds=12)
@@ -130,11 +130,9 @@ def predictor(scratch: Path) -> tuple[Work, Result]:
 
 
 def training(scratch: Path) -> tuple[Work, Result]:
-    one = training_set()
 
     def work(folder: Path) -> None:
-        points = CurveSettings(every=8 * BATCH)
-        train(folder / "run", [one], hand(), run_settings(), UPDATES * BATCH, threads=1, curve=points)
+        trained(folder / "run", run_spec(UPDATES * BATCH, CurveSettings(every=8 * BATCH)))
 
     return work, lambda folder: (
         weights(folder / "run" / POLICY),
@@ -146,11 +144,11 @@ def training(scratch: Path) -> tuple[Work, Result]:
 def distillation(scratch: Path) -> tuple[Work, Result]:
     teacher = scratch / "teacher"
     if not teacher.exists():
-        in_child(lambda at: train(at, [training_set()], hand(), run_settings(), BATCH, threads=1), teacher)
+        in_child(lambda at: trained(at), teacher)
 
     def work(folder: Path) -> None:
         steps = ROUNDS * DISTILL.steps * WORLDS
-        train_student(teacher, folder / "run", steps, DISTILL, threads=1)
+        distilled(teacher, folder / "run", steps, DISTILL)
 
     return work, lambda folder: (weights(folder / "run" / STUDENT), progress(folder / "run"))
 

@@ -23,14 +23,13 @@ from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.sim2real.identification.excitation import Excitation
+from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion
 from fungrasp.sim2real.identification.motion_log import (
     MotionHeader,
     MotionLogWriter,
     MotionSample,
     load_motion_log,
 )
-from fungrasp.sim2real.identification.safe_motion import safe_motion
 
 
 def record(path: Path, switch: StopSwitch, after: Callable[[int, TwinHand], None]) -> TwinHand:
@@ -44,9 +43,8 @@ def record(path: Path, switch: StopSwitch, after: Callable[[int, TwinHand], None
     driver.connect()
     rest, limits = driver.read().positions, driver.limits
     e = Excitation(seconds=3.5)
-    motion = safe_motion(
-        e, hand, rest, limits.lower, limits.upper, limits.velocity, limits.torque, np.zeros(3)
-    )
+    room = JointRoom(limits.lower, limits.upper, limits.velocity, limits.torque)
+    motion = safe_motion(e, hand, rest, room, np.zeros(3))
     with MotionLogWriter(path) as writer:
 
         def keep(header: MotionHeader, sample: MotionSample) -> None:
@@ -100,8 +98,8 @@ def test_a_hand_is_told_to_make_less_torque() -> None:
 def test_fingers_take_turns_and_stay_where_they_were() -> None:
     hand = load_hand("inspire")
     limits = np.array([hand.joint_limits[hand.joint_names.index(name)] for name in hand.actuators])
-    rest, one = limits.mean(axis=1), np.ones(6)
-    motion = safe_motion(Excitation(seconds=4.0), hand, rest, *limits.T, 2 * one, np.inf * one, np.zeros(3))
+    rest, room = limits.mean(axis=1), JointRoom(*limits.T, 2 * np.ones(6))
+    motion = safe_motion(Excitation(seconds=4.0), hand, rest, room, np.zeros(3))
     fingers = np.unique(motion.moving, axis=0)
     assert len(fingers) == 5 and fingers.sum(axis=0).tolist() == [1] * 6
     assert (np.where(motion.moving, rest, motion.commands) == rest).all()

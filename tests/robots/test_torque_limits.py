@@ -13,7 +13,7 @@ from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.hand_knowledge import hand_knowledge
+from fungrasp.deployment.identified_dynamics import identified_dynamics
 from fungrasp.hands import load_hand
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.codecs import allegro as codec
@@ -48,7 +48,7 @@ def test_a_planner_knows_what_is_sent_on_the_bus(generation: int, share: float, 
     pytest.importorskip("can")
     cell, hand = load_cell("ur5e-allegro-emulated"), load_hand("allegro")
     cell = with_options(cell, generation=generation, torque_share=share)
-    planned = hand_knowledge(cell, hand).planned
+    planned = identified_dynamics(cell, hand)[0]
     # What the frames hold where a joint asks for more than any allows.
     frames = codec.encode_torques(units, np.full(16, 100.0))
     sent = np.concatenate([codec.decode_finger_torques(units, i, data) for i, data in enumerate(frames)])
@@ -98,7 +98,7 @@ def test_a_file_of_dynamics_may_say_the_torques(tmp_path: Path) -> None:
     path.write_text(f'[joints."{first}"]\ntorque_limit = 0.31\n')
     found = load_dynamics(path, hand)
     assert found.torque_limit is not None and found.torque_limit[0] == 0.31
-    for limited in (identified_hand(hand, path), hand_knowledge(cell, hand, path).planned):
+    for limited in (identified_hand(hand, path), identified_dynamics(cell, hand, path)[0]):
         np.testing.assert_array_equal(force_limits(limited)[:1], [0.31])
         np.testing.assert_array_equal(force_limits(limited)[1:], force_limits(hand)[1:])
     save_dynamics(tmp_path / "again.toml", found)
@@ -109,7 +109,7 @@ def test_a_file_of_dynamics_may_say_the_torques(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.actuator(first).forcerange, [-0.31, 0.31])
     # A driver that sends less has the last word.
     less = with_options(cell, torque_limits=0.2)
-    assert force_limits(hand_knowledge(less, hand, path).planned).max() == 0.2
+    assert force_limits(identified_dynamics(less, hand, path)[0]).max() == 0.2
     # Where the file says nothing of torques, it keeps no place for them.
     save_dynamics(path, model_dynamics(hand))
     assert "torque_limit" not in path.read_text() and load_dynamics(path, hand).torque_limit is None

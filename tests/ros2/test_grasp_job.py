@@ -13,9 +13,9 @@ import pytest
 from driver_contract import wait_for
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment import hold_after_stop
 from fungrasp.deployment.phases import Phase
-from fungrasp.policies import OpenLoopPolicy
+from fungrasp.deployment.spec import GraspChoice
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, JointState, StopKind
 from fungrasp_ros2 import grasp_node
@@ -36,30 +36,24 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """A job whose deployment waits until it is stopped, then holds."""
     grasp = SimpleNamespace(object_name=np.array(["mug"]))
     monkeypatch.setattr(GraspChoice, "robot", lambda self, hand, seed=0: (grasp, {"mug": "a mug"}))
-    task = SimpleNamespace(policy=OpenLoopPolicy.__new__(OpenLoopPolicy))
-    monkeypatch.setattr(grasp_node, "deployment_task", lambda *arguments: task)
-    monkeypatch.setattr(grasp_node, "OPENING", 0.0)
+    monkeypatch.setattr(grasp_node, "deployment_task", lambda grasp, objects, spec: spec)
+    monkeypatch.setattr(hold_after_stop, "OPENING", 0.0)
     stops: list[StopKind] = []
     robot: Any = SimpleNamespace(state=lambda: None, hand_driver=SimpleNamespace(stop=stops.append))
 
-    def deploy(
-        task: Any, *, log: Any, switch: Any, on_phase: Any, hold: Any, settings: Any, about: Any
-    ) -> Any:
-        assert settings.until is Phase.HOLD and settings.speed == 0.5 and about["grasp"] == "mug"
-        on_phase(Phase.GRASP)
-        log.setpoint("grasp", SimpleNamespace(arm=STATE, hand=STATE), None)
+    def deploy(spec: Any, observers: Any, switch: Any) -> Any:
+        assert (spec.cell, spec.until, spec.speed) == ("lab.toml", "lift", 0.5)
+        log, job = observers
+        assert log._about["grasp"] == "mug"
+        job.phase(0.0, Phase.GRASP)
+        job.setpoint(Phase.GRASP, SimpleNamespace(arm=STATE, hand=STATE), None)
         assert wait_for(lambda: switch.reason)
-        hold(robot)
+        assert job.hold(robot)
         return SimpleNamespace(fault=switch.reason, words=lambda: f"fault: {switch.reason}")
 
     made = GraspJob(wired(), "lab.toml", logs=tmp_path, deploy=deploy)
-    monkeypatch.setattr(grasp_node.PublishingLog, "setpoint", keep_states)
     made.stops = stops
     return made
-
-
-def keep_states(self: Any, phase: str, state: Any, command: Any) -> None:
-    self.states = {"arm": state.arm, "hand": state.hand}
 
 
 def test_a_grasp_is_stopped_held_and_released(job: Any) -> None:
@@ -70,7 +64,7 @@ def test_a_grasp_is_stopped_held_and_released(job: Any) -> None:
     thread = threading.Thread(target=lambda: results.append(job.run(MUG, phases.append)))
     thread.start()
     assert wait_for(lambda: job.states)
-    assert job.phase == "grasp" and phases == ["grasp"]
+    assert job.now == "grasp" and phases == ["grasp"]
     assert job.run(MUG, phases.append) == (False, "another grasp is running", "")
     assert job.stop()[0]
     assert wait_for(lambda: job.holding) and not results and not job.stops
@@ -78,7 +72,7 @@ def test_a_grasp_is_stopped_held_and_released(job: Any) -> None:
     thread.join(10.0)
     done, words, log = results[0]
     assert not done and words == "fault: the service 'stop' was called" and Path(log).is_file()
-    assert job.stops == [StopKind.OPEN] and job.fault == "the service 'stop' was called"
+    assert job.stops == [StopKind.OPEN] and job.wrong == "the service 'stop' was called"
     assert job.stop() == (False, "nothing is running")
 
 
@@ -88,7 +82,7 @@ def test_what_is_refused_is_said(job: Any, monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(GraspChoice, "robot", refuse)
     assert job.run(MUG, lambda phase: None) == (False, "no such grasp", "")
-    assert job.fault == "no such grasp"
+    assert job.wrong == "no such grasp"
 
 
 @pytest.mark.parametrize(
@@ -98,13 +92,6 @@ def test_what_is_refused_is_said(job: Any, monkeypatch: pytest.MonkeyPatch) -> N
 def test_goals_that_can_not_be_are_refused(job: Any, wrong: dict[str, Any], words: str) -> None:
     done, said, _ = job.run(replace(MUG, **wrong), lambda phase: None)
     assert not done and words in said
-
-
-def test_a_policy_that_watches_is_not_slowed_down(job: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = SimpleNamespace(policy=SimpleNamespace())
-    monkeypatch.setattr(grasp_node, "deployment_task", lambda *arguments: task)
-    done, said, _ = job.run(MUG, lambda phase: None)
-    assert not done and "its speed is 1" in said
 
 
 def test_cells_that_are_no_robots_are_refused() -> None:

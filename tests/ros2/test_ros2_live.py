@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+from robot_cells import Told
 
-from fungrasp.deployment.deploy import deployment_task
-from fungrasp.deployment.deployment_result import DeploymentSpec
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.deploy import deploy_on_robot
+from fungrasp.deployment.deployment_task import deployment_task
 from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 from fungrasp.deployment.twin_deployment import reachable_placement
-from fungrasp.deployment.wired_deployment import deploy_on_robot
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell
@@ -184,7 +184,7 @@ def test_a_bowl_is_grasped_on_a_twin_with_everything_over_ros(tmp_path: Path) ->
         with pytest.MonkeyPatch.context() as patched:
             for name, device in (("arm_driver", arm), ("hand_driver", side), ("pose_source", poses)):
                 patched.setattr(assembly, name, lambda *arguments, device=device: device)
-            result = deploy_on_robot(task, hold=lambda robot: None)
+            result = deploy_on_robot(task, [Told(hold=lambda robot: None)])
         twin.stdin.close()
         held = float(twin.stdout.readline())
     assert result.phase is Phase.DONE, result
@@ -265,8 +265,8 @@ def test_the_node_says_its_states_and_stops_when_it_is_told(monkeypatch: pytest.
         cell=load_cell("ur5e-inspire-emulated"),
         hand=SimpleNamespace(actuators=dict.fromkeys("abcdef")),
         states={"arm": state, "hand": state},
-        phase="grasp",
-        fault="",
+        now="grasp",
+        wrong="",
         stop=lambda: (told.append("stop") is None, "stopping"),
         release=lambda: (False, "the hand does not hold"),
     )

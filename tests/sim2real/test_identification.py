@@ -12,14 +12,13 @@ import pytest
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.sim2real.identification.excitation import Excitation, excitation_motion
-from fungrasp.sim2real.identification.finger_chains import chain_of
-from fungrasp.sim2real.identification.fingertip_weights import hang_weights
+from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, excitation_motion, safe_motion
 from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
-from fungrasp.sim2real.identification.joint_samples import joint_samples
 from fungrasp.sim2real.identification.log_simulation import (
     DriveErrors,
+    chain_of,
     driver_setpoints,
+    hang_weights,
     play_operator,
     prediction_rms,
     simulate_log,
@@ -29,11 +28,11 @@ from fungrasp.sim2real.identification.motion_log import (
     MotionLog,
     MotionLogWriter,
     MotionSample,
+    joint_samples,
     load_motion_log,
     motion_log,
     read_step_csv,
 )
-from fungrasp.sim2real.identification.safe_motion import safe_motion
 from fungrasp.sim2real.joint_dynamics import (
     JointDynamics,
     identified_hand,
@@ -56,8 +55,7 @@ TRUTH = JointDynamics(
 
 def one_finger(e: Excitation, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Commands of joints of one finger, at any speed."""
-    finger, speed = np.zeros(len(rest)), np.full(len(rest), np.inf)
-    return excitation_motion(e, rest, lower, upper, speed, finger).commands
+    return excitation_motion(e, rest, JointRoom(lower, upper), np.zeros(len(rest))).commands
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +102,8 @@ def test_excitation_is_slow_small_and_begins_and_ends_at_rest():
     lower, upper = np.array([-0.2, 0.3, 0.0]), np.array([1.0, 1.4, 2.0])
     rest, speed = np.array([0.0, 1.35, 1.0]), np.array([4.0, 4.0, 1.0])
     e = Excitation()
-    motion = excitation_motion(e, rest, lower, upper, speed, np.array([0, 0, 1]))
+    room = JointRoom(lower, upper, speed)
+    motion = excitation_motion(e, rest, room, np.array([0, 0, 1]))
     commands = motion.commands
     assert (commands >= lower).all() and (commands <= upper).all()
     assert (commands[[0, -1]] == rest).all()
@@ -115,7 +114,7 @@ def test_excitation_is_slow_small_and_begins_and_ends_at_rest():
     half = len(commands) // 2
     assert motion.moving[:half].tolist() == [[True, True, False]] * half
     assert (commands[:half, 2] == rest[2]).all() and (commands[half:, :2] == rest[:2]).all()
-    again = excitation_motion(e, rest, lower, upper, speed, np.array([0, 0, 1]))
+    again = excitation_motion(e, rest, room, np.array([0, 0, 1]))
     assert np.array_equal(commands, again.commands)
 
 
@@ -147,9 +146,9 @@ def test_a_hand_does_not_touch_itself_and_needs_no_more_torque_than_it_may():
     rest = np.clip(np.full(16, 0.3), *limits.T)
     rest[[0, 4, 8]] = [-0.1, 0.1, 0.1]
     wide = Excitation(seconds=4.0, reach=0.5, speed=1.0, torque=1.0)
-    weak, free = np.full(16, 0.2), np.full(16, np.inf)
-    motion = safe_motion(wide, hand, rest, *limits.T, np.full(16, 20.0), free, np.zeros(3))
-    plain = excitation_motion(wide, rest, *limits.T, np.full(16, 20.0), chain_of(hand, list(hand.actuators)))
+    room = JointRoom(*limits.T, np.full(16, 20.0))
+    motion = safe_motion(wide, hand, rest, room, np.zeros(3))
+    plain = excitation_motion(wide, rest, room, chain_of(hand, list(hand.actuators)))
     data = mujoco.MjData(hand.model)
 
     def touches(commands: np.ndarray) -> bool:
@@ -161,7 +160,8 @@ def test_a_hand_does_not_touch_itself_and_needs_no_more_torque_than_it_may():
         return False
 
     assert touches(plain.commands) and not touches(motion.commands)
-    gentle = safe_motion(wide, hand, rest, *limits.T, np.full(16, 20.0), weak, np.zeros(3))
+    weak = room._replace(torque=np.full(16, 0.2))
+    gentle = safe_motion(wide, hand, rest, weak, np.zeros(3))
     assert np.ptp(gentle.commands, axis=0).max() < 0.7 * np.ptp(motion.commands, axis=0).max()
 
 

@@ -10,7 +10,7 @@ from engine_contract import contract_scene
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.simulation import BufferSizes, MujocoCpuEngine, devices, found_device, make_engine, warp_device
-from fungrasp.simulation.buffer_sizes import probe_buffer_sizes
+from fungrasp.simulation.warp_device import probe_buffer_sizes
 
 
 class Driver:

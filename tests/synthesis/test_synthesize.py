@@ -27,7 +27,7 @@ from fungrasp.synthesis.human_hand_terms import (
     part_samples,
     place_error,
 )
-from fungrasp.synthesis.initial_poses import random_offsets
+from fungrasp.synthesis.synthesize import random_offsets
 
 QUICK = SynthesisSettings(starts=2)
 CAN = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
@@ -230,7 +230,7 @@ def test_the_command_makes_a_file_or_says_what_is_unknown(tmp_path, capsys):
 
 
 def test_an_interrupted_command_goes_on_and_several_seeds_make_different_grasps(tmp_path, monkeypatch):
-    import fungrasp.synthesis.synthesis_job as parts
+    import fungrasp.synthesis.synthesize as parts
 
     monkeypatch.setattr("fungrasp.synthesis.synthesize.BATCH_SIZE", 3)
     command = ["grasps", "make", "--objects", "tennis_ball", "--seed", "0", "1", "--out"]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import resource
 
 import pytest
 import torch
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.training.checkpoint import read_checkpoint, write_checkpoint
+from fungrasp.training.folder import read_checkpoint, write_checkpoint
 
 
 @pytest.fixture
@@ -65,16 +64,3 @@ def test_reading_runs_no_code(tmp_path):
     with pytest.raises(FungraspError, match=r"the checkpoint .* does not exist|cannot read the checkpoint"):
         read_checkpoint(path)
     assert not trace.exists()
-
-
-def test_a_full_disk_leaves_the_last_checkpoint(kept):
-    before = kept.read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
-    try:
-        with pytest.raises(FungraspError, match="cannot write"):
-            write_checkpoint(kept, {"steps": 8, "weights": torch.zeros(50000)})
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert kept.read_bytes() == before
-    assert [p.name for p in kept.parent.iterdir()] == ["checkpoint.pt"]

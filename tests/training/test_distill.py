@@ -6,11 +6,10 @@ import json
 
 import numpy as np
 import pytest
-from small_training import BATCH, WORLDS, hand, run_settings, training_set
+from small_training import BATCH, WORLDS, distilled, trained
 
-from fungrasp.training.run import train
+from fungrasp.training.distill import STUDENT, read_teacher
 from fungrasp.training.settings import DistillSettings
-from fungrasp.training.student_run import STUDENT, read_teacher, train_student
 
 SMALL = DistillSettings(steps=2, teacher_rounds=1, updates=1, minibatch=8)
 ROUND = WORLDS * SMALL.steps
@@ -20,7 +19,7 @@ ROUND = WORLDS * SMALL.steps
 @pytest.mark.slow
 def test_an_interrupted_distillation_goes_on_from_its_checkpoint(tmp_path):
     teacher, student = tmp_path / "teacher", tmp_path / "student"
-    train(teacher, [training_set()], hand(), run_settings(), BATCH, threads=1)
+    trained(teacher)
     steps = 24 * ROUND
 
     def interrupt(progress) -> None:
@@ -28,10 +27,10 @@ def test_an_interrupted_distillation_goes_on_from_its_checkpoint(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_student(teacher, student, steps, SMALL, threads=1, progress=interrupt)
+        distilled(teacher, student, steps, SMALL, progress=interrupt)
     assert not (student / STUDENT).exists()
     seen: list[int] = []
-    card = train_student(teacher, student, steps, SMALL, threads=1, progress=lambda p: seen.append(p.steps))
+    card = distilled(teacher, student, steps, SMALL, progress=lambda p: seen.append(p.steps))
     assert seen == [ROUND * i for i in range(11, 25)], "the checkpoint is of the tenth round"
     assert card.budget.steps == BATCH + steps and (student / STUDENT).is_file()
     lines = [json.loads(line)["steps"] for line in (student / "progress.jsonl").read_text().splitlines()]
@@ -39,7 +38,7 @@ def test_an_interrupted_distillation_goes_on_from_its_checkpoint(tmp_path):
 
 
 def test_random_numbers_of_an_environment_and_its_sensors_are_the_same_ones(tmp_path):
-    train(tmp_path, [training_set()], hand(), run_settings(), BATCH, threads=1)
+    trained(tmp_path)
     environment = read_teacher(tmp_path).environment(0, history=True, threads=1)
     state = np.random.default_rng(5).bit_generator.state
     environment.rng.bit_generator.state = state

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from small_training import BATCH, PPO, WORLDS, hand, run_settings, training_set
+from small_training import BATCH, PPO, WORLDS, distilled, hand, run_spec, trained, training_set
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.planning import MotionPlanner
@@ -19,13 +19,13 @@ from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
-from fungrasp.training.checkpoint import read_checkpoint
-from fungrasp.training.export import export_predictor, make_card
+from fungrasp.training.distill import STUDENT
+from fungrasp.training.export import make_card
+from fungrasp.training.folder import read_checkpoint
 from fungrasp.training.plan_library import Variety, build_plan_library
-from fungrasp.training.run import POLICY, train
 from fungrasp.training.settings import DistillSettings, PredictorSettings
-from fungrasp.training.student_run import STUDENT, train_student
-from fungrasp.training.success_predictor import PlanOutcomes, fit_predictor, try_plans
+from fungrasp.training.success_predictor import PlanOutcomes, export_predictor, fit_predictor, try_plans
+from fungrasp.training.train import POLICY
 
 SMALL = PredictorSettings(attempts=2, networks=1, hidden=(16, 8), epochs=100, dropout=0.0, hold_time=0.3)
 
@@ -68,17 +68,16 @@ def test_a_library_holds_what_the_predictor_likes_best(predictor):
 
 @pytest.mark.slow
 def test_student_follows_its_teachers_predictor_and_shrinks_as_it_does(predictor, tmp_path):
-    one, settings = training_set(), replace(run_settings(), variety=Variety(copies=1, tries=2))
+    one, spec = training_set(), replace(run_spec(), variety=Variety(copies=1, tries=2), plans=str(predictor))
     teacher, student = tmp_path / "teacher", tmp_path / "student"
     with pytest.raises(FungraspError, match="above 0 and at most 1"):
-        train(teacher, [one], hand(), settings, BATCH, threads=1, plans=predictor, shrink=0.0)
-    card = train(teacher, [one], hand(), settings, BATCH, threads=1, plans=predictor, shrink=0.5)
+        trained(teacher, spec, shrink=0.0)
+    card = trained(teacher, spec, shrink=0.5)
     full = ResidualSettings()
     assert card.plans == "liking" and card.action[0].scale == 0.5 * full.position
     assert read_card(teacher / "liking.onnx").sha256 == read_card(predictor).sha256
-    card = train_student(
-        teacher, student, WORLDS * 4, DistillSettings(steps=4, updates=2, minibatch=32), threads=1
-    )
+    small = DistillSettings(steps=4, updates=2, minibatch=32)
+    card = distilled(teacher, student, WORLDS * 4, small)
     assert (card.kind, card.plans, card.privileged) == ("student", "liking", ())
     assert card.action[2].scale == 0.5 * full.fingers
     environment = LiftEnvironment(build_scene(hand(), one.objects), len(one.grasps), threads=1)
@@ -89,22 +88,19 @@ def test_student_follows_its_teachers_predictor_and_shrinks_as_it_does(predictor
 
 
 def test_a_training_begins_with_the_networks_of_another(tmp_path):
-    one = training_set()
     first, second = tmp_path / "first", tmp_path / "second"
     with pytest.raises(FungraspError, match="no checkpoint"):
-        train(second, [one], hand(), run_settings(), BATCH, threads=1, initial=first)
-    train(first, [one], hand(), run_settings(), 3 * BATCH, threads=1)
-    frozen = run_settings(learning_rate=1e-12, value_learning_rate=1e-12)
-    card = train(second, [one], hand(), frozen, BATCH, threads=1, initial=first)
+        trained(second, initial=first)
+    trained(first, run_spec(3 * BATCH))
+    frozen = replace(run_spec(learning_rate=1e-12, value_learning_rate=1e-12), initial=first)
+    card = trained(second, frozen)
     assert card.budget.steps == BATCH
     weights = [read_checkpoint(folder / "checkpoint.pt")["actor_state_dict"] for folder in (first, second)]
     for name, value in weights[0].items():
         if name.startswith("mlp"):
             torch.testing.assert_close(weights[1][name], value, atol=1e-6, rtol=0)
-    louder = replace(frozen, ppo=replace(frozen.ppo, noise=0.4))
-    train(tmp_path / "louder", [one], hand(), louder, BATCH, threads=1, initial=first)
+    trained(tmp_path / "louder", frozen, ppo=replace(frozen.ppo, noise=0.4))
     noise = read_checkpoint(tmp_path / "louder" / "checkpoint.pt")["actor_state_dict"]
     np.testing.assert_allclose(noise["distribution.log_std_param"].exp(), 0.4, atol=1e-6)
     with pytest.raises(FungraspError, match="does not fit"):
-        wide = replace(frozen, ppo=replace(PPO, hidden=(16, 16)))
-        train(tmp_path / "third", [one], hand(), wide, BATCH, threads=1, initial=first)
+        trained(tmp_path / "third", frozen, ppo=replace(PPO, hidden=(16, 16)))

@@ -8,7 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from small_training import BATCH, WORLDS, environment, hand, library, run_settings, training_set
+from small_training import (
+    BATCH,
+    WORLDS,
+    distilled,
+    environment,
+    hand,
+    library,
+    run_spec,
+    trained,
+    training_set,
+)
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.policies import StudentPolicy, TeacherPolicy, make_policy
@@ -18,9 +28,7 @@ from fungrasp.sim2real import NOMINAL
 from fungrasp.task import Action
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.networks import make_networks, tensors
-from fungrasp.training.run import POLICY, RunSettings, train
-from fungrasp.training.settings import DistillSettings
-from fungrasp.training.student_run import STUDENT, train_student
+from fungrasp.training.settings import DistillSettings, TrainSpec
 
 INPUTS = {
     ("full", "contacts"): 334 + 3 * 13,
@@ -80,33 +88,31 @@ def test_a_played_file_acts_as_in_training(tmp_path, layout, sees):
     assert np.abs(moved[-1].finger_targets - plan).max() > 0.02, "the network does something"
 
 
-def of_paper() -> RunSettings:
-    one = run_settings()
+def of_paper(steps: float = BATCH) -> TrainSpec:
+    one = run_spec(steps)
     return replace(one, environment=replace(one.environment, layout="paper"))
 
 
 def test_trainings_of_another_layout_are_not_gone_on_with(tmp_path):
-    sets, full, paper = [training_set()], tmp_path / "full", tmp_path / "paper"
-    card = train(full, sets, hand(), run_settings(), BATCH, threads=1)
+    full, paper = tmp_path / "full", tmp_path / "paper"
+    card = trained(full)
     assert card.layout_name == "full" and card.input_size == INPUTS["full", "contacts"]
     with pytest.raises(FungraspError, match=r'environment.layout is "full" there, "paper" here'):
-        train(full, sets, hand(), of_paper(), 2 * BATCH, threads=1)
+        trained(full, of_paper(2 * BATCH))
     with pytest.raises(FungraspError, match=r"the observation layout 'full', not 'paper'$"):
-        train(paper, sets, hand(), of_paper(), BATCH, threads=1, initial=full)
+        trained(paper, of_paper(), initial=full)
     config = json.loads((full / "config.json").read_text())
     for name, words in (("paper", "'full', not 'paper'"), ("tiny", "layout")):
         config["settings"]["environment"]["layout"] = name
         (full / "config.json").write_text(json.dumps(config))
         with pytest.raises(FungraspError, match=words) as refused:
-            train_student(full, tmp_path / f"of-{name}", WORLDS, threads=1)
+            distilled(full, tmp_path / f"of-{name}", WORLDS, DistillSettings())
         assert "\n" not in str(refused.value)
 
 
 @pytest.mark.slow
 def test_a_student_has_its_teachers_layout(tmp_path):
-    card = train(tmp_path / "teacher", [training_set()], hand(), of_paper(), BATCH, threads=1)
-    assert card.layout_name == "paper" and read_card(tmp_path / "teacher" / POLICY).layout_name == "paper"
+    assert trained(tmp_path / "teacher", of_paper()).layout_name == "paper"
     small = DistillSettings(steps=4, updates=2, minibatch=32)
-    card = train_student(tmp_path / "teacher", tmp_path / "student", WORLDS * 4, small, threads=1)
+    card = distilled(tmp_path / "teacher", tmp_path / "student", WORLDS * 4, small)
     assert (card.layout_name, card.input_size) == ("paper", INPUTS["paper", "history"])
-    assert read_card(tmp_path / "student" / STUDENT).layout_name == "paper"

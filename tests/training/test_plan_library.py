@@ -7,8 +7,8 @@ import pytest
 from small_training import hand, library, training_set, unusable
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.training.folder import kept_library
 from fungrasp.training.plan_library import Variety, build_plan_library
+from fungrasp.training.training_sets import kept_library
 
 
 def test_a_library_survives_a_file(tmp_path):

@@ -21,12 +21,13 @@ from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
-from fungrasp.training.export import export_predictor, halved, make_card
+from fungrasp.training.export import halved, make_card
 from fungrasp.training.settings import PredictorSettings
 from fungrasp.training.success_predictor import (
     PlanOutcomes,
     PlanTrials,
     cross_validate,
+    export_predictor,
     fit_predictor,
     try_plans,
 )

@@ -11,31 +11,25 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from small_training import BATCH, PPO, environment, hand, library, run_settings, training_set, unusable
+from small_training import BATCH, PPO, environment, hand, library, run_spec, trained, training_set, unusable
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import load_hand
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-from fungrasp.policies.residual_action import Base, ResidualSettings
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.task.features import INPUT_LIMIT
-from fungrasp.training.checkpoint import check_environment, environment_state, read_checkpoint
-from fungrasp.training.distill import make_student
-from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.environment import HISTORY, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
-from fungrasp.training.history import HISTORY
-from fungrasp.training.networks import ColoredGaussian, tensors
+from fungrasp.training.folder import check_environment, environment_state, read_checkpoint
+from fungrasp.training.networks import ColoredGaussian, StudentGraph, make_student, tensors
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import train
-from fungrasp.training.settings import PpoSettings
-from fungrasp.training.student import StudentGraph
 from fungrasp.training.training_sets import TrainingSet
 
 
@@ -152,20 +146,6 @@ def test_plans_are_chosen_by_how_uncertain_their_success_is():
     assert np.mean(np.array(chosen) == 0) == pytest.approx(0.3 / 0.35, abs=0.07)
 
 
-def test_noise_is_correlated_where_planned_motions_are_corrected_and_nowhere_else():
-    def correlation(base: Base, **settings: Any) -> float:
-        worlds = environment(residual=ResidualSettings(base))
-        noise = Trainer(worlds, PpoSettings(hidden=(8,), **settings)).actor.distribution
-        assert isinstance(noise, ColoredGaussian)
-        noise.update(torch.zeros(8, worlds.actions))
-        samples = torch.stack([noise.sample() for _ in range(400)]).detach()
-        return float((samples[1:] * samples[:-1]).mean() / samples.var())
-
-    assert correlation("plan") == pytest.approx(0.95, abs=0.05)
-    assert correlation("guided") == pytest.approx(0.0, abs=0.05)
-    assert correlation("guided", noise_correlation=0.5) == pytest.approx(0.5, abs=0.05)
-
-
 def test_noise_has_the_stated_correlation_and_spread():
     torch.manual_seed(0)
     noise = ColoredGaussian(3, worlds=400, correlation=0.9, init_std=0.2, std_type="log")
@@ -175,6 +155,9 @@ def test_noise_has_the_stated_correlation_and_spread():
     for lag in (1, 5):
         correlation = (samples[lag:] * samples[:-lag]).mean() / samples.var()
         assert correlation.item() == pytest.approx(0.9**lag, abs=0.05)
+    for base, wanted in (("plan", 0.95), ("guided", 0.0)):
+        chosen = Trainer(environment(residual=ResidualSettings(base)), PPO).actor.distribution
+        assert isinstance(chosen, ColoredGaussian) and chosen._correlation == wanted, base
 
 
 def test_checkpoints_of_other_hands_are_refused(tmp_path):
@@ -243,50 +226,48 @@ def test_ppo_moves_towards_what_is_paid_for():
     worlds.step = paid
     trainer = Trainer(worlds, PPO)
     rewards = []
-    trainer.learn(25 * BATCH, lambda p: rewards.append(p.reward))
+    trainer.learn_until(25 * BATCH, lambda p: rewards.append(p.reward))
     assert np.mean(rewards[-5:]) > np.mean(rewards[:5]) + 0.3
 
 
 def test_a_run_goes_on_and_refuses_other_settings(tmp_path):
-    sets = [training_set()]
-    train(tmp_path, sets, hand(), run_settings(), BATCH, threads=1)
-    card = train(tmp_path, sets, hand(), run_settings(), 3 * BATCH, threads=1)
+    trained(tmp_path)
+    card = trained(tmp_path, run_spec(3 * BATCH))
     assert card.budget.steps == 3 * BATCH and card.training_data[0].terms == "free"
     lines = [json.loads(line)["steps"] for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
     assert lines == [BATCH, 2 * BATCH, 3 * BATCH]
     with pytest.raises(FungraspError, match=r"ppo.gamma is 0.99 there, 0.9 here"):
-        train(tmp_path, sets, hand(), run_settings(gamma=0.9), 4 * BATCH, threads=1)
+        trained(tmp_path, run_spec(4 * BATCH, gamma=0.9))
     (tmp_path / "checkpoint.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:-9])
     with pytest.raises(FungraspError, match="damaged"):
-        train(tmp_path, sets, hand(), run_settings(), 4 * BATCH, threads=1)
+        trained(tmp_path, run_spec(4 * BATCH))
 
 
 def test_imitation_comes_first_and_its_steps_count(tmp_path):
-    given = run_settings(imitate=2 * BATCH)
+    given = run_spec(3 * BATCH)
+    imitating = replace(PPO, imitate=2 * BATCH)
     guided = replace(given.environment, residual=ResidualSettings("guided"))
-    settings = replace(given, environment=guided)
     with pytest.raises(FungraspError, match="do not fit into a training of"):
-        train(tmp_path, [training_set()], hand(), settings, BATCH, threads=1)
-    train(tmp_path, [training_set()], hand(), settings, 3 * BATCH, threads=1)
+        replace(given, environment=guided, ppo=imitating, steps=BATCH)
+    trained(tmp_path, given, environment=guided, ppo=imitating)
     lines = [json.loads(line) for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
     assert ["losses/imitation" in line for line in lines] == [True, True, False]
     with pytest.raises(FungraspError, match="to imitate them, give"):
-        train(tmp_path, [training_set()], hand(), given, BATCH)
+        replace(given, ppo=imitating)
 
 
 def test_grasps_without_use_are_named(tmp_path):
     one = training_set()
     bad = TrainingSet("bad grasps", unusable(one.grasps), one.objects)
     with pytest.raises(FungraspError, match="bad grasps: none of the grasps can be trained on"):
-        train(tmp_path, [bad], hand(), run_settings(), BATCH, threads=1)
+        trained(tmp_path, sets=[bad])
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_where_its_checkpoint_is(tmp_path):
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path; import small_training as t;"
-        "from fungrasp.training.run import train;"
-        "train(Path(sys.argv[2]), [t.training_set()], t.hand(), t.run_settings(), 10**9, threads=1)"
+        "t.trained(Path(sys.argv[2]), t.run_spec(10**9))"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code, str(Path(__file__).parents[1] / "helpers"), str(tmp_path)]
@@ -298,7 +279,7 @@ def test_a_killed_run_goes_on_where_its_checkpoint_is(tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     steps = read_checkpoint(checkpoint)["steps"]
-    card = train(tmp_path, [training_set()], hand(), run_settings(), steps + BATCH, threads=1)
+    card = trained(tmp_path, run_spec(steps + BATCH))
     assert card.budget.steps == steps + BATCH
     lines = [json.loads(line)["steps"] for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
     assert lines == list(range(BATCH, steps + BATCH + 1, BATCH))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from small_training import BATCH, PPO, WORLDS, environment, hand, run_settings, training_set
+from small_training import BATCH, PPO, WORLDS, environment, run_spec, trained
 from tensor_engine import meta, tensor, tensor_worlds
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
@@ -23,7 +23,6 @@ from fungrasp.sim2real import MODERATE, REALITY, WIDE, Randomization
 from fungrasp.simulation import make_engine
 from fungrasp.training.environment import EndedEpisodes, TrainingEnvironment
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.run import train
 
 KINDS: dict[str, dict[str, Any]] = {
     "plan": {"randomization": MODERATE, "history": True, "early": (-9, -5)},
@@ -118,17 +117,17 @@ def test_a_control_step_neither_asks_the_device_nor_sends_it_anything(kind, monk
 def test_ppo_learns_on_tensors_and_goes_on_from_a_checkpoint(monkeypatch, tmp_path):
     """As if it had never been interrupted; a training on arrays reads the checkpoint, too."""
 
-    def trained(steps: int, *after: Any) -> Trainer:
+    def learned(steps: int, *after: Any) -> Trainer:
         trainer = Trainer(on_tensors(monkeypatch, tensor), PPO, seed=1)
         for path in after:
             trainer.load(path)
-        trainer.learn(steps, checkpoint=tmp_path / "kept", every=1)
+        trainer.learn_until(steps, checkpoint=tmp_path / "kept", every=1)
         return trainer
 
-    whole = trained(3 * BATCH)
+    whole = learned(3 * BATCH)
     (tmp_path / "kept").unlink()
-    trained(BATCH)
-    halves = trained(3 * BATCH, tmp_path / "kept")
+    learned(BATCH)
+    halves = learned(3 * BATCH, tmp_path / "kept")
     for a, b in zip(whole.actor.parameters(), halves.actor.parameters(), strict=True):
         np.testing.assert_array_equal(a.detach().numpy(), b.detach().numpy())
     assert halves.steps == 3 * BATCH
@@ -176,10 +175,9 @@ class TestOnWarp:
                     assert np.median(off) < 1e-4 and (off < 20 * apart).mean() > 0.99, name
 
     def test_train_goes_on_from_where_it_was(self, tmp_path):
-        folder, one = tmp_path / "teacher", training_set()
-        settings = run_settings()
+        folder = tmp_path / "teacher"
         for updates in (1, 2):
-            card = train(folder, [one], hand(), settings, updates * BATCH, threads=1, device="cpu-warp")
+            card = trained(folder, run_spec(updates * BATCH), device="cpu-warp")
             assert card.budget.steps == updates * BATCH
         assert (folder / "policy.onnx").is_file()
 

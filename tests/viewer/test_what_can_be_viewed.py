@@ -16,7 +16,7 @@ from fungrasp.grasps import builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.viewer.choose_page import choose_page
-from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
+from fungrasp.viewer.episode_stage import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import Worker
 from fungrasp.viewer.result_page import ShownResult
 from fungrasp.viewer.robot_view import RobotView
@@ -35,7 +35,7 @@ def test_a_port_in_use_is_said():
 
 def test_it_listens_where_only_this_machine_reaches_it():
     with fungrasp.view("allegro", port=0, wait=False) as viewer:
-        assert "only this machine" in viewer.words
+        assert "only this machine" in viewer.summary
         port = int(viewer.url.rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), timeout=5):
             pass

@@ -10,31 +10,28 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.deployment.deploy import deployment_task
-from fungrasp.deployment.deployment_result import (
-    LAST_PHASES,
-    DeploymentResult,
-    DeploymentSettings,
-    DeploymentSpec,
-)
-from fungrasp.deployment.grasp_choice import GraspChoice
-from fungrasp.deployment.holding import OPENING
-from fungrasp.deployment.log import DeploymentLog, McapLog
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.wired_deployment import deploy_on_robot
+from fungrasp.core.version import __version__
+from fungrasp.deployment.deploy import deploy_on_robot
+from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.deployment_task import deployment_task
+from fungrasp.deployment.hold_after_stop import open_slowly
+from fungrasp.deployment.log import McapLog
+from fungrasp.deployment.observer import DeploymentObserver
+from fungrasp.deployment.phases import LAST_PHASES, Phase
+from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
-from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import is_twin
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
-from fungrasp.robots.device import JointState, StopKind
+from fungrasp.robots.device import JointState
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_ros2.conversions import diagnostic_fields, fill, joint_state_fields
 from fungrasp_ros2.ros_side import ros_module
@@ -57,37 +54,7 @@ class GraspRequest:
     """Send nothing."""
 
 
-class PublishingLog:
-    """A ``DeploymentLog`` that keeps the newest states and passes everything on to another one."""
-
-    def __init__(self, log: DeploymentLog):
-        """
-        Args:
-            log: of everything.
-        """
-        self._log = log
-        self.states: dict[str, JointState] = {}
-        """Of arm and hand, the newest."""
-
-    def begin(self, plan: Any, about: Mapping[str, str]) -> None:
-        """See ``DeploymentLog.begin``."""
-        self._log.begin(plan, about)
-
-    def setpoint(self, phase: str, state: Any, command: Any) -> None:
-        """See ``DeploymentLog.setpoint``."""
-        self.states = {"arm": state.arm, "hand": state.hand}
-        self._log.setpoint(phase, state, command)
-
-    def step(self, *arguments: Any) -> None:
-        """See ``DeploymentLog.step``."""
-        self._log.step(*arguments)
-
-    def event(self, time: float, what: str, text: str) -> None:
-        """See ``DeploymentLog.event``."""
-        self._log.event(time, what, text)
-
-
-class GraspJob:
+class GraspJob(DeploymentObserver):
     """One grasp at a time, and what may stop or release it. Needs no ROS."""
 
     def __init__(
@@ -116,13 +83,11 @@ class GraspJob:
         self._name, self._policy, self._logs, self._deploy = name, policy, logs, deploy
         self._busy, self._released = threading.Lock(), threading.Event()
         self._switch: StopSwitch | None = None
-        self._log: PublishingLog | None = None
-        self.phase, self.fault, self.holding = "", "", False
-
-    @property
-    def states(self) -> dict[str, JointState]:
+        self._told: Callable[[str], None] = lambda phase: None
+        self.now, self.wrong, self.holding = "", "", False
+        """The phase, what was wrong, whether the hand holds after a run."""
+        self.states: dict[str, JointState] = {}
         """Of arm and hand, the newest; empty before the first setpoint."""
-        return {} if self._log is None else self._log.states
 
     def stop(self) -> tuple[bool, str]:
         """Stop what moves. Returns: whether something was running, and words."""
@@ -151,27 +116,21 @@ class GraspJob:
         if not self._busy.acquire(blocking=False):
             return False, "another grasp is running", ""
         path = self._logs / time.strftime("grasp-%Y%m%d-%H%M%S.mcap")
-        self.phase, self.fault, self.holding = "", "", False
+        self.now, self.wrong, self.holding, self.states = "", "", False, {}
         self._released.clear()
-
-        def begun(phase: Phase) -> None:
-            self.phase = phase.value
-            on_phase(phase.value)
-
+        self._told = on_phase
         try:
-            result = self._deployed(request, path, begun)
+            result = self._deployed(request, path)
         except FungraspError as error:
-            self.fault = str(error)
+            self.wrong = str(error)
             return False, str(error), ""
         finally:
             self._switch = None
             self._busy.release()
-        self.fault = result.fault
+        self.wrong = result.fault
         return not result.fault, result.words(), str(path)
 
-    def _deployed(
-        self, request: GraspRequest, path: Path, begun: Callable[[Phase], None]
-    ) -> DeploymentResult:
+    def _deployed(self, request: GraspRequest, path: Path) -> DeploymentResult:
         if request.until not in LAST_PHASES:
             raise UnknownNameError("end of a grasp", request.until, LAST_PHASES)
         if not 0 < request.speed <= 1:
@@ -183,32 +142,37 @@ class GraspJob:
             until=request.until,  # pyright: ignore[reportArgumentType]
             speed=request.speed,
             dry_run=request.dry_run,
+            threads=request.choice.threads,
         )
-        task = deployment_task(grasp, objects, spec, request.choice.threads)
-        if request.speed < 1 and not isinstance(task.policy, OpenLoopPolicy):
-            raise FungraspError(f"the policy '{self._policy}' watches what it does: its speed is 1")
-        about = {"robot": self._name, "policy": self._policy, "grasp": request.choice.words}
-        with McapLog(path) as written, StopSwitch(self.cell.stop_file) as switch:
-            self._log, self._switch = PublishingLog(written), switch
-            return self._deploy(
-                task,
-                log=self._log,
-                switch=switch,
-                settings=DeploymentSettings(until=LAST_PHASES[spec.until], speed=spec.speed),
-                about=about,
-                on_phase=begun,
-                hold=self.hold,
-            )
+        task = deployment_task(grasp, objects, spec)
+        about = {"version": __version__, "robot": self._name, "policy": self._policy}
+        about["grasp"] = request.choice.words
+        with McapLog(path, about) as log, StopSwitch(self.cell.stop_file) as switch:
+            self._switch = switch
+            return self._deploy(task, (log, self), switch)
 
-    def hold(self, robot: Robot) -> None:
+    def phase(self, time: float, phase: Phase) -> None:
+        """See ``DeploymentObserver.phase``."""
+        self.now = phase.value
+        self._told(phase.value)
+
+    def fault(self, time: float, reason: str) -> None:
+        """See ``DeploymentObserver.fault``."""
+        self.phase(time, Phase.FAULT)
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        """See ``DeploymentObserver.setpoint``."""
+        self.states = {"arm": state.arm, "hand": state.hand}
+
+    def hold(self, robot: Robot) -> bool:
         """Hold until ``release``, then open the hand slowly. robot: connected and stopped."""
         self.holding = True
         while not self._released.wait(0.1):
             # A driver that is not heard of stops by itself.
             robot.state()
         self.holding = False
-        robot.hand_driver.stop(StopKind.OPEN)
-        time.sleep(OPENING)
+        open_slowly(robot)
+        return True
 
 
 class GraspNode:
@@ -267,7 +231,7 @@ class GraspNode:
         for device, state in job.states.items():
             message = joint_state_fields(self._names[device], state, now)
             self._joints.publish(fill(self._joint_state(), message))
-        fields = diagnostic_fields(job.states, job.phase, job.fault, now)
+        fields = diagnostic_fields(job.states, job.now, job.wrong, now)
         self._diagnostic.publish(fill(self._diagnostics(), fields, self._kinds))
 
     def _answer(self, act: Callable[[], tuple[bool, str]]) -> Callable[[Any, Any], Any]:

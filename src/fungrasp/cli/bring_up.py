@@ -1,171 +1,62 @@
-"""``fungrasp robots doctor | read | touch | hold | jog | bring-up``: what comes before a grasp."""
+"""``fungrasp robots bring-up``: what comes before a robot's first grasp, a checklist of commands."""
 
 from __future__ import annotations
 
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from time import strftime
+from typing import TYPE_CHECKING
 
-import tyro
-
-from fungrasp.cli.console import Answer, Answering
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.cli.options import STAYS, CellName, wired_cell
+from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
-    from fungrasp.robots.stop_switch import StopSwitch
 
-CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
-Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
+STOP_AFTER = 4.0
+"""Where nobody is at the keyboard, the stop file is made so long after the command was started [s]."""
 
+PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
+"""How a step ends."""
 
-@dataclass(frozen=True)
-class Doctor(Answering):
-    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
+YES, SKIP = "yes", "skip"
+"""Words of an answer; after "skip" comes the reason."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-
-    def run(self) -> Answer:
-        from fungrasp.robots.single_devices import examine_devices
-
-        reports = []
-        for report in examine_devices(*_wired(self.cell)):
-            print(report.words, flush=True)
-            reports.append(report)
-        ill = sum(not report.well for report in reports)
-        return Answer(
-            [{"device": report.words, "well": report.well} for report in reports],
-            fault=f"{ill} of 3 devices can't be used" if ill else "",
-        )
+TITLE = "# Bring-up of "
+_SECTION = re.compile(r"^## (?P<step>[a-z-]+): (?P<status>passed|failed|skipped)$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Read(Answering):
-    """Show the joints of an arm or a hand, as they are measured. Nothing moves."""
+class Step:
+    """A line of the checklist."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
-    seconds: float = 10.0
-    """For so long [s]."""
-
-    def run(self) -> Answer:
-        from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
-
-        cell, hand = _wired(self.cell)
-        names = joint_names(self.part, cell, hand)
-        states = []
-        with bare_driver(self.part, cell, hand) as driver:
-            for state in read_joints(driver, self.seconds):
-                states.append({"status": str(state.status), "positions": state.positions})
-                joints = "  ".join(f"{n} {q:.3f}" for n, q in zip(names, state.positions, strict=True))
-                print(f"{state.status}  {joints} rad", flush=True)
-        return Answer({"joints": names, "states": states})
-
-
-@dataclass(frozen=True)
-class Touch(Answering):
-    """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
-    bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
-    itself."""
-
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    file: Annotated[Path, tyro.conf.Positional]
-    """JSON file; one that is there goes on."""
-    at: tuple[float, float, float]
-    """The marked point, in the world of the cell [m]."""
-    hand_point: tuple[float, float, float] | None = None
-    """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
-    default the middle of the flange touches."""
-
-    def run(self) -> Answer:
-        import numpy as np
-
-        from fungrasp.core.errors import FungraspError
-        from fungrasp.robots.calibration.touched_checks import touched_point
-        from fungrasp.robots.calibration.touched_file import add_touched
-        from fungrasp.robots.single_devices import arm_at_rest
-
-        cell, hand = _wired(self.cell)
-        joints, at = arm_at_rest(cell, hand), np.array(self.at)
-        if not np.isfinite(at).all():
-            raise FungraspError("a point is 3 finite numbers")
-        point = None if self.hand_point is None else np.array(self.hand_point)
-        apart = at - touched_point(joints, point, cell, hand)
-        count = add_touched(self.file, joints, at, point)
-        x, y, z = np.round(1e3 * apart) + 0.0
-        what = "flange" if point is None else "hand"
-        text = (
-            f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
-            "where the cell has it"
-        )
-        return Answer({"touched": self.file, "count": count, "apart": apart}, text)
-
-
-@dataclass(frozen=True)
-class Hold(Answering):
-    """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
-
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
-    seconds: float = 5.0
-    """For so long [s]."""
-
-    def run(self) -> Answer:
-        from fungrasp.deployment.confirmation import ask_before_motion
-        from fungrasp.robots.single_devices import guarded_driver, hold_in_place
-
-        cell, hand = _wired(self.cell)
-        with _switch(cell) as switch:
-            ask_before_motion(switch, f"hold the {self.part} where it is for {self.seconds:g} s")
-            with guarded_driver(self.part, cell, hand, switch) as driver:
-                moved = hold_in_place(driver, self.seconds)
-        return Answer({"moved": moved}, f"held within {moved:.3f} rad")
-
-
-@dataclass(frozen=True)
-class Jog(Answering):
-    """Move one joint of an arm or a hand slowly by a small angle, and back; the others hold."""
-
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
-    joint: Annotated[str, tyro.conf.Positional]
-    """Name of the joint, as `robots read` shows it."""
-    by: float = 0.1
-    """Angle [rad], 0.2 at most."""
-
-    def run(self) -> Answer:
-        from fungrasp.core.errors import UnknownNameError
-        from fungrasp.deployment.confirmation import ask_before_motion
-        from fungrasp.robots.single_devices import guarded_driver, jog, joint_names
-
-        cell, hand = _wired(self.cell)
-        names = joint_names(self.part, cell, hand)
-        if self.joint not in names:
-            raise UnknownNameError("joint", self.joint, names)
-        with _switch(cell) as switch:
-            ask_before_motion(switch, f"move '{self.joint}' of the {self.part} by {self.by:g} rad and back")
-            with guarded_driver(self.part, cell, hand, switch) as driver:
-                number = names.index(self.joint)
-                rest = driver.read().positions[number]
-                far, back = jog(driver, number, self.by)
-        there, here = (float(state.positions[number] - rest) for state in (far, back))
-        text = f"{self.joint}: moved by {there:.3f} rad, and back to {here:.3f} rad from where it was"
-        return Answer({"joint": self.joint, "moved": there, "back": here}, text)
+    name: str
+    """By which the log knows it."""
+    sentence: str
+    """What is done, and what to look at."""
+    words: tuple[str, ...]
+    """Command line of fungrasp."""
+    question: str = ""
+    """To the operator afterwards; "" where the command says whether it is well."""
+    stop: str = ""
+    """The operator has to stop the command while something moves: "key" or "file"."""
+    file: bool = False
+    """Whether it needs the file of touched points."""
 
 
 @dataclass(frozen=True)
 class BringUp:
-    """Walk through what comes before a robot's first grasp, one step after the other, up to a lift in slow
-    motion; what was measured is written to a log, which goes on where it ended."""
+    """Walk through what comes before a robot's first grasp: a list of commands, up to a lift in slow motion.
+    What they said and what you answered is written to a log, which goes on where it ended."""
 
     cell: CellName
     """A robot cell: a TOML file, or one that comes with the package; emulated devices will do, a twin not."""
@@ -187,52 +78,248 @@ class BringUp:
     """Seed of the plan."""
 
     def run(self) -> None:
-        from fungrasp.deployment.bring_up.operator import Operator
-        from fungrasp.deployment.bring_up.session import bring_up
-        from fungrasp.deployment.bring_up.steps import BringUpTask
-        from fungrasp.deployment.saved_plan import SavedPlan
-        from fungrasp.media.plan_pictures import write_plan_pictures
+        from fungrasp.core.errors import FungraspError, UnknownNameError
+        from fungrasp.core.files import digest
+        from fungrasp.robots.cell import is_wired
 
-        cell, hand = _wired(self.cell)
+        cell, hand = wired_cell(self.cell)
+        if is_wired(cell) and (self.yes or not sys.stdin.isatty()):
+            raise FungraspError("a real robot is brought up by a person at a terminal: no --yes, no pipe")
+        log = BringUpLog(self.log, cell.name, digest(cell, hand)[:12])
+        steps = self.steps(cell, hand)
+        names = [step.name for step in steps]
+        if self.start and self.start not in names:
+            raise UnknownNameError("step", self.start, names)
+        done = [name for name, status in log.done.items() if status != FAILED]
+        undone = (number for number, name in enumerate(names) if name not in done)
+        first = names.index(self.start) if self.start else next(undone, len(names))
+        if first:
+            print(f"{self.log}: {first} of {len(names)} steps are done", flush=True)
+        if log.other_cell:
+            print(f"the cell has changed since; '--start {names[0]}' begins anew, if that touches it")
+        for number, step in enumerate(steps[first:], first + 1):
+            print(f"[{number}/{len(names)}] {step.name}: {step.sentence}", flush=True)
+            status, lines = self._done(step, cell)
+            log.append(step, status, lines)
+            print(f"  {status}", flush=True)
+            if status == FAILED:
+                raise FungraspError(
+                    f"the step '{step.name}' failed; the same command goes on there ({self.log})"
+                )
+        print(f"brought up; the log is {self.log}", flush=True)
 
-        def draw(path: Path, saved: SavedPlan) -> tuple[Path, ...]:
-            thing = saved.origin.source.load()
-            return write_plan_pictures(path, saved, cell, hand, thing, self.choice.threads)
+    def steps(self, cell: RobotCell, hand: Hand) -> list[Step]:
+        """The checklist of a cell."""
+        from fungrasp.robots.single_devices import joint_names
 
-        with _switch(cell) as switch:
-            task = BringUpTask(
-                self.cell,
-                cell,
-                hand,
-                switch,
-                Operator(switch, cell, _say, self.yes),
-                self.choice,
-                self.policy,
-                self.speed,
-                self.seed,
-                self.touched,
-                self.log.with_name(f"{self.log.stem}-plan.npz"),
-                draw,
-            )
-            bring_up(task, self.log, self.start)
+        robots, name, last = "robots", self.cell, joint_names("arm", cell, hand)[-1]
+        stopped = (robots, "jog", name, "arm", last, "--by", "0.2")
+        check = (robots, "check", name, *(("--touched", str(self.touched)) if self.touched else ()))
+        moved = "Each joint moves by 0.1 rad and back, alone. Watch that it is the right one."
+        plan = self.log.with_name(f"{self.log.stem}-plan.png")
+        given = {
+            **{name: value for name, value in vars(self.choice).items() if value is not None},
+            "policy": self.policy,
+            "seed": self.seed,
+        }
+        options = [word for option, value in given.items() for word in (f"--{option}", str(value))]
+        deploy = ("deploy", "--robot", name, *options, "--picture", str(plan))
+        slow = (*deploy, "--speed", f"{self.speed:g}")
+        steps = [
+            Step("doctor", "Every device answers; nothing moves.", (robots, "doctor", name)),
+            Step(
+                "read-arm",
+                "The arm's joints are shown; nothing moves. Compare them with the pendant.",
+                (robots, "read", name, "arm"),
+                "Do the joints agree with the pendant?",
+            ),
+            Step(
+                "hold-arm",
+                "The arm is taken over and holds; its driver compares kinematics and payload.",
+                (robots, "hold", name, "arm"),
+                "Does the pendant say the payload that the cell says, kinematics and payload compared?",
+            ),
+            Step("jog-arm", moved, (robots, "jog", name, "arm", "all")),
+            Step("stop", "Press Enter while the last joint of the arm moves.", stopped, stop="key"),
+            Step("stop-file", f"Make the file {cell.stop_file} while it moves.", stopped, stop="file"),
+            Step("base", "The base is where the cell has it, by points that were touched.", check, file=True),
+            Step(
+                "mount",
+                "The hand is on the flange as the cell says. Have a ruler ready.",
+                check,
+                "Does a ruler on the hand say so, too?",
+            ),
+            Step(
+                "read-hand",
+                "The hand's joints are shown. Move each finger by hand, where it gives way.",
+                (robots, "read", name, "hand"),
+                "Did the right joints move, with the right sign and size?",
+            ),
+            Step("hold-hand", "The hand is switched on and holds.", (robots, "hold", name, "hand")),
+            Step("jog-hand", moved, (robots, "jog", name, "hand", "all")),
+            Step(
+                "plan",
+                "Put the object where the arm reaches it. The whole way is planned; nothing moves.",
+                (*deploy, "--until", "plan"),
+                "Is the way free, and the grasp one that you want?",
+            ),
+            Step(
+                "approach",
+                "The arm goes to the start of the grasp in slow motion.",
+                (*slow, "--until", "approach"),
+                "Is the hand where the picture has it?",
+            ),
+            Step(
+                "lift",
+                "Grasp, lift, put down and home in slow motion. A soft object, first.",
+                slow,
+                "Was the object lifted by 10 cm, held and put down?",
+            ),
+        ]
+        return [step for step in steps if step.name != "stop-file" or cell.stop_file]
+
+    def _done(self, step: Step, cell: RobotCell) -> tuple[str, list[str]]:
+        """How a step went, and what the log says of it."""
+        from fungrasp.core.errors import FungraspError
+
+        unattended = self.yes or not sys.stdin.isatty()
+        if step.file and self.touched is None and unattended:
+            return SKIPPED, ["no touched points (--touched FILE)"]
+        if step.stop == "key" and unattended:
+            return SKIPPED, ["nobody is at the keyboard"]
+        answer = self._ask(f"  Type '{YES}' to begin, '{SKIP} WHY' to leave it out: ")
+        word, _, why = answer.partition(" ")
+        if word.lower() == SKIP:
+            return SKIPPED, [why.strip() or "no reason given"]
+        if answer.lower() != YES:
+            raise FungraspError("ended by the operator")
+        if step.file and self.touched is None:
+            return FAILED, ["no touched points (--touched FILE): make them by 'fungrasp robots touch'"]
+        words = list(step.words)
+        if unattended and words[1] in ("hold", "jog"):
+            words.append("--yes")
+        with _stop_file(Path(cell.stop_file), step.stop == "file" and unattended):
+            status, said = run_fungrasp(words, not unattended)
+        lines = [f"`fungrasp {shlex.join(words)}`", *said]
+        well = any(STAYS in line for line in said) if step.stop else not status
+        if not well or not step.question:
+            return PASSED if well else FAILED, lines
+        if self.yes:
+            return PASSED, [*lines, f"nobody looked ({step.question})"]
+        answer = self._ask(f"  {step.question} Type '{YES}' or 'no': ")
+        return PASSED if answer.lower() == YES else FAILED, [*lines, f"operator: {step.question} {answer}"]
+
+    def _ask(self, question: str) -> str:
+        """The answer to a question."""
+        from fungrasp.core.errors import FungraspError
+
+        if self.yes:
+            return YES
+        try:
+            return input(question).strip()
+        except EOFError:
+            raise FungraspError("there are no more answers") from None
 
 
-def _wired(name: str) -> tuple[RobotCell, Hand]:
-    """A cell of real or emulated devices, and its hand."""
-    from fungrasp.hands import load_hand
-    from fungrasp.robots.cell import load_cell
-    from fungrasp.robots.single_devices import check_wired
+def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
+    """Run a command in a process of its own, which has the terminal.
 
-    cell = load_cell(name if Path(name).suffix != ".toml" else Path(name))
-    check_wired(cell)
-    return cell, load_hand(cell.hand)
+    Args:
+        words: its command line.
+        keyboard: whether a person answers.
+
+    Returns:
+        its exit status, and the lines that it printed, errors included.
+    """
+    start = "from fungrasp.cli.start import start; raise SystemExit(start())"
+    lines = []
+    with subprocess.Popen(
+        [sys.executable, "-c", start, *words],
+        stdin=None if keyboard else subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        # What stops the robot is for the command alone, which may hold an object.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            assert process.stdout is not None
+            for line in process.stdout:
+                print(f"  {line}", end="", flush=True)
+                lines.append(line.rstrip())
+            status = process.wait()
+        finally:
+            signal.signal(signal.SIGINT, before)
+    return status, lines
 
 
-def _say(line: str) -> None:
-    print(line, flush=True)
+@contextmanager
+def _stop_file(file: Path, made: bool) -> Iterator[None]:
+    """Make the stop file after a moment where nobody else does, and take it away at the end."""
+    timer = threading.Timer(STOP_AFTER, file.touch)
+    if made:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if made:
+            file.unlink(missing_ok=True)
 
 
-def _switch(cell: RobotCell) -> StopSwitch:
-    from fungrasp.robots.stop_switch import StopSwitch
+class BringUpLog:
+    """A Markdown page with a section for each step, written whole as one ends."""
 
-    return StopSwitch(cell.stop_file, keyboard=True)
+    def __init__(self, path: Path, cell: str, digest: str):
+        """
+        Args:
+            path: the file; one that is there goes on.
+            cell: name of the cell.
+            digest: of the cell and its hand.
+
+        Raises:
+            FungraspError: the file is no log, or one of another cell.
+        """
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.core.formats.file_bytes import read_bytes
+        from fungrasp.core.version import __version__
+
+        self._path, self._digest, title = path, digest, f"{TITLE}{cell}"
+        self._text = (
+            f"{title}\n\nWritten by `fungrasp robots bring-up`, fungrasp {__version__}. Of each step the "
+            "last section counts; the command goes on after the last one that did not fail.\n"
+        )
+        if not path.exists():
+            return
+        self._text = read_bytes(path, "log of a bring-up", 4_000_000).decode("utf-8", errors="replace")
+        first = self._text.partition("\n")[0]
+        if not first.startswith(TITLE):
+            raise FungraspError(f"{path} is no log of a bring-up: give another name")
+        if first != title:
+            raise FungraspError(f"{path} is of the cell {first.removeprefix(TITLE)}, not {cell}")
+
+    @property
+    def done(self) -> dict[str, str]:
+        """How each step ended, the last time."""
+        return {found["step"]: found["status"] for found in _SECTION.finditer(self._text)}
+
+    @property
+    def other_cell(self) -> bool:
+        """Whether steps were done before cell or hand were changed."""
+        return bool(self.done) and f"cell {self._digest}" not in self._text.rpartition("\n## ")[2]
+
+    def append(self, step: Step, status: str, lines: Sequence[str]) -> None:
+        """Write down how a step went.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        from fungrasp.core.files import atomic_path
+        from fungrasp.core.formats.file_bytes import one_line
+
+        listed = "".join(f"- {one_line(line, 400)}\n" for line in lines)
+        when = strftime("%Y-%m-%d %H:%M")
+        self._text += (
+            f"\n## {step.name}: {status}\n\n{step.sentence} {when}, cell {self._digest}.\n\n{listed}"
+        )
+        with atomic_path(self._path) as temporary:
+            temporary.write_text(self._text, encoding="utf-8")

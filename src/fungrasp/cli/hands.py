@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table
-from fungrasp.core.errors import FungraspError
+from fungrasp.cli.console import Answer, Answering, table, write_four_views
 
 if TYPE_CHECKING:
     import mujoco
@@ -66,7 +64,7 @@ class ShowHand(Answering):
         hand = load_hand(self.name)
         description = describe_hand(hand)
         if self.picture is not None:
-            _draw(hand, self.picture)
+            write_four_views(self.picture, _upright(hand))
         return Answer(description, _text(description))
 
 
@@ -160,20 +158,6 @@ class ExportHand(Answering):
 
 
 COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHand, "export": ExportHand}
-
-
-def _draw(hand: Hand, path: Path) -> None:
-    from PIL import Image
-
-    from fungrasp.core.files import atomic_path
-    from fungrasp.media.pictures import four_views, grid
-
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
-    picture = Image.fromarray(grid(four_views(_upright(hand)), columns=2))
-    with atomic_path(path) as temporary:
-        picture.save(temporary)
-    print(f"wrote {path}", file=sys.stderr)
 
 
 def _upright(hand: Hand) -> mujoco.MjModel:

@@ -52,15 +52,15 @@ class Collect(Answering):
 
         import numpy as np
 
-        from fungrasp.deployment.confirmation import ask_before_motion
+        from fungrasp.deployment.observer import ask_before_motion
         from fungrasp.hands import load_hand
         from fungrasp.robots.assembly import guarded_hand
         from fungrasp.robots.cell import is_wired, load_cell
         from fungrasp.robots.hands.weaker_hand import with_torque_share
         from fungrasp.robots.motion_recording import record_motion
         from fungrasp.robots.stop_switch import StopSwitch
+        from fungrasp.sim2real.identification.excitation import JointRoom, safe_motion
         from fungrasp.sim2real.identification.motion_log import MotionLogWriter
-        from fungrasp.sim2real.identification.safe_motion import safe_motion
 
         cell = with_torque_share(load_cell(self.cell), self.torque_share)
         hand = load_hand(cell.hand)
@@ -73,9 +73,8 @@ class Collect(Answering):
                 ):
                     rest, limits = driver.read().positions, driver.limits
                     speed = np.minimum(limits.velocity, cell.limits.hand_speed)
-                    motion = safe_motion(
-                        self.excitation, hand, rest, limits.lower, limits.upper, speed, limits.torque, gravity
-                    )
+                    room = JointRoom(limits.lower, limits.upper, speed, limits.torque)
+                    motion = safe_motion(self.excitation, hand, rest, room, gravity)
                     seconds = len(motion.commands) / self.excitation.rate
                     if is_wired(cell) and not self.yes:
                         ask_before_motion(

@@ -12,8 +12,9 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext, redirect_stdout
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import make_dataclass
+from io import StringIO
 from typing import Annotated, Any, NoReturn, Union
 
 from fungrasp.cli.console import STDOUT, Answer
@@ -27,9 +28,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "scan": ("fungrasp.cli.scan", "make a mesh of an object from a few images with depth of it"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
-    "predictor": ("fungrasp.cli.predictor", "learn which variations of a grasp will hold"),
+    "predictor": ("fungrasp.cli.train:TrainPredictor", "learn which variations of a grasp will hold"),
     "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
-    "distill": ("fungrasp.cli.distill", "train a student, that sees what a robot has, from a teacher"),
+    "distill": ("fungrasp.cli.train:Distill", "train a student, that sees what a robot has, from a teacher"),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
     "view": ("fungrasp.cli.view", "look at grasps, episodes, results, logs, captures and hands in a browser"),
     "export": ("fungrasp.cli.export", "write recorded episodes for LeRobot or as MCAP files"),
@@ -37,17 +38,21 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
-    "setup": ("fungrasp.cli.setup", "fetch the hand models that perceiving images needs"),
+    "setup": ("fungrasp.cli.doctor:SETUP", "fetch the hand models that perceiving images needs"),
     "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
     "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
 }
-"""Module and summary of every command, in the order of the help."""
+"""Where every command is (a module's ``COMMAND``, or "module:name") and its summary, in the order of the
+help."""
 
 LEFT: Mapping[str, str] = {
+    "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
     "demo --refine": "a policy with rollouts chooses among plans: --policy student, the default",
     "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
+    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
+    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",
@@ -118,14 +123,18 @@ def _status(work: Callable[[], int]) -> int:
 
 def available_commands() -> dict[str, tuple[str, str]]:
     """The commands whose module is installed, in the order of ``COMMANDS``; nothing is imported."""
-    return {name: entry for name, entry in COMMANDS.items() if importlib.util.find_spec(entry[0]) is not None}
+    return {
+        name: entry
+        for name, entry in COMMANDS.items()
+        if importlib.util.find_spec(entry[0].partition(":")[0]) is not None
+    }
 
 
 def every_command() -> dict[str, Any]:
     """Each command, or a table of its subcommands, with all modules imported."""
     commands: dict[str, Any] = {}
-    for name, (module, _) in available_commands().items():
-        command = importlib.import_module(module).COMMAND
+    for name, (place, _) in available_commands().items():
+        command = _loaded(place)
         if isinstance(command, Mapping):
             command = {sub: _loaded(one) for sub, one in command.items()}
         commands[name] = command
@@ -149,7 +158,7 @@ def _dispatch(arguments: list[str]) -> int:
     commands = available_commands()
     if first not in commands:
         raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
-    return _run(f"fungrasp {first}", importlib.import_module(commands[first][0]).COMMAND, rest)
+    return _run(f"fungrasp {first}", _loaded(commands[first][0]), rest)
 
 
 def _check_left(first: str, rest: Sequence[str]) -> None:
@@ -210,7 +219,19 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
     config = [tyro.conf.FlagCreatePairsOff, tyro.conf.HelptextFromCommentsOff]
     if not getattr(command, "option_prefixes", False):
         config.append(tyro.conf.OmitArgPrefixes)
-    return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
+    said = StringIO()
+    try:
+        with redirect_stderr(said):
+            return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
+    except SystemExit as stop:
+        error: BaseException | None = stop
+        while error is not None:
+            # A spec has found an impossible value: in one line, as all our errors.
+            if isinstance(error, FungraspError):
+                raise error from None
+            error = error.__context__
+        sys.stderr.write(said.getvalue())
+        raise
 
 
 def _loaded(command: Any) -> Any:
@@ -218,7 +239,7 @@ def _loaded(command: Any) -> Any:
     if not isinstance(command, str):
         return command
     module, _, name = command.partition(":")
-    return getattr(importlib.import_module(module), name)
+    return getattr(importlib.import_module(module), name or "COMMAND")
 
 
 def _help() -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table
+from fungrasp.cli.console import Answer, Answering, check_picture, table, write_four_views
 
 if TYPE_CHECKING:
     import mujoco
@@ -68,11 +67,10 @@ class ShowObject(Answering):
     """Color the picture by convex piece instead of by part."""
 
     def run(self) -> Answer:
-        from fungrasp.core.errors import FungraspError
         from fungrasp.objects.object_description import describe_object
 
-        if self.picture is not None and self.picture.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-            raise FungraspError(f"a picture must be a .png or .jpg file, not {self.picture}")
+        if self.picture is not None:
+            check_picture(self.picture)
         model, weighed = self._load()
         description = describe_object(model)
         if not weighed:
@@ -127,20 +125,12 @@ def _text(d: dict[str, Any]) -> str:
 
 
 def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
-    from PIL import Image
-
-    from fungrasp.core.files import atomic_path
-    from fungrasp.media.pictures import four_views, grid
-
     names = list(COLORS)
     legend = (
         "" if by_piece else ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(model.parts))
     )
     labels = [f"{model.name}, {_size(model.size)} cm", legend or f"{len(model.pieces)} convex pieces", "", ""]
-    picture = Image.fromarray(grid(four_views(_scene(model, by_piece)), labels, columns=2))
-    with atomic_path(path) as temporary:
-        picture.save(temporary)
-    print(f"wrote {path}", file=sys.stderr)
+    write_four_views(path, _scene(model, by_piece), labels)
 
 
 def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:

@@ -5,12 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import tyro
+
 from fungrasp.cli.console import STDOUT
 from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.core.jobs import RayCluster
+    from fungrasp.hands import Hand
+    from fungrasp.robots.cell import RobotCell
     from fungrasp.simulation import BufferSizes, Device
+
+CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+"""A robot cell: a TOML file, or one that comes with the package."""
+
+STAYS = "it stays stopped"
+"""Said of a device that takes no command after a stop."""
 
 
 def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
@@ -91,3 +101,14 @@ JsonOut = Annotated[str | None, optional_value("[FILE]", STDOUT, "file")]
 def json_path(json: str | None) -> Path | None:
     """The file that is meant by a ``JsonOut``; None where there is none."""
     return None if json is None or json == STDOUT else Path(json)
+
+
+def wired_cell(name: str) -> tuple[RobotCell, Hand]:
+    """A cell of real or emulated devices, and its hand."""
+    from fungrasp.hands import load_hand
+    from fungrasp.robots.cell import load_cell
+    from fungrasp.robots.single_devices import check_wired
+
+    cell = load_cell(name if Path(name).suffix != ".toml" else Path(name))
+    check_wired(cell)
+    return cell, load_hand(cell.hand)

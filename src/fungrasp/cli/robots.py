@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from fungrasp.cli.console import Answer, Answering, suggestion, table
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
     import numpy as np
@@ -94,8 +94,10 @@ class Check(Answering):
         import numpy as np
 
         from fungrasp.core.errors import FungraspError
-        from fungrasp.deployment.hand_knowledge import hand_knowledge
+        from fungrasp.deployment.identified_dynamics import identified_dynamics
+        from fungrasp.geometry.poses import rotate
         from fungrasp.hands import load_hand
+        from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
         from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
         from fungrasp.robots.cell import check_calibrated, load_cell
@@ -130,7 +132,15 @@ class Check(Answering):
             "palm_speed": limits.palm_speed,
             "palm_acceleration": limits.palm_acceleration,
         }
-        lines = [f"{cell.name}: {hand.title} on a {value['arm']}; palm at home: {palm} m"]
+        mounted = mounting_pose(hand, cell.mount)
+        place = (cell.mount.pose_flange_hand or (0.0, 0.0, MOUNTING_GAP))[:3]
+        place = ", ".join(f"{1e3 * x:.0f}" for x in place)
+        faces, along = (_axis(rotate(mounted[3:], v)) for v in (hand.palm_normal, hand.palm_fingers))
+        lines = [
+            f"{cell.name}: {hand.title} on a {value['arm']}; palm at home: {palm} m",
+            f"mount: the middle of the palm's lower end is at ({place}) mm of the flange; the palm faces "
+            f"{faces} of it, the fingers point along {along}",
+        ]
         if self.touched is not None:
             base = check_touched_base(self.touched, cell, hand)
             if base.fault:
@@ -151,9 +161,9 @@ class Check(Answering):
             value["devices"] = [device.name for device in devices]
             lines += [f"device: {device.name}" for device in devices]
             check_calibrated(cell)
-        known = hand_knowledge(cell, hand)
+        limited, _ = identified_dynamics(cell, hand)
         own = np.array([servo.force_limit for servo in hand.actuators.values()])
-        planned = np.array([servo.force_limit for servo in known.planned.actuators.values()])
+        planned = np.array([servo.force_limit for servo in limited.actuators.values()])
         less = "" if (planned == own).all() else f", less than the model's {_range(own)}: plans keep to it"
         lines.append(f"hand: torques up to {_range(planned)} N m{less}")
         lines.append(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
@@ -254,8 +264,7 @@ class ReplayLog(Answering):
 
     def run(self) -> Answer:
         from fungrasp.core.errors import FungraspError
-        from fungrasp.deployment.log import read_log
-        from fungrasp.deployment.replay import replay_log
+        from fungrasp.deployment.log import read_log, replay_log
         from fungrasp.hands import load_hand
         from fungrasp.objects import load_object
         from fungrasp.policies import make_policy
@@ -276,6 +285,14 @@ class ReplayLog(Answering):
         return Answer(asdict(result), f"{result.steps} actions, all the same")
 
 
+def _axis(vector: np.ndarray) -> str:
+    """A direction in words."""
+    for number, part in enumerate(vector):
+        if abs(part) > 0.999:
+            return f"{'+-'[int(part < 0)]}{'xyz'[number]}"
+    return f"({', '.join(f'{part:.2f}' for part in vector)})"
+
+
 def _range(values: np.ndarray) -> str:
     """Least and largest value, one where they are the same."""
     low, high = f"{values.min():.2g}", f"{values.max():.2g}"
@@ -288,11 +305,11 @@ COMMAND = {
     "new": New,
     "arm-model": ArmModel,
     "check": Check,
-    "doctor": "fungrasp.cli.bring_up:Doctor",
-    "read": "fungrasp.cli.bring_up:Read",
-    "touch": "fungrasp.cli.bring_up:Touch",
-    "hold": "fungrasp.cli.bring_up:Hold",
-    "jog": "fungrasp.cli.bring_up:Jog",
+    "doctor": "fungrasp.cli.devices:Doctor",
+    "read": "fungrasp.cli.devices:Read",
+    "touch": "fungrasp.cli.devices:Touch",
+    "hold": "fungrasp.cli.devices:Hold",
+    "jog": "fungrasp.cli.devices:Jog",
     "bring-up": "fungrasp.cli.bring_up:BringUp",
     "emulate": Emulate,
     "log": ShowLog,

@@ -1,37 +1,34 @@
-"""``fungrasp train``: a policy learns from grasps in simulation."""
+"""``fungrasp train``, ``distill`` and ``predictor``: policies learn from reward, students from their teacher,
+and success predictors from tried plans.
+Options are the fields of the verb's spec, which a command holds as ``spec`` without a name of its own.
+"""
 
 from __future__ import annotations
 
+import importlib
+import os
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
+
+import tyro
 
 from fungrasp.cli.console import Answer, Answering, progress_bar
-from fungrasp.cli.training_options import (
-    check_numbers,
-    check_packages,
-    predictor_file,
-    progress_lines,
-)
+from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.features import LayoutName
-from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.plan_library import Variety
-from fungrasp.training.settings import CurveSettings, PpoSettings
+from fungrasp.training.settings import PredictorSpec, StudentSpec, TrainSpec
+
+LINE_PERIOD = 10.0
+"""Time between two lines of progress [s]."""
 
 
-@dataclass(frozen=True)
-class Train(Answering):
-    """Train a policy: PPO on many perturbed copies of grasps, in many simulated worlds at once.
+@dataclass(frozen=True, kw_only=True)
+class TrainingGrasps:
+    """Options that say what is trained on."""
 
-    Given again with the same settings, the command goes on where it was interrupted, or trains for more
-    steps.
-    """
-
-    option_prefixes: ClassVar[bool] = True
-
-    out: Path | None = None
-    """Folder of the training; policy.onnx will be in it. runs/<hand> if not given."""
     grasps: tuple[str, ...] = ("builtin",)
     """Files of human grasps (they are retargeted first) or of robot grasps of --hand, or "builtin"; several
     are trained on together."""
@@ -43,15 +40,31 @@ class Train(Answering):
     """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     method: str = "contact"
     """How human grasps are retargeted: contact, angle-copy or dexgraspnet."""
-    steps: float = 3e6
-    """Control steps of all worlds together, earlier runs of this training included."""
-    plans: str | None = None
-    """A success predictor that chooses the plans to follow, in training and at work: one that comes with the
-    package ("predictor" is short for the hand's), or a file. The grasps' own plans by default."""
-    initial: Path | None = None
-    """Folder of another training, whose networks this one begins with."""
-    shrink: float = 1.0
-    """Factor on the finished policy's corrections, and on those of its students."""
+    terms: tuple[str, ...] = ()
+    """Under what terms each of --grasps may be used, for the policy's card."""
+
+    def load(self, threads: int) -> tuple[Any, Any]:
+        """The sets, and the hand."""
+        from fungrasp.sim2real.joint_dynamics import identified_hand
+        from fungrasp.training.training_sets import load_training_sets
+
+        hand = identified_hand(self.hand, self.hand_dynamics)
+        sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, threads)
+        return sets, hand
+
+
+@dataclass(frozen=True)
+class Train(TrainingGrasps, Answering):
+    """Train a policy on grasps with PPO, many worlds at once.
+
+    Given again with the same settings, the command goes on where it was interrupted, or trains for more
+    steps.
+    """
+
+    option_prefixes: ClassVar[bool] = True
+
+    out: Path | None = None
+    """Folder of the training; policy.onnx will be in it. runs/<hand> if not given."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
     layout: LayoutName | None = None
@@ -59,28 +72,8 @@ class Train(Answering):
     worlds: str | None = None
     """What episodes draw their worlds from, in the place of --environment.randomization: "nominal",
     "moderate", "wide", or "reality", what the reality protocol of evaluation draws from."""
-    seed: int = 0
-    """Seed of all random numbers."""
-    threads: int = 0
-    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
-    device: Literal["cuda", "cpu-warp", "cpu"] | None = None
-    """Where the worlds are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or the
-    processor. By default a GPU if there is one with the extra "gpu"."""
-    buffers: tuple[int, int] | None = None
-    """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
-    by default."""
-    terms: tuple[str, ...] = ()
-    """Under what terms each of --grasps may be used, for the policy's card."""
-    licence: str = ""
-    """Licence of the policy, for its card."""
-    curve: CurveSettings = field(default_factory=CurveSettings)
-    """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder."""
-    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
-    """Settings of the worlds that the policy is trained in."""
-    ppo: PpoSettings = field(default_factory=PpoSettings)
-    """Settings of PPO."""
-    variety: Variety = field(default_factory=Variety)
-    """How the grasps are varied that the policy is trained on."""
+    spec: Annotated[TrainSpec, tyro.conf.arg(name="")] = field(default_factory=TrainSpec)
+    """How."""
 
     @property
     def folder(self) -> Path:
@@ -88,58 +81,147 @@ class Train(Answering):
         return self.out or Path("runs") / Path(self.hand).stem
 
     def run(self) -> Answer:
-        check_packages()
-        import torch
+        prepare_torch()
+        from fungrasp.training.train import train
 
-        from fungrasp.cli.options import device_and_buffers
-        from fungrasp.sim2real.joint_dynamics import identified_hand
-        from fungrasp.training.processes import joined
-        from fungrasp.training.run import POLICY, RunSettings, consistent, train
-        from fungrasp.training.training_sets import load_training_sets
-
-        check_numbers(self.steps, self.seed, self.threads)
-        device, buffers = device_and_buffers(self.device, self.buffers)
-        hand = identified_hand(self.hand, self.hand_dynamics)
-        ppo = self.ppo if self.sees is None else replace(self.ppo, sees=self.sees)
-        environment = self.environment
+        ppo, environment = self.spec.ppo, self.spec.environment
+        if self.sees is not None:
+            ppo = replace(ppo, sees=self.sees)
         if self.layout is not None:
             environment = replace(environment, layout=self.layout)
         if self.worlds is not None:
             environment = replace(environment, randomization=preset(self.worlds))
-        settings = consistent(RunSettings(self.seed, self.variety, environment, ppo))
-        sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, self.threads)
-        # More threads make the small networks slower.
-        torch.set_num_threads(1)
-        plans = None if self.plans is None else predictor_file(self.plans, hand)
-        copies = sum(len(s.grasps) for s in sets) * self.variety.planned(plans is not None)
-        with joined(device) as processes, progress_bar("planning", copies) as show:
-            card = train(
-                self.folder,
-                sets,
-                hand,
-                settings,
-                int(self.steps),
-                licence=self.licence,
-                threads=self.threads,
-                device=device,
-                buffers=buffers,
-                plans=plans,
-                initial=self.initial,
-                shrink=self.shrink,
-                curve=self.curve,
-                processes=processes,
-                planning=show,
-                progress=progress_lines(int(self.steps)),
+        spec = replace(self.spec, ppo=ppo, environment=environment)
+        sets, hand = self.load(spec.threads)
+        copies = sum(len(s.grasps) for s in sets) * spec.variety.planned(spec.plans is not None)
+        with progress_bar("planning", copies) as show:
+            policy = train(
+                self.folder, sets, hand, spec, planning=show, progress=progress_lines(int(spec.steps))
             )
-        if not processes.first:
+        if int(os.environ.get("RANK", "0")) > 0:
             # Only the first of several processes answers.
             raise SystemExit(0)
-        seconds = card.budget.seconds
+        return _trained(policy)
+
+
+@dataclass(frozen=True)
+class Distill(Answering):
+    """Train a student from a teacher: it sees what a robot has, and infers the contacts from how the joints
+    move.
+
+    Given again with the same settings, the command goes on where it was interrupted.
+    """
+
+    option_prefixes: ClassVar[bool] = True
+
+    teacher: Path
+    """Folder of a teacher's training (fungrasp train)."""
+    out: Path
+    """Folder of the student's training; student.onnx will be in it."""
+    spec: Annotated[StudentSpec, tyro.conf.arg(name="")] = field(default_factory=StudentSpec)
+    """How."""
+
+    def run(self) -> Answer:
+        prepare_torch()
+        from fungrasp.training.distill import train_student
+
+        lines = progress_lines(int(self.spec.steps))
+        return _trained(train_student(self.teacher, self.out, self.spec, progress=lines))
+
+
+@dataclass(frozen=True)
+class TrainPredictor(TrainingGrasps, Answering):
+    """Try many variations of grasps in physics, and train a success predictor that chooses among such
+    variations.
+
+    Its file is a policy: `fungrasp evaluate --policy predictor.onnx` plays the plans that it chooses.
+    """
+
+    out: Path
+    """The predictor's file (.onnx)."""
+    spec: Annotated[PredictorSpec, tyro.conf.arg(name="")] = field(default_factory=PredictorSpec)
+    """How."""
+
+    def run(self) -> Answer:
+        prepare_torch()
+        from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+        from fungrasp.training.success_predictor import MEASURED, train_predictor
+
+        sets, hand = self.load(self.spec.threads)
+        with progress_bar("trying plans", 1.0) as show:
+            train_predictor(self.out, sets, hand, self.spec, progress=show)
+        card = load_policy(self.out).card
+        measured, budget = card.measured[MEASURED], card.budget
         return Answer(
-            {"policy": self.folder / POLICY, "card": card.to_json()},
-            f"{self.folder / POLICY}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
-            f"{seconds / 60:.1f} min",
+            {"policy": self.out, "card": card.to_json()},
+            f"{self.out}: of grasps it has not seen, {measured['first']:.1%} hold as they are, "
+            f"{measured['chosen']:.1%} of those it chooses, {measured['any']:.1%} in some variation "
+            f"({budget.steps} episodes in {budget.seconds / 60:.1f} min)",
         )
 
 
 COMMAND = Train
+
+
+def prepare_torch() -> None:
+    """See that what training needs is there, and keep torch to one thread: more make small networks slower.
+
+    Raises:
+        FungraspError: a package is not installed.
+    """
+    try:
+        for name in ("torch", "rsl_rl", "tensorboard"):
+            importlib.import_module(name)
+    except ImportError as error:
+        raise FungraspError(
+            f'training needs packages that are not installed ({error}): pip install "fungrasp[learning]"'
+        ) from error
+    importlib.import_module("torch").set_num_threads(1)
+
+
+def progress_lines(steps: int) -> Callable[[Any], None]:
+    """Prints steps, success and time left every now and then.
+
+    Args:
+        steps: at which training ends.
+
+    Returns:
+        To be called with what has ``steps``, ``seconds`` and ``success``.
+    """
+    last: float | None = None
+    first: Any = None
+
+    def show(p: Any) -> None:
+        nonlocal last, first
+        now = time.perf_counter()
+        if first is None:
+            first = p
+        if p.steps < steps and last is not None and now - last < LINE_PERIOD:
+            return
+        last = now
+        done, seconds = p.steps - first.steps, p.seconds - first.seconds
+        left = ""
+        if done > 0 and seconds > 0 and p.steps < steps:
+            rate = done / seconds
+            left = f", {rate:,.0f} steps/s, {_duration((steps - p.steps) / rate)} left"
+        print(f"{p.steps:,} of {steps:,} steps, success {p.success:.1%}{left}", flush=True)
+
+    return show
+
+
+def _trained(policy: Path) -> Answer:
+    """A policy's file, its card, and what it took."""
+    from fungrasp.policies.checkpoint.checkpoint_file import load_policy
+
+    card = load_policy(policy).card
+    return Answer(
+        {"policy": policy, "card": card.to_json()},
+        f"{policy}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
+        f"{card.budget.seconds / 60:.1f} min",
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.deadlines import DeadlineMonitor
-from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
-from fungrasp.deployment.log import DeploymentLog
-from fungrasp.deployment.looking import look_for_object
-from fungrasp.deployment.phases import Phase, PhaseMachine
+from fungrasp.deployment.deployment_result import DeadlineMonitor, DeploymentResult
+from fungrasp.deployment.object_localization import locate_object
+from fungrasp.deployment.observer import DeploymentObserver
+from fungrasp.deployment.phases import LAST_PHASES, Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ScriptedMotion
+from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.attempts import make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
@@ -31,10 +31,6 @@ MOVED = 0.02
 AWAKE = 1.0
 """Drivers that held because nobody asked them follow again within this time [s]."""
 
-Confirm = Callable[[Phase, Callable[[], None]], None]
-"""Called before a phase in which the robot moves, with what must be called meanwhile again and again; returns
-when it may go on, and raises ``SafetyStop`` if it may not."""
-
 
 class Deployment:
     """Carries one grasp through all phases. Whatever goes wrong ends in FAULT with the robot stopped."""
@@ -44,43 +40,30 @@ class Deployment:
         robot: Robot,
         policy: Policy,
         preparer: Preparer,
-        *,
-        log: DeploymentLog | None = None,
-        settings: DeploymentSettings | None = None,
-        about: dict[str, str] | None = None,
-        on_phase: Callable[[Phase], None] = lambda phase: None,
-        on_setpoint: Callable[[Phase, RobotCommand], None] = lambda phase, command: None,
-        confirm: Confirm | None = None,
+        spec: DeploymentSpec | None = None,
+        observers: Sequence[DeploymentObserver] = (),
     ):
         """
         Args:
             robot: connected.
             policy: what acts.
             preparer: plans.
-            log: of every tick; none if None.
-            settings: the defaults if None.
-            about: what the log says of it.
-            on_phase: called as a phase begins.
-            on_setpoint: called after each setpoint, with what was sent.
-            confirm: called before each phase in which the robot moves, and before the lift; not if None.
+            spec: what is asked, of which attempts, end, speed and time to look count; the defaults if None.
+            observers: told of everything in this order.
 
         Raises:
             FungraspError: a speed that can't be.
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
-        self.log = log or DeploymentLog()
-        self.settings = settings or DeploymentSettings()
-        self._about = about or {}
-        self._on_phase, self._on_setpoint, self._confirm = on_phase, on_setpoint, confirm
+        self.spec, self._observers = spec or DeploymentSpec(), observers
         self.machine = PhaseMachine()
         """Phase and fault."""
         late = robot.cell.watchdog.late_tick
         self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
-        robot.slow_down(self.settings.speed)
-        self.scripted = ScriptedMotion(robot, self.settings, self.ticks)
+        robot.slow_down(self.spec.speed)
+        self.scripted = ScriptedMotion(robot, self.ticks)
         """What moves as no policy says."""
         self._times: dict[str, float] = {}
-        self._before: RobotState | None = None
         self._prepared: PreparedGrasp | None = None
         self._object_pose = np.full(7, np.nan)
         self._last_goal = np.full((1, 7), np.nan)
@@ -100,8 +83,7 @@ class Deployment:
         robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
         try:
             self._times[Phase.IDLE] = robot.clock.now()
-            object_pose, state = look_for_object(robot, self.settings, robot.check_switch)
-            self._before = state
+            object_pose, state = locate_object(robot, self.spec.look_time)
             self._prepare(grasp, object_pose, state.arm.positions)
             if self.goes_on_to(Phase.MOVE_TO_START):
                 self._carry_out(grasp, object_pose, state)
@@ -126,6 +108,7 @@ class Deployment:
             self._fail(f"{type(error).__name__}: {error}", StopKind.HOLD)
             raise
         return DeploymentResult(
+            self.spec,
             self.machine.phase,
             self.machine.fault,
             self._prepared,
@@ -136,7 +119,6 @@ class Deployment:
             self._why_no_more,
             dict(self._times),
             dict(self.robot.guard.longest_silence),
-            before=self._before,
         )
 
     def _carry_out(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> None:
@@ -146,7 +128,7 @@ class Deployment:
         state = self._awake(state)
         made = _RobotAttempts(self, grasp, state)
         names = grasp.object_name.tolist()
-        make_attempts(made, self.settings.attempts, object_pose[None], names, self._preparer.objects)
+        make_attempts(made, self.spec.attempts, object_pose[None], names, self._preparer.objects)
         if not self._missed and self.goes_on_to(Phase.PUT_DOWN):
             self._ask(Phase.PUT_DOWN)
             self._begin(Phase.PUT_DOWN)
@@ -164,7 +146,7 @@ class Deployment:
     def goes_on_to(self, phase: Phase) -> bool:
         """Whether a phase is among those that are asked for."""
         order = list(Phase)
-        return order.index(phase) <= order.index(self.settings.until)
+        return order.index(phase) <= order.index(LAST_PHASES[self.spec.until])
 
     @property
     def may_hold(self) -> bool:
@@ -185,27 +167,27 @@ class Deployment:
 
     def _begin(self, phase: Phase) -> None:
         self.machine.go(phase)
-        self._times[phase] = self.robot.clock.now()
-        self.log.event(self._times[phase], "phase", phase)
-        self._on_phase(phase)
+        now = self._times[phase] = self.robot.clock.now()
+        for observer in self._observers:
+            observer.phase(now, phase)
 
     def _fail(self, reason: str, kind: StopKind) -> None:
         self.robot.stop(kind)
         self.machine.fail(reason)
         now = self.robot.clock.now()
         self._times.setdefault(Phase.FAULT, now)
-        # The log, or where phases are printed, may be what has failed.
-        with suppress(Exception):
-            self.log.event(now, "fault", reason)
-        with suppress(Exception):
-            self._on_phase(Phase.FAULT)
+        for observer in self._observers:
+            # The log, or where phases are printed, may be what has failed.
+            with suppress(Exception):
+                observer.fault(now, reason)
 
     def _prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0
     ) -> None:
         prepared = self._preparer.prepare(grasp, object_pose, arm, attempt=attempt)
         self._prepared, self._object_pose = prepared, object_pose
-        self.log.begin(prepared.plan, {"cell": self.robot.cell.name, **self._about})
+        for observer in self._observers:
+            observer.planned(self.robot, prepared)
 
     def _awake(self, state: RobotState) -> RobotState:
         """The state after planning. Drivers that heard nothing meanwhile held, and follow again once they are
@@ -236,8 +218,6 @@ class Deployment:
     def _ask(self, phase: Phase) -> float:
         """Ask whether a phase may begin; meanwhile the robot stands still, and is watched as in motion. How
         long that took [s]."""
-        if self._confirm is None:
-            return 0.0
         robot, moving = self.robot, Phase.MOVE_TO_START in self._times
         asked = when = robot.clock.now()
 
@@ -251,7 +231,8 @@ class Deployment:
                 robot.state()
             when += robot.setpoints.period
 
-        self._confirm(phase, meanwhile)
+        for observer in self._observers:
+            observer.confirm(phase, meanwhile)
         if moving:
             robot.clock.sleep_until(when)
         return robot.clock.now() - asked
@@ -291,7 +272,8 @@ class Deployment:
                 start += stood
             sent = robot.send_action(replace(action, lift=forced), start + step * robot.control_period)
             late = self.ticks.lateness[-1]
-            self.log.step(state.time, self.machine.phase, observation, action, sent, late)
+            for observer in self._observers:
+                observer.step(state.time, self.machine.phase, observation, action, sent, late)
             if self.machine.phase is Phase.GRASP and np.isfinite(robot.lift_time):
                 self._begin(Phase.LIFT)
             if self.machine.phase is Phase.LIFT and self.scripted.arrived(action.palm_goal, p.lift_height):
@@ -299,13 +281,12 @@ class Deployment:
                 held_since = robot.clock.now()
             self._last_goal = action.palm_goal
             step += 1
-            if step * p.control_period > self.settings.longest_phase:
-                raise SafetyStop("the grasp takes too long", StopKind.HOLD)
+            self.scripted.check_length(self.machine.phase, step)
 
     def _watch(self, state: RobotState, command: RobotCommand) -> None:
         """After each setpoint."""
-        self.log.setpoint(self.machine.phase, state, command)
-        self._on_setpoint(self.machine.phase, command)
+        for observer in self._observers:
+            observer.setpoint(self.machine.phase, state, command)
         if self.machine.phase is Phase.MOVE_TO_START:
             # The way is clear of the object where it stood.
             self._check_object(state)
@@ -328,7 +309,7 @@ class _RobotAttempts:
             state: of the robot now.
         """
         self._d, self._grasp, self._state = deployment, grasp, state
-        self.postures = [*deployment.prepared.behind[::-1], state.arm.positions]
+        self.postures = [state.arm.positions]
         """Of the arm on its way so far, the last one where it is."""
         self._verdict: AttemptVerdict | None = None
 
@@ -341,7 +322,7 @@ class _RobotAttempts:
         self.postures.extend(d.prepared.corners)
         if not d.goes_on_to(Phase.GRASP):
             return np.array([False])
-        if d.settings.attempts == 1:
+        if d.spec.attempts == 1:
             d._follow_policy(None)
             return np.array([False])
         judge = AttemptJudge(d.prepared.plan, d._preparer.objects)
@@ -359,7 +340,7 @@ class _RobotAttempts:
     def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the tracker sees the object."""
         d = self._d
-        pose, self._state = look_for_object(d.robot, d.settings, d.robot.check_switch)
+        pose, self._state = locate_object(d.robot, d.spec.look_time)
         return ids, pose[None]
 
     def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
@@ -379,4 +360,5 @@ class _RobotAttempts:
         d = self._d
         if len(ids):
             d._why_no_more = why
-            d.log.event(d.robot.clock.now(), "note", why)
+            for observer in d._observers:
+                observer.note(d.robot.clock.now(), why)

@@ -1,87 +1,53 @@
-"""What is asked of a deployment, its times, and how it went."""
+"""How a deployment went, and whether its loop kept its time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
-from fungrasp.deployment.deadlines import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
-from fungrasp.robots.robot_state import RobotState
-
-Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
-"""Where a deployment ends."""
-
-LAST_PHASES: dict[Until, Phase] = {
-    "plan": Phase.IDLE,
-    "approach": Phase.MOVE_TO_START,
-    "grasp": Phase.GRASP,
-    "lift": Phase.HOLD,
-    "put-down": Phase.PUT_DOWN,
-    "home": Phase.HOME,
-}
-"""The last phase of each."""
+from fungrasp.deployment.spec import DeploymentSpec
 
 
-@dataclass(frozen=True)
-class DeploymentSpec:
-    """What is asked of a deployment, as JSON by ``fungrasp.core.formats.record_json``."""
+@dataclass
+class DeadlineMonitor:
+    """Collects how late ticks begin."""
 
-    cell: str = "ur5e-allegro"
-    """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
-    policy: str = "plan"
-    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
-    attempts: int = 1
-    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
-    looks where the object lies, plans anew and tries again."""
-    until: Until = "home"
-    """Where to end: "plan" (nothing moves), "approach" (at the start of the grasp), "grasp" (fingers closed),
-    "lift" (after the hold, with the object held), "put-down" or "home"."""
-    speed: float = 1.0
-    """Share of the cell's speed, above 0 and at most 1: the time of all motion is stretched."""
-    dry_run: bool = False
-    """Read everything, decide everything, log everything, and send nothing."""
-    gravity_compensation: bool = True
-    """Carry the hand's weight; else it sags."""
-    hand_dynamics: str = ""
-    """File of the hand's identified dynamics (`fungrasp identify fit`); what the cell names if empty."""
-    seed: int = 0
-    """Of the plan."""
-    twin: int = 0
-    """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
-    real_time: bool = True
-    """For a twin: run on the clock of the wall; else as fast as it goes, the same to the last bit."""
+    late_tick: float
+    """A tick that is later than this counts as late [s]."""
+    lateness: list[float] = field(default_factory=list)
+    """Of each tick [s]."""
 
+    def record(self, planned: float, now: float) -> float:
+        """A tick that was planned for a time begins now [s]; how late it is [s]."""
+        late = max(0.0, now - planned)
+        self.lateness.append(late)
+        return late
 
-@dataclass(frozen=True)
-class DeploymentSettings:
-    """Times of a deployment."""
+    @property
+    def late(self) -> int:
+        """Number of ticks that were late."""
+        return int(np.sum(np.array(self.lateness) > self.late_tick))
 
-    look_time: float = 1.0
-    """Time in which poses of the object are collected before planning [s]."""
-    wait_time: float = 10.0
-    """Longest wait for the first of them [s]."""
-    until: Phase = Phase.HOME
-    """The last phase: IDLE, MOVE_TO_START, GRASP, HOLD, PUT_DOWN or HOME. The robot ends where it is then."""
-    speed: float = 1.0
-    """Share of the cell's speed, above 0 and at most 1: time of the plan is stretched, as ``Robot.slow_down``
-    says. The hold takes its time."""
-    open_time: float = 1.5
-    """Time in which the hand opens to let go [s]."""
-    longest_phase: float = 30.0
-    """A phase that takes longer has failed [s]."""
-    attempts: int = 1
-    """Most attempts: where the object is seen not to be held, the hand withdraws, and another plan is made
-    for the place where it lies. One attempt ends as it ends: nothing is judged."""
+    def summary(self) -> str:
+        """One line."""
+        if not self.lateness:
+            return "no tick"
+        ms = 1e3 * np.array(self.lateness)
+        return (
+            f"{len(ms)} ticks, late by {np.median(ms):.2f} ms (median), {np.percentile(ms, 99):.2f} ms "
+            f"(99 %), {ms.max():.2f} ms (largest); {self.late} later than {1e3 * self.late_tick:g} ms"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeploymentResult:
     """How a deployment went."""
 
+    spec: DeploymentSpec
+    """What was asked."""
     phase: Phase
     """DONE, or FAULT."""
     fault: str
@@ -102,14 +68,15 @@ class DeploymentResult:
     """When each phase began, on the robot's clock [s]."""
     longest_silence: dict[str, float] = field(default_factory=dict)
     """Longest time that the time stamp of arm and hand stood still between setpoints [s]."""
-    before: RobotState | None = None
-    """What the devices said before planning; None where it did not come to that."""
-    spec: DeploymentSpec | None = None
-    """What was asked, where ``fungrasp.deploy`` was."""
     success: bool | None = None
     """Whether the object was lifted and held, in truth: of a twin. Nobody knows it of a robot."""
     height: float = np.nan
     """Least height of the object's center of mass during the hold [m], of a twin; infinite without a hold."""
+    tracking: float = np.nan
+    """RMS error of a twin's hand from its setpoints before the fingers close [rad]; nan where the motion did
+    not begin."""
+    sag: float = np.nan
+    """Largest mean error of a joint over the same time [rad]."""
 
     def __repr__(self) -> str:
         return f"<DeploymentResult: {self.words()}>"

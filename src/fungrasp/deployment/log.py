@@ -2,7 +2,7 @@
 
 Records are written as they come and flushed at every control step, not compressed, so that a file whose
 writer was killed can be read up to there. Numbers are JSON with all their digits: a policy that is shown the
-logged observations again must answer with the logged actions, to the last bit.
+logged observations again (``replay_log``) must answer with the logged actions, to the last bit.
 
 | topic | message |
 | --- | --- |
@@ -23,13 +23,20 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.deployment.observer import DeploymentObserver
+from fungrasp.deployment.phases import Phase
+from fungrasp.robots.device import JointState
 from fungrasp.robots.robot_state import RobotCommand, RobotState
-from fungrasp.task import Action, GraspPlan, Observation
+from fungrasp.task import Action, GraspPlan, Observation, Policy
+
+if TYPE_CHECKING:
+    from fungrasp.deployment.preparation import PreparedGrasp
+    from fungrasp.robots.robot import Robot
 
 _log = logging.getLogger(__name__)
 
@@ -39,31 +46,14 @@ TOPICS = ("/setpoint", "/step", "/event")
 _MISSING = 'logs are MCAP files: pip install "fungrasp[deploy]"'
 
 
-class DeploymentLog:
-    """What a deployment tells; this one keeps nothing."""
-
-    def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
-        """The plan that is followed, and what else there is to know."""
-
-    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
-        """A setpoint was sent."""
-
-    def step(
-        self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
-    ) -> None:
-        """A control step was made. late: by how much it began late [s]."""
-
-    def event(self, time: float, what: str, text: str) -> None:
-        """Something happened. what: "phase", "fault" or "note"."""
-
-
-class McapLog(DeploymentLog):
+class McapLog(DeploymentObserver):
     """Writes a log file; a context manager. A file that is there already is not touched."""
 
-    def __init__(self, path: str | Path):
+    def __init__(self, path: str | Path, about: Mapping[str, str] | None = None):
         """
         Args:
             path: the file.
+            about: what it says beside the plan and the cell's name.
 
         Raises:
             FungraspError: mcap is not installed, the file exists, or it can't be written.
@@ -72,7 +62,7 @@ class McapLog(DeploymentLog):
             from mcap.writer import Writer
         except ImportError as error:
             raise FungraspError(_MISSING) from error
-        self.path = Path(path)
+        self.path, self._about = Path(path), about or {}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self.path.open("xb")
@@ -105,16 +95,16 @@ class McapLog(DeploymentLog):
             with suppress(OSError):
                 self._stream.close()
 
-    def begin(self, plan: GraspPlan, about: Mapping[str, str]) -> None:
-        """See ``DeploymentLog.begin``."""
+    def planned(self, robot: Robot, prepared: PreparedGrasp) -> None:
+        """See ``DeploymentObserver.planned``."""
         stream = io.BytesIO()
-        np.savez_compressed(stream, **plan.arrays())  # pyright: ignore[reportArgumentType]
+        np.savez_compressed(stream, **prepared.plan.arrays())  # pyright: ignore[reportArgumentType]
         self._writer.add_attachment(0, 0, "plan.npz", "application/octet-stream", stream.getvalue())
-        self._writer.add_metadata("about", dict(about))
+        self._writer.add_metadata("about", {"cell": robot.cell.name, **self._about})
         self._stream.flush()
 
-    def setpoint(self, phase: str, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentLog.setpoint``."""
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        """See ``DeploymentObserver.setpoint``."""
         tracked = state.tracked
         self._write(
             "/setpoint",
@@ -130,16 +120,27 @@ class McapLog(DeploymentLog):
         )
 
     def step(
-        self, time: float, phase: str, observation: Observation, action: Action, sent: Action, late: float
+        self, time: float, phase: Phase, observation: Observation, action: Action, sent: Action, late: float
     ) -> None:
-        """See ``DeploymentLog.step``."""
+        """See ``DeploymentObserver.step``."""
         records = {"observation": observation, "action": action, "sent": sent}
         message = {name: {k: v[0].tolist() for k, v in r.arrays().items()} for name, r in records.items()}
         self._write("/step", time, {"phase": phase, "late": late, **message})
         self._stream.flush()
 
-    def event(self, time: float, what: str, text: str) -> None:
-        """See ``DeploymentLog.event``."""
+    def phase(self, time: float, phase: Phase) -> None:
+        """See ``DeploymentObserver.phase``."""
+        self._event(time, "phase", phase)
+
+    def fault(self, time: float, reason: str) -> None:
+        """See ``DeploymentObserver.fault``."""
+        self._event(time, "fault", reason)
+
+    def note(self, time: float, text: str) -> None:
+        """See ``DeploymentObserver.note``."""
+        self._event(time, "note", text)
+
+    def _event(self, time: float, what: str, text: str) -> None:
         self._write("/event", time, {"what": what, "text": text})
         self._stream.flush()
 
@@ -203,6 +204,43 @@ def read_log(path: str | Path) -> RecordedDeployment:
     return RecordedDeployment(first, about, messages, complete, observations, actions, plans[1:])
 
 
+@dataclass(frozen=True)
+class ReplayResult:
+    """How a policy's answers compare with those in a log."""
+
+    steps: int
+    """Number of control steps."""
+    different: int
+    """Number of those with another action."""
+    largest: float
+    """Largest difference of any number of an action."""
+
+
+def replay_log(log: RecordedDeployment, policy: Policy) -> ReplayResult:
+    """Show a policy the observations of a log: it must answer as it did.
+
+    Raises:
+        FungraspError: the log ends before the policy began.
+    """
+    if log.plan is None or not log.observations:
+        raise FungraspError("the log ends before the policy began: nothing to replay")
+    policy.reset(log.plan, log.observations[0])
+    further, before = iter(log.further_plans), -np.inf
+    different, largest = 0, 0.0
+    for observation, logged in zip(log.observations, log.actions, strict=True):
+        if observation.time[0] < before:
+            policy.reset(next(further), observation)
+        before = observation.time[0]
+        action = policy.act(observation).arrays()
+        apart = [
+            float(np.max(np.abs(action[name].astype(float) - value.astype(float))))
+            for name, value in logged.arrays().items()
+        ]
+        different += max(apart) > 0
+        largest = max(largest, *apart)
+    return ReplayResult(len(log.observations), different, largest)
+
+
 def _records(path: Path) -> Iterator[Any]:
     """Records of a file, up to where it breaks off."""
     from mcap.exceptions import McapError
@@ -226,7 +264,7 @@ def _row(kind: type[Any], values: Mapping[str, Any]) -> Any:
     return kind.from_arrays({name: np.asarray(value)[None] for name, value in values.items()})
 
 
-def _joints(state: Any) -> dict[str, Any]:
+def _joints(state: JointState) -> dict[str, Any]:
     return {
         "positions": state.positions.tolist(),
         "velocities": state.velocities.tolist(),

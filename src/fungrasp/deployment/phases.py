@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from fungrasp.deployment.spec import Until
 from fungrasp.robots.device import RobotError
 
 
@@ -43,6 +44,17 @@ FOLLOWING: dict[Phase, tuple[Phase, ...]] = {
     Phase.HOME: (Phase.DONE,),
 }
 """The phases that may follow each; FAULT may follow any, and nothing follows FAULT."""
+
+
+LAST_PHASES: dict[Until, Phase] = {
+    "plan": Phase.IDLE,
+    "approach": Phase.MOVE_TO_START,
+    "grasp": Phase.GRASP,
+    "lift": Phase.HOLD,
+    "put-down": Phase.PUT_DOWN,
+    "home": Phase.HOME,
+}
+"""The last phase where ``DeploymentSpec.until`` says so; the robot ends where it is then."""
 
 
 class PhaseMachine:

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -25,7 +25,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
-from fungrasp.policies.lift_reaction import HIGHEST
+from fungrasp.policies.slip_response import HIGHEST
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import FreePath
@@ -66,9 +66,6 @@ class PreparedGrasp:
     """How the arm follows it."""
     corners: tuple[np.ndarray, ...]
     """Postures between where the arm is and the start of the plan, the start included [rad], each of shape
-    [A]."""
-    behind: tuple[np.ndarray, ...] = ()
-    """Postures of the way home from where the arm is, where that is not home already [rad], each of shape
     [A]."""
 
 

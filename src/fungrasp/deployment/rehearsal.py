@@ -11,16 +11,15 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.deployment_result import DeploymentSettings
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.deployment.scripted_motion import ARRIVED
+from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import (
     DeviceStatus,
     JointLimits,
@@ -31,7 +30,7 @@ from fungrasp.robots.device import (
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand
+from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 
 LOOK_TIME = 0.1
@@ -56,28 +55,20 @@ class Motion:
     """The object, held fast from the lift until it stands again, world frame, shape [T, 7]."""
 
 
-def rehearse(
-    cell: RobotCell,
-    hand: Hand,
-    grasp: RobotGraspSet,
-    prepared: PreparedGrasp,
-    arm: np.ndarray,
-    fingers: np.ndarray,
-) -> Motion:
-    """Carry a plan out without a robot, from the way to the start to the way home. What a policy that watches
-    corrects on the way is not in it.
+def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Motion:
+    """Carry a plan out without moving a robot, from the way to the start to the way home. What a policy that
+    watches corrects on the way is not in it.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
+        robot: connected; it stands where the plan begins, and is only read.
         grasp: that was planned.
         prepared: the plan.
-        arm: joints of the arm where it begins [rad], shape [A].
-        fingers: independent joints of the hand where it begins [rad], shape [U].
 
     Raises:
         FungraspError: the safety filter would stop it.
     """
+    cell, hand = robot.cell, robot.hand
+    arm, fingers = robot.arm.read().positions, robot.hand_driver.read().positions
     clock, plan = _SteppedClock(), prepared.plan
     count = len(hand.actuators)
     kinematics = ArmKinematics(cell, hand)
@@ -86,7 +77,7 @@ def rehearse(
     low, high = hand.joint_limits[[hand.joint_names.index(name) for name in hand.actuators]].T
     servos = JointLimits(low, high, np.full(count, cell.limits.hand_speed), np.full(count, np.inf))
     driven, closing = _PerfectJoints("arm", arm, reach, clock), _PerfectJoints("hand", fingers, servos, clock)
-    robot = Robot(
+    rehearsed = Robot(
         cell,
         hand,
         driven,
@@ -96,18 +87,11 @@ def rehearse(
         compensate=False,
         switch=StopSwitch(),
     )
-    rows: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []
-
-    def record(phase: Phase, command: RobotCommand) -> None:
-        begun = robot.plan_time(clock.now())
-        if phase is Phase.GRASP and begun >= float(plan.closing_step[0]) * plan.control_period - 1e-9:
-            closing.stop_at(plan.grasp_joints[0], prepared.start_fingers)
-        rows.append((clock.now(), phase, command.arm, closing.positions.copy(), command.palm))
-
-    with robot:
-        settings = DeploymentSettings(look_time=LOOK_TIME)
-        run = Deployment(robot, OpenLoopPolicy(), _Planned(prepared), settings=settings, on_setpoint=record)
-        result = run.run(grasp)
+    record = _Record(rehearsed, closing, prepared)
+    with rehearsed:
+        spec = DeploymentSpec(look_time=LOOK_TIME)
+        result = Deployment(rehearsed, OpenLoopPolicy(), _Planned(prepared), spec, [record]).run(grasp)
+    rows = record.rows
     if result.fault:
         during = f" while '{rows[-1][1]}'" if rows else ""
         raise FungraspError(f"the safety filter would stop this plan{during}: {result.fault}")
@@ -129,6 +113,21 @@ def _carried(rest: np.ndarray, palm: np.ndarray, phases: np.ndarray) -> np.ndarr
     held = held[: int(np.argmax(down))]
     pose[held] = compose(palm[held], relative(first, rest))
     return pose
+
+
+class _Record(DeploymentObserver):
+    """Keeps every setpoint: its time, phase, joints of arm and hand, and the palm."""
+
+    def __init__(self, robot: Robot, closing: _PerfectJoints, prepared: PreparedGrasp):
+        self._robot, self._closing, self._prepared = robot, closing, prepared
+        self.rows: list[tuple[float, str, np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        plan, now = self._prepared.plan, self._robot.clock.now()
+        closing = float(plan.closing_step[0]) * plan.control_period
+        if phase is Phase.GRASP and self._robot.plan_time(now) >= closing - 1e-9:
+            self._closing.stop_at(plan.grasp_joints[0], self._prepared.start_fingers)
+        self.rows.append((now, phase, command.arm, self._closing.positions.copy(), command.palm))
 
 
 class _Planned:

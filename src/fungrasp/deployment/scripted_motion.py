@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fungrasp.deployment.deadlines import DeadlineMonitor
-from fungrasp.deployment.deployment_result import DeploymentSettings
+from fungrasp.deployment.deployment_result import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.geometry.poses import compose
@@ -31,18 +30,23 @@ more is noticed only after a while."""
 FINGER_SHARE = 0.2
 """Of their largest speed, for fingers that move before the arm does."""
 
+OPEN_TIME = 1.5
+"""Time in which the hand opens to let go [s]."""
+
+LONGEST_PHASE = 30.0
+"""A phase that takes longer on the plan's clock has failed [s]."""
+
 
 class ScriptedMotion:
     """Moves a robot as told, at the speed that it has been slowed down to, and watches its control steps."""
 
-    def __init__(self, robot: Robot, settings: DeploymentSettings, ticks: DeadlineMonitor):
+    def __init__(self, robot: Robot, ticks: DeadlineMonitor):
         """
         Args:
             robot: connected.
-            settings: times.
             ticks: told of each control step.
         """
-        self._robot, self._settings, self._ticks = robot, settings, ticks
+        self._robot, self._ticks = robot, ticks
 
     def move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
         """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
@@ -96,7 +100,7 @@ class ScriptedMotion:
         # The same goal until the object stands; then the hand opens.
         while opened < 1.0:
             if self.arrived(low, 0.0) and (opened or self._lowered(low)):
-                opened = min(1.0, opened + period / self._settings.open_time)
+                opened = min(1.0, opened + period / OPEN_TIME)
             go(low, fingers + opened * (opening[:1] - fingers))
         for pose, targets in zip(back, opening, strict=True):
             go(pose[None], targets[None])
@@ -157,5 +161,10 @@ class ScriptedMotion:
         """One control step."""
         self.wait_for_tick(start, step)
         self._robot.send_action(action, start + step * self._robot.control_period)
-        if step * self._robot.protocol.control_period > self._settings.longest_phase:
-            raise SafetyStop(f"the phase '{phase}' takes too long", StopKind.HOLD)
+        self.check_length(phase, step)
+
+    def check_length(self, phase: Phase, step: int) -> None:
+        """Raises: SafetyStop: a phase has too many control steps."""
+        if step * self._robot.protocol.control_period > LONGEST_PHASE:
+            what = "grasp" if phase in (Phase.GRASP, Phase.LIFT, Phase.HOLD) else f"phase '{phase}'"
+            raise SafetyStop(f"the {what} takes too long", StopKind.HOLD)

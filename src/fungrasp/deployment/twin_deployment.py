@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
-from fungrasp.deployment.deployment import Confirm, Deployment
-from fungrasp.deployment.deployment_result import DeploymentResult, DeploymentSettings
-from fungrasp.deployment.hand_knowledge import HandDynamics
-from fungrasp.deployment.log import DeploymentLog
+from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.deployment_task import DeploymentTask
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import GraspPreparer, Preparer, UnreachableError
+from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
 from fungrasp.geometry.poses import (
     invert,
     quaternion_from_rotation_vector,
@@ -25,11 +25,11 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.resting_pose import broad_settled_up
-from fungrasp.planning import MotionPlanner, Planner
+from fungrasp.planning import MotionPlanner
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import Clock, WallClock
+from fungrasp.robots.clock import WallClock
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand
+from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
 from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
@@ -37,7 +37,6 @@ from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.task import Policy
 
 ROOM = 0.02
 """An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
@@ -45,25 +44,6 @@ up to a centimetre off, and plans differ."""
 
 PLACEMENTS_PLANNED = 12
 """Placements for which a motion is planned: a second or two each."""
-
-
-@dataclass(frozen=True, eq=False)
-class TwinOutcome:
-    """How a deployment on a twin went."""
-
-    result: DeploymentResult
-    """What the robot's computer knows of it."""
-    success: bool
-    """Whether the object was lifted and held, in truth."""
-    height: float
-    """Least height of its center of mass during the hold [m]; infinite where there was none."""
-    tracking: float
-    """RMS error of the hand's joints from their setpoints before the fingers close [rad]; nan where the
-    motion did not begin."""
-    sag: float
-    """Largest mean error of a joint over the same time [rad]."""
-    twin_latest: float
-    """How far the twin has fallen behind the clock of the wall at worst [s]; zero on its own clock."""
 
 
 def reachable_placement(
@@ -153,125 +133,85 @@ def _at_rest(thing: ObjectModel, pose: np.ndarray) -> np.ndarray:
 
 
 def deploy_on_twin(
-    cell: RobotCell,
-    hand: Hand,
-    thing: ObjectModel,
-    grasp: RobotGraspSet,
+    task: DeploymentTask,
     placement: np.ndarray,
-    policy: Policy,
-    planner: Planner,
     truth: TwinParameters,
+    observers: Sequence[DeploymentObserver] = (),
     *,
-    wall_clock: bool = False,
-    dynamics: HandDynamics | None = None,
-    compensate: bool = True,
-    dry_run: bool = False,
-    seed: int = 0,
-    physics: TwinPhysics | None = None,
-    log: DeploymentLog | None = None,
     switch: StopSwitch | None = None,
-    settings: DeploymentSettings | None = None,
-    about: dict[str, str] | None = None,
-    on_phase: Callable[[Phase], None] = lambda phase: None,
-    confirm: Confirm | None = None,
-    prepare_world: Callable[[TwinWorld], None] = lambda world: None,
-    preparer: Preparer | None = None,
+    physics: TwinPhysics | None = None,
     advise: bool = True,
-) -> TwinOutcome:
-    """Deploy one grasp on a fresh twin.
+) -> DeploymentResult:
+    """Deploy one grasp on a fresh twin. Its seed is of the tracker's noise as well.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        thing: the object as it is believed.
-        grasp: one.
+        task: what is to be done.
         placement: where the object is put, world frame, shape [7]; it settles.
-        policy: what acts.
-        planner: of the policy.
         truth: what is true of the twin.
-        wall_clock: run in real time; else as fast as it goes, the same to the last bit.
-        dynamics: identified; the model's if None.
-        compensate: whether the hand's weight is carried.
-        dry_run: read everything, send nothing.
-        seed: of the plan and of the tracker's noise.
-        physics: of the twin; the default if None.
-        log: of every tick; none if None.
+        observers: told of everything in this order.
         switch: stops the robot; that of the cell's stop file if None.
-        settings: times; the defaults if None.
-        about: what the log says of it.
-        on_phase: called as a phase begins.
-        confirm: called before each phase in which the robot moves; not if None.
-        prepare_world: called with the twin after the object has settled, to spoil it.
-        preparer: what has a plan already; None to plan.
+        physics: of the twin; the default if None.
         advise: whether a grasp that can't be reached is refused with a placement that would do.
+
+    Returns:
+        How it went, with what only a twin knows. Run in real time or as fast as it goes, as the specification
+        says.
 
     Raises:
         FungraspError: the grasp can't be planned or reached.
     """
-    world = TwinWorld(cell, hand, thing, truth, seed=seed, physics=physics)
+    cell, hand, spec = task.cell, task.hand, task.spec
+    world = TwinWorld(cell, hand, task.thing, truth, seed=spec.seed, physics=physics)
     world.settle(placement)
-    judge = TwinJudge(world)
-    prepare_world(world)
-    errors: list[tuple[float, np.ndarray]] = []
-
-    def begun(phase: Phase) -> None:
-        if phase is Phase.GRASP:
-            judge.begin_attempt()
-        on_phase(phase)
-
-    def watch(phase: Phase, command: RobotCommand) -> None:
-        judge.watch(phase is Phase.HOLD)
-        if phase is Phase.GRASP:
-            errors.append((world.time, world.finger_positions() - command.hand))
-
-    stiffness = np.array([servo.kp for servo in hand.actuators.values()])
-    if dynamics is not None:
-        driven = [hand.joint_names.index(name) for name in hand.actuators]
-        stiffness = stiffness * dynamics.servo_stiffness[driven]
+    watch = _TwinWatch(world)
     with ExitStack() as stack:
-        real_time = stack.enter_context(RealTimeTwin(world)) if wall_clock else None
-        clock: Clock = WallClock() if wall_clock else TwinClock(world)
-        arm, fingers, tracker = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
+        if spec.real_time:
+            stack.enter_context(RealTimeTwin(world))
         robot = Robot(
             cell,
             hand,
-            arm,
-            fingers,
-            tracker,
-            clock,
-            stiffness=stiffness,
-            compensate=compensate,
-            dry_run=dry_run,
+            TwinArm(world, cell),
+            TwinHand(world, cell, hand),
+            TwinTracker(world),
+            WallClock() if spec.real_time else TwinClock(world),
+            stiffness=task.stiffness,
+            compensate=spec.gravity_compensation,
+            dry_run=spec.dry_run,
             switch=switch,
         )
         stack.enter_context(robot)
-        deployment = Deployment(
-            robot,
-            policy,
-            preparer or GraspPreparer(cell, hand, thing, planner, dynamics, seed, advise=advise),
-            log=log,
-            settings=settings,
-            about=about,
-            on_phase=begun,
-            on_setpoint=watch,
-            confirm=confirm,
-        )
-        result = deployment.run(grasp)
-        latest = 0.0 if real_time is None else real_time.latest
-    mean, rms = _open_hand_errors(result, errors)
-    return TwinOutcome(result, judge.success, float(judge.height), rms, mean, latest)
+        for observer in observers:
+            observer.connected(robot)
+        everyone = [watch, *observers]
+        result = Deployment(robot, task.policy, task.preparer(advise), spec, everyone).run(task.grasp)
+    sag, tracking = watch.open_hand_errors(result)
+    judge = watch.judge
+    return replace(result, success=judge.success, height=float(judge.height), tracking=tracking, sag=sag)
 
 
-def _open_hand_errors(
-    result: DeploymentResult, errors: Sequence[tuple[float, np.ndarray]]
-) -> tuple[float, float]:
-    """Largest mean and RMS of the hand's errors before its fingers close [rad]. errors: each with its
-    time."""
-    if result.prepared is None or Phase.GRASP not in result.times:
-        return np.nan, np.nan
-    plan = result.prepared.plan
-    closing = result.times[Phase.GRASP] + float(plan.closing_step[0]) * plan.control_period
-    before = np.array([error for time, error in errors if time < closing])
-    if not len(before):
-        return np.nan, np.nan
-    return float(np.abs(before.mean(axis=0)).max()), float(np.sqrt(np.mean(before**2)))
+class _TwinWatch(DeploymentObserver):
+    """Judges the hold, and keeps by how much the fingers miss their setpoints."""
+
+    def __init__(self, world: TwinWorld):
+        self._world, self.judge = world, TwinJudge(world)
+        self._errors: list[tuple[float, np.ndarray]] = []
+
+    def phase(self, time: float, phase: Phase) -> None:
+        if phase is Phase.GRASP:
+            self.judge.begin_attempt()
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        self.judge.watch(phase is Phase.HOLD)
+        if phase is Phase.GRASP:
+            self._errors.append((self._world.time, self._world.finger_positions() - command.hand))
+
+    def open_hand_errors(self, result: DeploymentResult) -> tuple[float, float]:
+        """Largest mean and RMS of the hand's errors before its fingers close [rad]."""
+        if result.prepared is None or Phase.GRASP not in result.times:
+            return np.nan, np.nan
+        plan = result.prepared.plan
+        closing = result.times[Phase.GRASP] + float(plan.closing_step[0]) * plan.control_period
+        before = np.array([error for time, error in self._errors if time < closing])
+        if not len(before):
+            return np.nan, np.nan
+        return float(np.abs(before.mean(axis=0)).max()), float(np.sqrt(np.mean(before**2)))

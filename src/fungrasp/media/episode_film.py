@@ -1,4 +1,4 @@
-"""Recorded episodes as films: even frame times, links that light up, a camera that draws nearer."""
+"""Recorded episodes as films: even frame times, links that light up, first from afar, then from near."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def episode_film(
 ) -> Iterator[np.ndarray]:
     """A recorded episode, with the object's own mesh; links light up while they touch.
 
-    The camera draws nearer while the hand approaches. Where nothing moves, as in most of the hold, a frame is
+    From the first touch on the camera is nearer. Where nothing moves, as in most of the hold, a frame is
     drawn once. An episode whose simulation diverged is shown until then.
 
     Args:
@@ -127,8 +127,9 @@ def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
 def _cameras(
     model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
 ) -> list[Camera]:
-    """Cameras of the frames, from all of the motion to that from the first touch on; an object that gets away
-    is not followed. The model's links that touch during the hold are colored, to be seen well."""
+    """Cameras of the frames: one that sees all of the motion, and one that sees it from the first touch on.
+    An object that gets away is not followed. The model's links that touch during the hold are colored, to be
+    seen well."""
     touch = _first_touch(trajectory)
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST
@@ -136,9 +137,7 @@ def _cameras(
     size = {"width": width, "height": height, "margin": CAPTION_MARGIN}
     near = look_at_grasp(model, states[touch:][close[touch:]], **size)
     wide = frame_geoms(model, states[close], *view_angles(near), **size)
-    share = np.clip((at - at[0]) / max(trajectory.times[touch] - at[0], 1e-9), 0.0, 1.0)
-    share = share * share * (3.0 - 2.0 * share)
-    return [_between(wide, near, s) for s in share]
+    return [wide if time < trajectory.times[touch] else near for time in at]
 
 
 def _steady(contacts: np.ndarray, times: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -159,12 +158,6 @@ def _moving(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
         moving[i] = np.abs(now - before).max() > STILL
         before = now if moving[i] else before
     return moving
-
-
-def _between(a: Camera, b: Camera, share: float) -> Camera:
-    px, py, pz = ((1.0 - share) * np.array(a.position) + share * np.array(b.position)).tolist()
-    tx, ty, tz = ((1.0 - share) * np.array(a.target) + share * np.array(b.target)).tolist()
-    return replace(b, position=(px, py, pz), target=(tx, ty, tz))
 
 
 def _first_touch(trajectory: Trajectory) -> int:

@@ -1,4 +1,4 @@
-"""A saved plan, looked at: a picture of its postures and the palm's way, and a film of the whole way."""
+"""A rehearsed plan, looked at: a picture of its postures and the palm's way, and a film of the whole way."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from fungrasp.core.files import atomic_path
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.rehearsal import Motion
-from fungrasp.deployment.saved_plan import SavedPlan
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.media.camera import Camera, fit_camera, orbit_camera
@@ -55,13 +54,13 @@ VIEWS = ((-50.0, 25.0), (40.0, 25.0))
 
 
 def write_plan_pictures(
-    path: Path, saved: SavedPlan, cell: RobotCell, hand: Hand, thing: ObjectModel, threads: int = 0
+    path: Path, motion: Motion, cell: RobotCell, hand: Hand, thing: ObjectModel, threads: int = 0
 ) -> tuple[Path, Path]:
-    """Write a picture (.png) and a film (.mp4, or .webp without H.264) beside a plan.
+    """Write a picture (.png) and a film beside it (.mp4, or .webp without H.264) of a rehearsed plan.
 
     Args:
-        path: of the plan.
-        saved: the plan.
+        path: of the picture.
+        motion: of the plan.
         cell: its robot.
         hand: on its arm.
         thing: its object.
@@ -75,7 +74,7 @@ def write_plan_pictures(
     """
     from PIL import Image
 
-    motion, scene = saved.motion, PlanScene(cell, hand, thing, saved.motion)
+    scene = PlanScene(cell, hand, thing, motion)
     phases = _phases(motion)
     ends = {phase: rows[-1] for phase, rows in phases}
     left, right = (scene.camera(view) for view in VIEWS)

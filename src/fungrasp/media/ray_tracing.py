@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -32,7 +32,7 @@ DARKEST = 0.35
 KNEE = 0.65
 """Light above this is compressed so that what is brighter than the display keeps its hue."""
 
-TILE = 16
+TILE = 8
 """Side of the squares of pixels of which all rays are cast or none."""
 
 LIFT = 3e-4
@@ -74,7 +74,7 @@ class Look:
             raise FungraspError(f"light must be a direction of 3 numbers, not {self.light!r}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PixelRays:
     """What the ray tracer needs to know of a camera."""
 
@@ -107,7 +107,7 @@ class PixelRays:
         return np.ascontiguousarray(self.directions(points), np.float32)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeenPoints:
     """Where the rays of a camera end; P rays."""
 
@@ -122,6 +122,11 @@ class SeenPoints:
     direction: np.ndarray
     """Unit view directions, shape [P, 3] float32."""
 
+    def at(self, rows: np.ndarray) -> SeenPoints:
+        """Some of them."""
+        arrays = (self.distance, self.surface, self.normal, self.albedo, self.direction)
+        return SeenPoints(*(array[rows] for array in arrays))
+
 
 class RayTracer:
     """Surfaces in the world, and the light on them."""
@@ -133,7 +138,8 @@ class RayTracer:
             look: light, table top and backdrop; its ``light`` must be given.
             table_center: where the endless table top does not fade, (x, y) [m]; None for no table top.
         """
-        self._surfaces, self._look, self._center = surfaces, look, table_center
+        self._surfaces, self._look = surfaces, look
+        self._center = None if table_center is None else (float(table_center[0]), float(table_center[1]))
         light = np.asarray(look.light, np.float32)
         self._light = light / np.linalg.norm(light)
         self._caster = RayCaster((surface.vertices, surface.faces) for surface in surfaces)
@@ -152,7 +158,7 @@ class RayTracer:
         Args:
             shaded: False leaves normals and colors of surfaces zero.
         """
-        return self._meet(rays.eye, rays.grid, self._aimed(rays), shaded)
+        return self._meet(_empty(rays, self._center), rays.eye, self._aimed(rays), shaded)
 
     def picture(
         self, rays: PixelRays, points: SeenPoints, *, shadows: bool = True, antialias: int = 2
@@ -166,13 +172,15 @@ class RayTracer:
         """
         shape = (rays.height, rays.width)
         received = self._received(points, rays, shadows)
-        picture = self._shade(points, received, rays)
+        picture = _lit_table(rays, self._center, self._look).copy()
+        rows = np.flatnonzero((points.surface >= 0) | (received.min(axis=1) < 1))
+        picture[rows] = self._shade(points.at(rows), received[rows], rays)
         if antialias > 1:
             edge = np.flatnonzero(_edges(points, received[:, 0], shape))
             inner = (np.arange(antialias) + 0.5) / antialias - 0.5
             steps = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
-            fine = rays.through(edge, steps)
-            around = self._meet(rays.eye, fine, np.arange(len(fine)), True)
+            fine = _without_surfaces(rays.through(edge, steps), rays.eye, self._center)
+            around = self._meet(fine, rays.eye, np.arange(len(fine.surface)), True)
             light = self._shade(around, self._received(around, rays, shadows), rays)
             picture[edge] = light.reshape(len(edge), len(steps), 3).mean(axis=1)
         return picture.reshape(*shape, 3)
@@ -191,34 +199,33 @@ class RayTracer:
         aimed = tiles.repeat(TILE, axis=0).repeat(TILE, axis=1)[: shape[0], : shape[1]]
         return np.flatnonzero(aimed)
 
-    def _meet(self, eye: np.ndarray, directions: np.ndarray, rays: np.ndarray, shaded: bool) -> SeenPoints:
-        """Where rays end. rays: indices of those that may meet a surface."""
-        eye, count = np.asarray(eye, dtype=float), len(directions)
-        distance, seen = np.full(count, np.inf), np.full(count, NOTHING)
-        normal, albedo = np.zeros((2, count, 3), np.float32)
-        if len(rays) and self._surfaces:
-            hits = self._caster.cast(eye, directions[rays])
-            met = np.flatnonzero(hits.mesh >= 0)
-            rays, mesh = rays[met], hits.mesh[met]
-            triangle, weights = hits.triangle[met], hits.barycentric[met]
-            seen[rays], distance[rays] = mesh, hits.distance[met]
-            if shaded:
-                smooth = np.einsum("pc,pci->pi", weights, self._normals[self._first[mesh] + triangle])
-                smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
-                behind = np.einsum("pi,pi->p", smooth, directions[rays]) > 0
-                normal[rays] = np.where(behind[:, None], -smooth, smooth)
-                albedo[rays] = self._colors[mesh]
-                for i, surface in enumerate(self._surfaces):
-                    if surface.texture is not None or surface.color.ndim == 2:
-                        own = np.flatnonzero(mesh == i)
-                        albedo[rays[own]] = surface.albedo(triangle[own], weights[own])
-        if self._center is not None and eye[2] > 0:
-            down = np.flatnonzero(directions[:, 2] < -1e-6)
-            table = -eye[2] / np.minimum(directions[down, 2].astype(float), -1e-9)
-            first = table <= distance[down] + TIE
-            down, table = down[first], table[first]
-            distance[down], seen[down], normal[down] = table, TABLE, (0.0, 0.0, 1.0)
-        return SeenPoints(distance, seen, normal, albedo, directions)
+    def _meet(self, empty: SeenPoints, eye: np.ndarray, rays: np.ndarray, shaded: bool) -> SeenPoints:
+        """Where rays end that without surfaces end as ``empty`` says. rays: those that may meet a surface."""
+        points = SeenPoints(
+            empty.distance.copy(),
+            empty.surface.copy(),
+            empty.normal.copy(),
+            empty.albedo.copy(),
+            empty.direction,
+        )
+        if not len(rays) or not self._surfaces:
+            return points
+        hits = self._caster.cast(eye, points.direction[rays])
+        met = np.flatnonzero((hits.mesh >= 0) & (hits.distance < points.distance[rays] - TIE))
+        rays, mesh, triangle = rays[met], hits.mesh[met], hits.triangle[met]
+        weights = hits.barycentric[met].astype(np.float32)
+        points.surface[rays], points.distance[rays] = mesh, hits.distance[met]
+        if shaded:
+            normal = np.einsum("pc,pci->pi", weights, self._normals[self._first[mesh] + triangle])
+            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+            behind = np.einsum("pi,pi->p", normal, points.direction[rays]) > 0
+            points.normal[rays] = np.where(behind[:, None], -normal, normal)
+            points.albedo[rays] = self._colors[mesh]
+            for i, surface in enumerate(self._surfaces):
+                if surface.texture is not None or surface.color.ndim == 2:
+                    own = np.flatnonzero(mesh == i)
+                    points.albedo[rays[own]] = surface.albedo(triangle[own], weights[own])
+        return points
 
     def _received(self, points: SeenPoints, rays: PixelRays, shadows: bool) -> np.ndarray:
         """How much of the lamp's and the sky's light reaches the points, shape [P, 2] float32."""
@@ -244,58 +251,103 @@ class RayTracer:
         shift = -self._light[:2] / max(float(self._light[2]), 1e-3) * max(float(high[2]), 0.0)
         low, high = low[:2] + np.minimum(shift, 0.0) - TIE, high[:2] + np.maximum(shift, 0.0) + TIE
         shaded = points.surface == TABLE
-        rows = np.flatnonzero(shaded)
-        place = eye[:2] + points.distance[rows, None] * points.direction[rows, :2]
-        shaded[rows] = ((place > low) & (place < high)).all(axis=1)
+        for axis in range(2):
+            place = np.where(shaded, points.distance, 0.0) * points.direction[:, axis] + eye[axis]
+            shaded &= (place > low[axis]) & (place < high[axis])
         return shaded
 
     def _shade(self, points: SeenPoints, received: np.ndarray, rays: PixelRays) -> np.ndarray:
         """Linear light that leaves the points towards the eye, shape [P, 3] float32."""
-        look, light = self._look, np.empty(points.normal.shape, np.float32)
-        key = np.float32(look.key / np.pi) * np.array([1.0, 0.965, 0.91], np.float32)
-        sky = np.float32(0.62 * look.fill) * np.array([0.93, 0.97, 1.03], np.float32)
-        horizon, top = linear(np.array([look.backdrop_horizon, look.backdrop_top]))
-        which = points.surface == NOTHING
-        height = np.clip(1.6 * points.direction[which, 2:], 0.0, 1.0)
-        light[which] = horizon + height * (top - horizon)
-        which = points.surface == TABLE
-        if which.any():
-            shown, far = self._table(points, which, rays)
-            lamp, open_sky = received[which, :1] * max(self._light[2], 0.0), received[which, 1:]
-            light[which] = horizon + far * (shown * (lamp * key + open_sky * sky) - horizon)
-        which = np.flatnonzero(points.surface >= 0)
-        normal, view = points.normal[which], points.direction[which]
-        lamp, open_sky = received[which, :1], received[which, 1:]
-        lamp = lamp * np.maximum(normal @ self._light, 0.0)[:, None]
-        up = 0.5 + 0.5 * normal[:, 2:]
-        bounce = 0.42 * look.fill * linear(np.array(look.table))
-        around = open_sky * (up * sky + (1 - up) * bounce)
-        half = self._light - view
-        half = np.einsum("pi,pi->p", normal, half) / np.maximum(np.linalg.norm(half, axis=1), 1e-9)
-        strength, exponent = self._gloss[points.surface[which]].T
-        shine = np.maximum(half, 0.0) ** exponent * strength * (exponent + 8) / 120.0
-        light[which] = points.albedo[which] * (lamp * key + around) + shine[:, None] * lamp
-        over = np.maximum(light - KNEE, 0.0)
-        return np.minimum(light, KNEE) + (1 - KNEE) * over / (over + (1 - KNEE))
+        light = _background(points, received, rays, self._center, self._look)
+        rows = np.flatnonzero(points.surface >= 0)
+        points, received = points.at(rows), received[rows]
+        key, sky, bounce = _lights(self._look)
+        lamp = received[:, :1] * np.maximum(points.normal @ self._light, 0.0)[:, None]
+        up = 0.5 + 0.5 * points.normal[:, 2:]
+        around = received[:, 1:] * (up * sky + (1 - up) * bounce)
+        half = self._light - points.direction
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        strength, exponent = self._gloss[points.surface].T
+        shine = np.maximum(np.einsum("pi,pi->p", points.normal, half), 0.0) ** exponent
+        shine *= strength * (exponent + 8) / 120.0
+        light[rows] = _soft(points.albedo * (lamp * key + around) + shine[:, None] * lamp)
+        return light
 
-    def _table(self, points: SeenPoints, which: np.ndarray, rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
-        """Linear colors of points of the table, its squares filtered over the width of a pixel, shape [T, 3];
-        and how much of them is left of the fading, shape [T, 1]."""
-        look, view, distance = self._look, points.direction[which], points.distance[which].astype(np.float32)
-        place = np.asarray(rays.eye[:2], np.float32) + distance[:, None] * view[:, :2]
-        # A pixel's footprint: longer along the view.
-        width = distance / rays.focal
-        along = np.abs(view[:, :2]) / np.sqrt((view[:, :2] ** 2).sum(axis=1, keepdims=True) + 1e-12)
-        slant = (width / np.maximum(-view[:, 2], 1e-4))[:, None]
-        spread = np.maximum((along * slant + along[:, ::-1] * width[:, None]) / look.square, 1e-4)
-        middle = place / look.square
-        wave = (_triangle(middle + 0.5 * spread) - _triangle(middle - 0.5 * spread)) / spread
-        light, dark = linear(np.array([look.table, look.table_dark]))
-        color = light + (0.5 - 0.5 * wave.prod(axis=1, keepdims=True)) * (dark - light)
-        far = np.linalg.norm(place - np.asarray(self._center, np.float32), axis=1, keepdims=True)
-        begin, end = look.fade
-        share = np.clip((end - far) / (end - begin), 0.0, 1.0)
-        return color, share * share * (3 - 2 * share)
+
+def _without_surfaces(
+    directions: np.ndarray, eye: np.ndarray, center: tuple[float, float] | None
+) -> SeenPoints:
+    """What rays meet where there is only the table top, the plane z = 0; None for ``center``: nothing."""
+    count = len(directions)
+    distance, surface = np.full(count, np.inf), np.full(count, NOTHING)
+    normal, albedo = np.zeros((2, count, 3), np.float32)
+    if center is not None and eye[2] > 0:
+        down = np.flatnonzero(directions[:, 2] < -1e-6)
+        distance[down] = -eye[2] / directions[down, 2].astype(float)
+        surface[down], normal[down, 2] = TABLE, 1.0
+    return SeenPoints(distance, surface, normal, albedo, directions)
+
+
+@lru_cache(maxsize=4)
+def _empty(rays: PixelRays, center: tuple[float, float] | None) -> SeenPoints:
+    """Films have few cameras: what their rays meet without surfaces is kept."""
+    return _without_surfaces(rays.grid, np.asarray(rays.eye, dtype=float), center)
+
+
+@lru_cache(maxsize=4)
+def _lit_table(rays: PixelRays, center: tuple[float, float] | None, look: Look) -> np.ndarray:
+    """Linear light of the pixels without surfaces, shape [P, 3] float32; not to be changed."""
+    points = _empty(rays, center)
+    return _background(points, np.ones((len(points.surface), 2), np.float32), rays, center, look)
+
+
+def _lights(look: Look) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colors of the lamp, the sky and what the table gives back, linear, shape [3] float32 each."""
+    key = np.float32(look.key / np.pi) * np.array([1.0, 0.965, 0.91], np.float32)
+    sky = np.float32(0.62 * look.fill) * np.array([0.93, 0.97, 1.03], np.float32)
+    return key, sky, np.float32(0.42 * look.fill) * linear(np.array(look.table))
+
+
+def _background(
+    points: SeenPoints, received: np.ndarray, rays: PixelRays, center: tuple[float, float] | None, look: Look
+) -> np.ndarray:
+    """Linear light of table and backdrop, shape [P, 3] float32; the table's squares are filtered over the
+    width of a pixel. received: as of the lamp and the sky, shape [P, 2]."""
+    light = np.empty(points.normal.shape, np.float32)
+    horizon, top, plain, dark = linear(
+        np.array([look.backdrop_horizon, look.backdrop_top, look.table, look.table_dark])
+    )
+    rows = np.flatnonzero(points.surface == NOTHING)
+    height = np.clip(1.6 * points.direction[rows, 2:], 0.0, 1.0)
+    light[rows] = _soft(horizon + height * (top - horizon))
+    rows = np.flatnonzero(points.surface == TABLE)
+    if not len(rows) or center is None:
+        return light
+    view, distance = points.direction[rows], points.distance[rows, None].astype(np.float32)
+    place = np.asarray(rays.eye[:2], np.float32) + distance * view[:, :2]
+    # A pixel's footprint: longer along the view.
+    width = distance / np.float32(rays.focal)
+    along = np.abs(view[:, :2]) / np.sqrt((view[:, :2] ** 2).sum(axis=1, keepdims=True) + 1e-12)
+    spread = along * (width / np.maximum(-view[:, 2:], 1e-4)) + along[:, ::-1] * width
+    spread = np.maximum(spread / look.square, 1e-4)
+    middle = place / look.square
+    wave = (_triangle(middle + 0.5 * spread) - _triangle(middle - 0.5 * spread)) / spread
+    color = plain + (0.5 - 0.5 * wave[:, :1] * wave[:, 1:]) * (dark - plain)
+    begin, end = look.fade
+    far = np.linalg.norm(place - np.asarray(center, np.float32), axis=1, keepdims=True)
+    share = np.clip((end - far) / (end - begin), 0.0, 1.0)
+    share *= share * (3 - 2 * share)
+    key, sky, _ = _lights(look)
+    up = max(look.light[2] / float(np.linalg.norm(look.light)), 0.0) if look.light else 0.0
+    color *= received[rows, :1] * up * key + received[rows, 1:] * sky
+    light[rows] = _soft(horizon + share * (color - horizon))
+    return light
+
+
+def _soft(light: np.ndarray) -> np.ndarray:
+    """Light above ``KNEE`` compressed."""
+    over = np.maximum(light - KNEE, 0.0)
+    return np.minimum(light, KNEE) + (1 - KNEE) * over / (over + (1 - KNEE))
 
 
 def to_bytes(light: np.ndarray) -> np.ndarray:
@@ -328,7 +380,7 @@ def _edges(points: SeenPoints, lit: np.ndarray, shape: tuple[int, int]) -> np.nd
         same = np.nonzero(~differs & (surface[a] >= 0))
         near, far = distance[a][same], distance[b][same]
         bend = np.einsum("pi,pi->p", normal[a][same], normal[b][same])
-        differs[same] = (np.abs(near - far) > 0.03 * np.minimum(near, far)) | (bend < 0.85)
+        differs[same] = (np.abs(near - far) > 0.03 * np.minimum(near, far)) | (bend < 0.6)
         edge[a] |= differs
         edge[b] |= differs
     return edge

@@ -45,12 +45,8 @@ def object_penetration(
     count: int = 24,
     smoothing: float = 0.0,
 ) -> AddTerm:
-    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A).
-
-    Args:
-        points, problem: N grasps.
-        unit, margin, count, smoothing: see ``Measure``.
-    """
+    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A). For
+    the numbers see ``Measure``."""
     shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, smoothing)
     return lambda frames, equations, *_: _add_object_penetration(frames, equations, shapes, measure)
 
@@ -119,12 +115,8 @@ def _residual(depth: float, measure: Measure):
 def table_penetration(
     points: HandPoints, problem: CollisionScene, unit: float = 0.001, margin: float = 0.001, count: int = 12
 ) -> AddTerm:
-    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A).
-
-    Args:
-        points, problem: N grasps.
-        unit, margin, count: see ``Measure``.
-    """
+    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A). For the
+    numbers see ``Measure``."""
     spheres, groups = points.arrays.spheres, points.arrays.groups
     up, height = plain(problem.up), plain(problem.height)
     measure = Measure(unit, margin, count, 0.0)
@@ -200,11 +192,7 @@ def self_penetration(
 ) -> AddTerm:
     """max(0, margin - d_ij) / unit for the ``count`` closest pairs of spheres of different fingers, d_ij the
     distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
-
-    Args:
-        points, problem: N grasps.
-        unit, margin, count, smoothing: see ``Measure``.
-    """
+    For the numbers see ``Measure``."""
     spheres, groups, pairs = points.arrays.spheres, points.arrays.groups, points.arrays.pairs
     measure = Measure(unit, margin, count, smoothing)
     return lambda frames, equations, *_: _add_self_penetration(

@@ -42,7 +42,6 @@ def force_closure(
     them fixed in the contact frames.
 
     Args:
-        points, problem: N grasps.
         unit: dimensionless.
         friction: coefficient to count on, well below the true one.
         reach: half width of the difference that gives the curvature [m]; it also smooths edges.
@@ -107,7 +106,6 @@ def _add_force_closure(
     point, lever, inward = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
     force, curve, link = np.empty((most, 3)), np.empty((3, 3)), np.empty(most, np.int64)
     jacobian, residual = np.empty((6, size)), np.empty(6)
-    work = _work(most)
     for i in range(len(wanted)):
         if not equations.active[i]:
             continue
@@ -123,7 +121,7 @@ def _add_force_closure(
                 number += 1
         if number < 2:
             continue
-        _balance(lever, inward, number, friction, BALANCE_ITERATIONS, work, force)
+        _balance(lever, inward, number, friction, BALANCE_ITERATIONS, force)
         for k in range(6):
             residual[k] = 0.0
             for d in range(size):
@@ -183,25 +181,8 @@ def _add_column(jacobian: np.ndarray, column: int, mx, my, mz, contact: _Contact
     jacobian[5, column] += ax * force[1] - ay * force[0] + lever[0] * fy - lever[1] * fx
 
 
-class _Work(NamedTuple):
-    """Space for ``_balance``."""
-
-    around: np.ndarray
-    """Directions of a cone's edges."""
-    edges: np.ndarray
-    """Of the cones, shape [K, 3]."""
-    matrix: np.ndarray
-    """Wrenches of the edges and their normal parts, shape [7, K]."""
-
-
 @compiled_part
-def _work(contacts: int) -> _Work:
-    room = contacts * BALANCE_CONE_EDGES
-    return _Work(circle(np.int64(BALANCE_CONE_EDGES)), np.empty((room, 3)), np.empty((7, room)))
-
-
-@compiled_part
-def _balance(lever, inward, number: int, friction: float, iterations: int, work: _Work, force) -> None:
+def _balance(lever, inward, number: int, friction: float, iterations: int, force) -> None:
     """Contact forces within friction cones whose sum and moment are as small as possible; their normal parts
     sum to one.
 
@@ -214,11 +195,10 @@ def _balance(lever, inward, number: int, friction: float, iterations: int, work:
         number: of contacts.
         friction: coefficient.
         iterations: of the descent.
-        work: space to work in.
         force: written, shape [C, 3].
     """
-    around, edges, matrix = work
-    count = number * BALANCE_CONE_EDGES
+    count, around = number * BALANCE_CONE_EDGES, circle(np.int64(BALANCE_CONE_EDGES))
+    edges, matrix = np.empty((count, 3)), np.empty((7, count))
     for c in range(number):
         cone_edges(inward[c], friction, around, edges, c * BALANCE_CONE_EDGES)
         for e in range(BALANCE_CONE_EDGES):

@@ -95,7 +95,6 @@ def contact_position(
     human fingers did.
 
     Args:
-        points, problem: N grasps.
         unit: [m].
         inner_weight: factor for links that don't end in a fingertip.
     """
@@ -136,7 +135,6 @@ def keypoint_position(
     """weight (p - target) for some key points p.
 
     Args:
-        points, problem: N grasps.
         which: key points, shape [Q].
         target: [m], shape [N, Q, 3].
         weight: [1/m], shape [N, Q]; nothing is added where it is zero.
@@ -176,7 +174,6 @@ def link_direction(
     (IV.A).
 
     Args:
-        points, problem: N grasps.
         unit: dimensionless.
         links: which of the S finger links; all by default.
     """
@@ -239,7 +236,6 @@ def stay_near(
     """Differences of joints, wrist position and wrist rotation from ``start`` over their units.
 
     Args:
-        points, problem: N grasps.
         start: wrist poses [N, 7] and independent joints [rad], shape [N, U].
         unit, position_unit, rotation_unit: [rad], [m], [rad].
     """

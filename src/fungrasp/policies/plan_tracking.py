@@ -27,8 +27,8 @@ from fungrasp.hands import Hand
 from fungrasp.hands.array_kinematics import ArrayKinematics
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.lift_reaction import LiftReaction
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
+from fungrasp.policies.slip_response import SlipResponse
 from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
 from fungrasp.task.features import MeasuredState, PlanTarget, robot_features
 
@@ -62,7 +62,7 @@ class PlanTracker:
     Until the fingers close, the plan goes where the object goes, smoothly, as trackers jitter; from then on
     it stays where it was. It turns with it about the vertical alone: what has rolled or tipped is grasped
     from where the plan came, not from where that has turned to, which may be below the table. An object that
-    sinks in the hand as it is lifted is pressed harder and lifted higher (``LiftReaction``).
+    sinks in the hand as it is lifted is pressed harder and lifted higher (``SlipResponse``).
     """
 
     def __init__(
@@ -76,7 +76,6 @@ class PlanTracker:
     ):
         """
         Args:
-            hand: the robot hand.
             objects: by name, those of the plans.
             plans: to choose from, N of them.
             count: W, number of robots.
@@ -100,7 +99,7 @@ class PlanTracker:
         self.action = rows_like(on, np.zeros((count, self.size)))
         """The last action, smoothed, shape [W, A]."""
         self._anchor = rows_like(on, np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
-        self._reaction = LiftReaction(count, on)
+        self._reaction = SlipResponse(count, on)
         self._goal: tuple[Array, Array] | None = None
         """Palm goal and servo targets of this control step, made when first asked for."""
         self._now: MeasuredState | None = None

@@ -10,8 +10,8 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
+from fungrasp.policies.open_loop import OpenLoopPolicy
 from fungrasp.policies.residual_policy import residual_policy
-from fungrasp.policies.scripted import OpenLoopPolicy
 from fungrasp.task import Policy, PrivilegedPolicy
 
 REFERENCE = "reference"
@@ -98,8 +98,6 @@ def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Po
 
     Args:
         name: as for ``policy_files``.
-        hand: that it moves.
-        objects: by name, all that it may meet.
 
     Raises:
         FungraspError: no such policy, or one for another hand.

@@ -1,4 +1,5 @@
-"""Learned policies at work: they follow a plan, look at the observation, and correct."""
+"""Learned policies at work: they follow a plan, look at the observation, and correct; and success predictors,
+which judge plans."""
 
 from __future__ import annotations
 
@@ -10,8 +11,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.checkpoint.card import PolicyCard
-from fungrasp.policies.checkpoint.checkpoint_file import check_fits
-from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, check_fits
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
@@ -29,11 +29,6 @@ class _ResidualNetwork:
 
     def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
         """
-        Args:
-            network: of a policy file.
-            hand: that it moves.
-            objects: by name, all that plans may be for.
-
         Raises:
             FungraspError: the network was made for another hand or other actions.
         """

@@ -1,8 +1,15 @@
 """From simulation to reality: worlds that differ from the nominal ones."""
 
-from fungrasp.sim2real.episode_sample import EpisodeSample, draw, draw_each, random_stream
-from fungrasp.sim2real.pose_noise import offset_pose, shift_on_table, tilt_on_table
-from fungrasp.sim2real.presets import (
+from fungrasp.sim2real.episode_sample import (
+    EpisodeSample,
+    draw,
+    draw_each,
+    offset_pose,
+    random_stream,
+    shift_on_table,
+    tilt_on_table,
+)
+from fungrasp.sim2real.randomization import (
     MODERATE,
     NOMINAL,
     PRESETS,
@@ -11,12 +18,14 @@ from fungrasp.sim2real.presets import (
     ROBUSTNESS,
     THREE_PUSHES,
     WIDE,
+    MeasurementError,
     ProtocolName,
+    Randomization,
+    Range,
     preset,
     protocol_conditions,
     protocol_name,
 )
-from fungrasp.sim2real.randomization import MeasurementError, Randomization, Range
 
 __all__ = [
     "MODERATE",

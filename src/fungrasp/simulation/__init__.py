@@ -1,8 +1,7 @@
 """Scenes, and engines that step many worlds of one at once."""
 
 from fungrasp.simulation.devices import BufferSizes, Device, found_device
-from fungrasp.simulation.engine import Engine
-from fungrasp.simulation.engine_choice import make_engine
+from fungrasp.simulation.engine import Engine, make_engine
 from fungrasp.simulation.mujoco_cpu import MujocoCpuEngine
 from fungrasp.simulation.scene import Scene, SceneSettings, build_scene
 

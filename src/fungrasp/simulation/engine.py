@@ -7,11 +7,13 @@ that every engine has to pass.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, Unpack
 
 import numpy as np
 
+from fungrasp.simulation.mujoco_cpu import MujocoCpuEngine
 from fungrasp.simulation.scene import Scene
+from fungrasp.simulation.world_parameters import Parameters
 
 EngineState = Any
 """A snapshot of the state of all worlds, in the engine's own form."""
@@ -139,17 +141,7 @@ class Engine(Protocol):
         worlds: np.ndarray | None = None,
         *,
         object_index: np.ndarray | None = None,
-        object_mass: np.ndarray | None = None,
-        object_center: np.ndarray | None = None,
-        object_inertia: np.ndarray | None = None,
-        friction: np.ndarray | None = None,
-        table_height: np.ndarray | None = None,
-        table_tilt: np.ndarray | None = None,
-        joint_friction: np.ndarray | None = None,
-        joint_damping: np.ndarray | None = None,
-        servo_stiffness: np.ndarray | None = None,
-        servo_damping: np.ndarray | None = None,
-        wrist_stiffness: np.ndarray | None = None,
+        **parameters: Unpack[Parameters],
     ) -> None:
         """Set physical parameters. What is not given stays as it is; the state stays as it is.
 
@@ -157,19 +149,7 @@ class Engine(Protocol):
             worlds: ids, shape [I]; all if None.
             object_index: which of ``scene.objects`` each world holds, shape [I]; its mass, center and inertia
                 and the table's height become the scene's unless given.
-            object_mass: mass of the object [kg], shape [I]; its inertia scales along, and its center of mass
-                is the scene's unless given.
-            object_center: center of mass [m], object frame, shape [I, 3]; given with ``object_mass`` and
-                ``object_inertia``.
-            object_inertia: inertia about that center, axes of the object frame [kg m2], shape [I, 3, 3].
-            friction: sliding friction of hand, object and table, shape [I].
-            table_height: height of the table top at the world's origin [m], shape [I].
-            table_tilt: rotation vector of the table top, world frame x and y [rad], shape [I, 2].
-            joint_friction: dry friction of each joint of the hand, beyond the scene's [N m], shape [I, M].
-            joint_damping: factor on the scene's damping of each joint, shape [I, M].
-            servo_stiffness: factor on the scene's stiffness of each finger servo, shape [I, U].
-            servo_damping: factor on the scene's damping of each finger servo, shape [I, U].
-            wrist_stiffness: factor on stiffness and damping of the wrist's servos, shape [I].
+            parameters: a row for each world of ``worlds``.
         """
         ...
 
@@ -215,3 +195,25 @@ class Engine(Protocol):
     def restore(self, state: EngineState) -> None:
         """Put all worlds back to a snapshot."""
         ...
+
+
+def make_engine(scene: Scene, count: int, threads: int = 0, tensors: bool = False) -> Engine:
+    """W worlds of a scene on the device that its settings name.
+
+    Args:
+        scene: the scene.
+        count: W.
+        threads: of the processor, 0 for all; a GPU has its own.
+        tensors: whether arrays of a GPU stay there, as torch tensors, and share memory with the physics; they
+            are copied to NumPy's if not.
+
+    Raises:
+        FungraspError: something that the device needs is missing, in one line that says what to do.
+    """
+    settings = scene.settings
+    if settings.device == "cpu":
+        return MujocoCpuEngine(scene, count, threads)
+    from fungrasp.simulation.mujoco_warp import MujocoWarpEngine, MujocoWarpWorlds
+
+    kind: Any = MujocoWarpWorlds if tensors else MujocoWarpEngine
+    return kind(scene, count, settings.device, settings.buffers)

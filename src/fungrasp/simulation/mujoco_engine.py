@@ -6,14 +6,14 @@ The arrays are NumPy's or torch's, whatever the device; the same code reads both
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
 from fungrasp.geometry.arrays import copied, moved_to
 from fungrasp.geometry.poses import Array, array_namespace, euler_angles, invert, norm, relative, rotate
 from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
-from fungrasp.simulation.world_parameters import FieldChange, WorldParameters
+from fungrasp.simulation.world_parameters import FieldChange, Parameters, WorldParameters
 
 Columns = Any
 """Numbers of columns: a slice where they follow each other, else an array of the engine's library."""
@@ -193,41 +193,14 @@ class MujocoArrays:
         worlds: np.ndarray | None = None,
         *,
         object_index: np.ndarray | None = None,
-        object_mass: np.ndarray | None = None,
-        object_center: np.ndarray | None = None,
-        object_inertia: np.ndarray | None = None,
-        friction: np.ndarray | None = None,
-        table_height: np.ndarray | None = None,
-        table_tilt: np.ndarray | None = None,
-        joint_friction: np.ndarray | None = None,
-        joint_damping: np.ndarray | None = None,
-        servo_stiffness: np.ndarray | None = None,
-        servo_damping: np.ndarray | None = None,
-        wrist_stiffness: np.ndarray | None = None,
+        **parameters: Unpack[Parameters],
     ) -> None:
         """See ``Engine.set_parameters``; always of NumPy arrays."""
         ids = np.arange(len(self)) if worlds is None else np.asarray(worlds)
-        if object_index is not None:
+        anew = object_index is not None
+        if anew:
             self.object_index[ids] = object_index
-        changes = self._parameters.changes(
-            ids,
-            self.object_index[ids],
-            {
-                "object_mass": object_mass,
-                "object_center": object_center,
-                "object_inertia": object_inertia,
-                "friction": friction,
-                "table_height": table_height,
-                "table_tilt": table_tilt,
-                "joint_friction": joint_friction,
-                "joint_damping": joint_damping,
-                "servo_stiffness": servo_stiffness,
-                "servo_damping": servo_damping,
-                "wrist_stiffness": wrist_stiffness,
-            },
-            anew=object_index is not None,
-        )
-        for change in changes:
+        for change in self._parameters.changes(ids, self.object_index[ids], parameters, anew):
             self._write(change)
 
     def push_object(self, force: Array, torque: Array | None = None) -> None:

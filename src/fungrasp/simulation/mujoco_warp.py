@@ -1,5 +1,9 @@
-"""The GPU engine: worlds of one scene in MuJoCo Warp (``fungrasp.simulation.warp_worlds``), seen as NumPy
-arrays as those of all engines are."""
+"""The GPU engine: worlds of one scene in MuJoCo Warp, on a GPU or on Warp's own CPU device, as torch tensors
+that share memory with the physics, or seen as NumPy arrays as those of all engines are.
+
+Physics is in single precision, and has no iterations against the creep of contacts
+(``SceneSettings.noslip_iterations``).
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,276 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.geometry.poses import Array
+from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.arrays import moved_to
+from fungrasp.geometry.poses import Array, rotation_matrix
 from fungrasp.simulation.devices import BufferSizes, Device
-from fungrasp.simulation.mujoco_engine import controls_of
+from fungrasp.simulation.mujoco_cpu import worlds_named
+from fungrasp.simulation.mujoco_engine import MujocoArrays, controls_of
 from fungrasp.simulation.scene import Scene
-from fungrasp.simulation.warp_worlds import MujocoWarpWorlds
+from fungrasp.simulation.warp_device import (
+    PER_WORLD,
+    UNNEEDED,
+    check_memory,
+    host_model,
+    memory_of_world,
+    open_warp,
+    probe_buffer_sizes,
+    unused_slots,
+)
+from fungrasp.simulation.world_parameters import FieldChange
+
+MATCHES = 128
+"""Contacts that a contact sensor can gather; the handles of scissors have more than Warp's 64 of them."""
+
+FASTEST = 1e10
+"""Velocity beyond which a world's motion means nothing [m/s, rad/s]: MuJoCo's own bound."""
+
+
+class MujocoWarpWorlds(MujocoArrays):
+    """W worlds as torch tensors on the device. Nothing but ``problems`` waits for the device or copies from
+    it."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        count: int,
+        device: Device = "cuda",
+        sizes: BufferSizes | None = None,
+    ):
+        """
+        Args:
+            scene: the scene; all worlds hold its first object until ``set_parameters`` says otherwise.
+            count: W, the number of worlds.
+            device: the GPU, or Warp's own CPU device.
+            sizes: of the buffers; found by a probe if None.
+
+        Raises:
+            FungraspError: something that the device needs is missing, or there is too little memory.
+        """
+        self._lib = open_warp(device)
+        warp, mjw, torch = self._lib.warp, self._lib.mujoco, self._lib.torch
+        if scene.settings.noslip_iterations:
+            raise FungraspError("the GPU engine has no iterations against creep: --noslip needs --device cpu")
+        self.sizes = sizes or probe_buffer_sizes(scene)
+        self._device = torch.device(self._lib.device)
+        host = host_model(scene.model)
+        with warp.ScopedDevice(self._lib.device):
+            self.bytes_per_world = memory_of_world(scene, self.sizes, self._lib)
+            """What a further world takes of the device's memory."""
+            check_memory(count * self.bytes_per_world, count, self._lib)
+            # A field with one row is taken for the same in all worlds.
+            self.warp_model = mjw.put_model(host, dict.fromkeys(PER_WORLD, max(count, 2)))
+            self.warp_data = mjw.make_data(
+                host,
+                count,
+                njmax=self.sizes.rows,
+                naconmax=self.sizes.pool(count),
+                nconmax=self.sizes.contacts,
+            )
+            self.warp_model.opt.contact_sensor_maxmatch = MATCHES
+            self.warp_model.opt.warn_overflow = 0
+        self._fields: dict[str, Array] = {}
+        self._graphs: dict[int, Any] = {}
+        self._unused = unused_slots(scene)
+        unknown = sorted(set(scene.fields) - set(PER_WORLD) - set(UNNEEDED))
+        if unknown:
+            raise FungraspError(
+                f"objects differ in what the GPU engine can't tell apart: {', '.join(unknown)}"
+            )
+        self._geom_xpos, self._geom_xmat = self._array("geom_xpos"), self._array("geom_xmat")
+        self._time, self._overflow = self._array("time"), self._array("overflow")
+        self._rows, self._found = self._array("nefc"), self._array("nacon")
+        flags = torch.zeros(count, dtype=torch.bool, device=self._device)
+        self._broken, self._frozen, self._no_number = flags, flags.clone(), flags.clone()
+        self._most_rows, self._most_contacts = self._rows.clone(), self._found.clone()
+        self._table = scene.model.geom("table").id
+        self._default = {
+            "qpos": torch.as_tensor(scene.model.qpos0, dtype=torch.float32, device=self._device),
+            "mocap_pos": self._array("mocap_pos")[0].clone(),
+            "mocap_quat": self._array("mocap_quat")[0].clone(),
+        }
+        self._set_up(scene, count)
+        self._forward()
+
+    @property
+    def diverged(self) -> Array:
+        """Worlds whose physics has broken down since they were last reset, shape [W] bool. They are put back
+        to the scene's default and go on."""
+        return self._broken.clone()
+
+    def problems(self) -> list[str]:
+        """See ``Engine.problems``."""
+        flags = self._lib.mujoco.OverflowType
+        bits, rows = self._overflow.cpu().numpy(), int(self._most_rows.max())
+        pool, contacts = self.sizes.pool(len(self)), int(self._most_contacts.max())
+        lines = []
+        if (bits & (flags.NEFC | flags.NJMAX_NNZ)).any():
+            where = worlds_named((bits & (flags.NEFC | flags.NJMAX_NNZ)) != 0)
+            lines.append(
+                f"rows of constraints did not fit in {where}, up to {rows} of {self.sizes.rows}: give "
+                f"--buffers {self.sizes.contacts} {_larger(rows)}"
+            )
+        if (bits & (flags.BROADPHASE | flags.NARROWPHASE | flags.CCD)).any():
+            wanted = _larger(max(contacts, pool) / max(len(self), 4))
+            lines.append(
+                f"contacts did not fit in the pool of {pool} that {len(self)} worlds share, and any may lack "
+                f"some: give --buffers {wanted} {self.sizes.rows}"
+            )
+        if (bits & flags.CONTACT_MATCH).any():
+            where = worlds_named((bits & flags.CONTACT_MATCH) != 0)
+            lines.append(
+                f"a contact sensor left out contacts beyond {MATCHES} in {where}: forces are too small"
+            )
+        if (bits & flags.EPA_HORIZON).any():
+            where = worlds_named((bits & flags.EPA_HORIZON) != 0)
+            lines.append(f"how deep shapes lie in each other was not found to the end in {where}")
+        for flag, what in (
+            (self._frozen, "physics stood still"),
+            (self._no_number, "controls were no numbers"),
+        ):
+            which = flag.cpu().numpy()
+            if which.any():
+                lines.append(f"{what} in {worlds_named(which)}")
+        for array in (self._overflow, self._frozen, self._no_number, self._most_rows, self._most_contacts):
+            array[:] = 0
+        return lines
+
+    def reset(self, worlds: np.ndarray | None = None) -> None:
+        """Worlds to the scene's default state."""
+        ids = slice(None) if worlds is None else self._native(worlds)
+        self._to_default(ids)
+        self._force[ids] = 0.0
+        self._mocap_pos[ids], self._mocap_quat[ids] = self._default["mocap_pos"], self._default["mocap_quat"]
+        self._frame[ids, :3], self._frame[ids, 3:] = self._mocap_pos[ids, 0], self._mocap_quat[ids, 0]
+        self._broken[ids] = False
+        self._forward()
+
+    def step(self, controls: Array, steps: int, worlds: np.ndarray | Array | None = None) -> None:
+        """See ``Engine.step``. worlds: ids, or a tensor on the device that says of each whether it moves,
+        shape [W] bool."""
+        torch = self._lib.torch
+        self._ctrl[:, self._servos] = moved_to(self._ctrl, controls)
+        no_number = ~torch.isfinite(self._ctrl).all(dim=1)
+        moving = None if worlds is None else self._moving(worlds)
+        if moving is not None:
+            no_number = no_number & moving
+        # A force is cut to the servo's limits: a control that is no number does not show in the state.
+        self._ctrl[:] = torch.nan_to_num(self._ctrl, nan=0.0, posinf=0.0, neginf=0.0)
+        kept = None if moving is None else [array.clone() for array in self._moved]
+        before = self._time.clone()
+        self._advance(steps)
+        stood = self._time - before < 0.5 * steps * self.scene.settings.timestep
+        broken = ~torch.isfinite(self._qpos).all(dim=1) | ~(self._qvel.abs() < FASTEST).all(dim=1)
+        if kept is not None:
+            assert moving is not None
+            stood, broken = stood & moving, broken & moving
+            for array, value in zip(self._moved, kept, strict=True):
+                stays = ~moving.reshape(-1, *(1,) * (array.ndim - 1))
+                torch.where(stays, value, array, out=array)
+        self._frozen |= stood
+        self._no_number |= no_number
+        broken = broken | no_number
+        self._broken |= broken
+        self._put_back(broken)
+        torch.maximum(self._most_rows, self._rows, out=self._most_rows)
+        torch.maximum(self._most_contacts, self._found, out=self._most_contacts)
+        self._forward()
+
+    def wait(self) -> None:
+        """Until the device has done what it was given: for measurements."""
+        self._lib.warp.synchronize_device(self._lib.device)
+        if self._device.type == "cuda":
+            self._lib.torch.cuda.synchronize(self._device)
+
+    @property
+    def _moved(self) -> list[Array]:
+        return [self._qpos, self._qvel, self._warmstart, self._sensors, self._time]
+
+    def _moving(self, worlds: np.ndarray | Array) -> Array:
+        """Which worlds move, shape [W] bool."""
+        torch = self._lib.torch
+        if isinstance(worlds, torch.Tensor):
+            return worlds
+        moving = torch.zeros(len(self), dtype=torch.bool, device=self._device)
+        moving[self._native(worlds)] = True
+        return moving
+
+    def _advance(self, steps: int) -> None:
+        """Physics steps; on a GPU one launch of a graph that is captured once for each number of steps."""
+        warp, step = self._lib.warp, self._lib.mujoco.step
+        with warp.ScopedDevice(self._lib.device):
+            if self._device.type == "cpu":
+                for _ in range(steps):
+                    step(self.warp_model, self.warp_data)
+                return
+            if steps not in self._graphs:
+                # Kernels are compiled and loaded by a step outside the capture, which is taken back.
+                kept = [array.clone() for array in (*self._state_arrays(), self._sensors, self._time)]
+                step(self.warp_model, self.warp_data)
+                for array, value in zip(
+                    (*self._state_arrays(), self._sensors, self._time), kept, strict=True
+                ):
+                    array[:] = value
+                with warp.ScopedCapture() as capture:
+                    for _ in range(steps):
+                        step(self.warp_model, self.warp_data)
+                self._graphs[steps] = capture.graph
+            warp.capture_launch(self._graphs[steps])
+
+    def _to_default(self, ids: Any) -> None:
+        self._qpos[ids] = self._default["qpos"]
+        for array in (self._qvel, self._warmstart, self._sensors, self._time, self._ctrl):
+            array[ids] = 0.0
+
+    def _put_back(self, broken: Array) -> None:
+        """Worlds that broke down to the scene's default, without asking the device whether there are any.
+        broken: shape [W] bool."""
+        torch = self._lib.torch
+        torch.where(broken[:, None], self._default["qpos"], self._qpos, out=self._qpos)
+        for name in ("qvel", "qacc_warmstart", "sensordata", "qacc", "qfrc_constraint"):
+            self._array(name).masked_fill_(broken[:, None], 0.0)
+
+    def _array(self, name: str) -> Array:
+        return self._lib.warp.to_torch(getattr(self.warp_data, name))
+
+    def _native(self, indices: np.ndarray | Array) -> Array:
+        return self._lib.torch.as_tensor(indices, device=self._device)
+
+    def _write(self, change: FieldChange) -> None:
+        name, index, values = change
+        if name in UNNEEDED:
+            return
+        if name == "geom_dataid" and self._unused is not None:
+            values = np.where(self._unused[self.object_index[index[0]]], -1, values)
+        field = self._field(name)
+        here = tuple(self._native(part) if isinstance(part, np.ndarray) else part for part in index)
+        field[here] = self._lib.torch.as_tensor(np.asarray(values), dtype=field.dtype).to(self._device)
+        if name in ("geom_pos", "geom_quat"):
+            self._pose_table(here[0])
+
+    def _field(self, name: str) -> Array:
+        """A field of the model, one row for each world, in the shape that MuJoCo has it on the CPU."""
+        if name not in self._fields:
+            whole = self._lib.warp.to_torch(getattr(self.warp_model, name))
+            shape = getattr(self.model, name).shape
+            self._fields[name] = whole.view(len(whole), *shape)[: len(self)]
+        return self._fields[name]
+
+    def _pose_table(self, ids: Array) -> None:
+        """Geoms of the world body are posed once, when the data are made; the table moves."""
+        self._geom_xpos[ids, self._table] = self._field("geom_pos")[ids, self._table]
+        self._geom_xmat[ids, self._table] = rotation_matrix(self._field("geom_quat")[ids, self._table])
+
+    def _forward(self, worlds: np.ndarray | None = None) -> None:
+        with self._lib.warp.ScopedDevice(self._lib.device):
+            self._lib.mujoco.kinematics(self.warp_model, self.warp_data)
+            self._lib.mujoco.com_pos(self.warp_model, self.warp_data)
+
+
+def _larger(number: float) -> int:
+    """Half as much again, in steps of 32."""
+    return int(np.ceil(1.5 * number / 32)) * 32
 
 
 class MujocoWarpEngine:

@@ -32,19 +32,31 @@ _SAMEFRAME_NONE = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
 
 class Parameters(TypedDict, total=False):
-    """What ``Engine.set_parameters`` takes besides the objects, with its shapes and units."""
+    """What ``Engine.set_parameters`` takes of I worlds besides the objects that they hold."""
 
     object_mass: np.ndarray | None
+    """Mass of the object [kg], shape [I]; its inertia scales along, and its center of mass is the scene's
+    unless given."""
     object_center: np.ndarray | None
+    """Center of mass [m], object frame, shape [I, 3]; given with ``object_mass`` and ``object_inertia``."""
     object_inertia: np.ndarray | None
+    """Inertia about that center, axes of the object frame [kg m2], shape [I, 3, 3]."""
     friction: np.ndarray | None
+    """Sliding friction of hand, object and table, shape [I]."""
     table_height: np.ndarray | None
+    """Height of the table top at the world's origin [m], shape [I]."""
     table_tilt: np.ndarray | None
+    """Rotation vector of the table top, world frame x and y [rad], shape [I, 2]."""
     joint_friction: np.ndarray | None
+    """Dry friction of each joint of the hand, beyond the scene's [N m], shape [I, M]."""
     joint_damping: np.ndarray | None
+    """Factor on the scene's damping of each joint, shape [I, M]."""
     servo_stiffness: np.ndarray | None
+    """Factor on the scene's stiffness of each finger servo, shape [I, U]."""
     servo_damping: np.ndarray | None
+    """Factor on the scene's damping of each finger servo, shape [I, U]."""
     wrist_stiffness: np.ndarray | None
+    """Factor on stiffness and damping of the wrist's servos, shape [I]."""
 
 
 class FieldChange(NamedTuple):

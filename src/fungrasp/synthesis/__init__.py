@@ -1,8 +1,7 @@
 """Human grasps written as specifications (object, part, task, kind of grasp) and solved."""
 
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, GraspKind, GraspSpecification
-from fungrasp.synthesis.synthesis_job import synthesize_grasps
-from fungrasp.synthesis.synthesize import SynthesisSettings
+from fungrasp.synthesis.synthesize import SynthesisSettings, synthesize_grasps
 
 __all__ = [
     "GRASP_KINDS",

@@ -1,16 +1,19 @@
-"""Candidates for a human grasp and their checks: penetration, contact, anatomy."""
+"""Candidates for human grasps: their checks (penetration, contact, anatomy), and which of them are taken."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from fungrasp.grasps import HUMAN_LINKS
+from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.poses import transform_points
+from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.grasps.anatomy import DEVIATION_LIMIT, FLEXION_RANGE, JOINT_RANGE_SLACK, joint_bends
-from fungrasp.hands import Hand
+from fungrasp.hands import load_hand
 from fungrasp.hands.collision_spheres import self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -19,6 +22,8 @@ from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
 from fungrasp.optimization.problem import CollisionScene
 from fungrasp.synthesis.grasp_specification import GraspSpecification
 from fungrasp.synthesis.human_hand_terms import HumanPoints, part_samples
+
+HAND = "human"
 
 FINE_SPACING = 0.004
 """Largest gap between the collision spheres with which candidates are checked [m]."""
@@ -82,25 +87,22 @@ def join_candidates(batches: Sequence[GraspCandidates], counts: Sequence[int]) -
 
 
 def check_candidates(
-    hand: Hand,
     scene: CollisionScene,
     specs: Sequence[GraspSpecification],
     owner: np.ndarray,
     objects: Mapping[str, ObjectModel],
-    pose: np.ndarray,
-    independent: np.ndarray,
-    cost: np.ndarray,
+    solution: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> GraspCandidates:
     """Measure N candidates on the hand's whole collision geometry.
 
     Args:
-        hand: the human hand.
         scene: objects and table.
         specs: the specification of each candidate, length N.
         owner: index of each candidate's specification, shape [N].
         objects: by name.
-        pose, independent, cost: of the candidates, as ``minimize`` returns them.
+        solution: wrist poses, joints and costs of the candidates, as ``minimize`` returns them.
     """
+    hand, (pose, independent, cost) = load_hand(HAND), solution
     points = HumanPoints(HandKinematics(hand, len(specs)), spacing=FINE_SPACING)
     state = HandState(points, scene, pose, independent)
     contacts = np.zeros((len(specs), len(HUMAN_LINKS)), dtype=bool)
@@ -142,3 +144,67 @@ def _link_gaps(points: HumanPoints, spheres: np.ndarray, tree: KDTree) -> np.nda
     """Distance of each link's surface from a part [m], shape [16]. spheres: shape [P, 3]."""
     gap = tree.query(spheres)[0] - points.spheres.radius
     return np.array([gap[members].min() for members in points.link_members])
+
+
+def choose_grasps(
+    candidates: GraspCandidates,
+    specs: Sequence[GraspSpecification],
+    objects: Mapping[str, ObjectModel],
+    max_penetration: float,
+    max_cost: float,
+    min_difference: float,
+) -> HumanGraspSet:
+    """The cheapest good candidate of each specification that differs from those chosen before it; a
+    specification without one is left out.
+
+    Args:
+        candidates: of all specifications.
+        specs: in the order of the grasps.
+        objects: by name.
+        max_penetration, max_cost: of good ones, as ``GraspCandidates.good`` takes them.
+        min_difference: grasps of one object whose joints are nearer on average are the same grasp [m].
+
+    Raises:
+        FungraspError: there is none.
+    """
+    good = candidates.good(max_penetration, max_cost)
+    rows = _best(candidates, specs, good, min_difference)
+    if not rows:
+        raise FungraspError("none of the specified grasps can be met")
+    chosen = candidates.specification[rows].tolist()
+    names = [specs[i].object for i in chosen]
+    pose = np.array([specs[i].rest_pose(objects[specs[i].object]) for i in chosen]).reshape(-1, 7)
+    return HumanGraspSet(
+        object_name=np.array(names),
+        object_mass=np.array([objects[name].mass for name in names]),
+        object_pose=pose,
+        object_rest_pose=pose,
+        hand_joints=transform_points(pose, candidates.joints[rows]),
+        link_contacts=candidates.contacts[rows],
+        task=np.array([specs[i].task for i in chosen]),
+    )
+
+
+def _best(
+    candidates: GraspCandidates, specs: Sequence[GraspSpecification], good: np.ndarray, min_difference: float
+) -> list[int]:
+    """Row of the cheapest good candidate of each specification, if any, that differs from those chosen
+    before."""
+    order = np.lexsort((candidates.cost, candidates.specification))
+    order = order[good[order]]
+    first = np.searchsorted(candidates.specification[order], np.arange(len(specs) + 1))
+    counts = Counter(spec.object for spec in specs)
+    # Joints of the chosen grasps of each object, in the leading rows.
+    joints = {name: np.empty((count, *candidates.joints.shape[1:])) for name, count in counts.items()}
+    found, chosen = dict.fromkeys(counts, 0), []
+    for index, spec in enumerate(specs):
+        there = joints[spec.object]
+        for row in order[first[index] : first[index + 1]].tolist():
+            before = there[: found[spec.object]]
+            apart = np.linalg.norm(before - candidates.joints[row], axis=-1).mean(axis=-1)
+            if apart.min(initial=np.inf) >= min_difference:
+                there[found[spec.object]] = candidates.joints[row]
+                found[spec.object] += 1
+                chosen.append(row)
+                break
+    return chosen

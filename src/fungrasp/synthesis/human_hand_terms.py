@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -154,16 +155,12 @@ def part_gap(state: HandState[CollisionScene], targets: PartTargets, unit: float
     # Sorted by pair, then gap: the first of each pair is its nearest sphere.
     best = np.lexsort((gap, np.repeat(np.arange(len(rows)), count)))[starts]
     gap, direction = gap[best], between[best] / np.maximum(distance[best], 1e-9)[:, None]
-    return _scattered(
-        state,
-        rows,
-        links,
-        sphere[best],
-        position[best],
-        direction * (gap > 0)[:, None],
-        np.maximum(gap, 0),
-        unit,
-    )
+    move = _rows_jacobian(state, rows, sphere[best], position[best])
+    residual = np.zeros((len(state.wrist_pose), len(HUMAN_LINKS)))
+    jacobian = np.zeros((*residual.shape, state.points.kinematics.size))
+    residual[rows, links] = np.maximum(gap, 0) / unit
+    jacobian[rows, links] = np.einsum("qi,qid->qd", direction * (gap > 0)[:, None], move) / unit
+    return residual, jacobian
 
 
 def place_error(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.008) -> Residual:
@@ -219,50 +216,21 @@ def natural_posture(
 def _posture(
     kind: str, along_unit: float, off_unit: float, neighbor_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    start, span = (
-        np.array(GRASP_KINDS[kind].open),
-        np.array(GRASP_KINDS[kind].closed) - GRASP_KINDS[kind].open,
-    )
+    """Matrix and goal of ``natural_posture`` for one kind of grasp."""
+    fingers = [slice(4 * finger, 4 * finger + 4) for finger in range(4)] + [slice(16, 21)]
+    start = np.array(GRASP_KINDS[kind].open)
+    span = np.array(GRASP_KINDS[kind].closed) - GRASP_KINDS[kind].open
     rows, along = [], []
-    for first, last in ((0, 4), (4, 8), (8, 12), (12, 16), (16, 21)):
+    for finger in fingers:
         direction = np.zeros(21)
-        direction[first:last] = span[first:last] / max(float(np.linalg.norm(span[first:last])), 1e-9)
+        direction[finger] = span[finger] / max(float(np.linalg.norm(span[finger])), 1e-9)
         along.append(direction)
         rows.append(direction / along_unit)
-        rows += list((np.eye(21)[first:last] - np.outer(direction[first:last], direction)) / off_unit)
-    rows += [
-        (a - b) / neighbor_unit for a, b in ((along[0], along[1]), (along[1], along[2]), (along[2], along[3]))
-    ]
+        rows += list((np.eye(21)[finger] - np.outer(direction[finger], direction)) / off_unit)
+    rows += [(a - b) / neighbor_unit for a, b in pairwise(along[:4])]
     matrix = np.array(rows)
-    half = np.array(
-        [
-            np.linalg.norm(span[first:last]) / 2
-            for first, last in ((0, 4), (4, 8), (8, 12), (12, 16), (16, 21))
-        ]
-    )
-    goal = matrix @ (start + sum(h * d for h, d in zip(half, along, strict=True)))
-    return matrix, goal
-
-
-def _scattered(
-    state: HandState[CollisionScene],
-    rows: np.ndarray,
-    links: np.ndarray,
-    sphere: np.ndarray,
-    position: np.ndarray,
-    direction: np.ndarray,
-    value: np.ndarray,
-    unit: float,
-) -> Residual:
-    """Residuals [N, 16] and their Jacobian [N, 16, D] from lists of Q entries; the others are zero."""
-    count = len(state.wrist_pose)
-    residual = np.zeros((count, len(HUMAN_LINKS)))
-    jacobian = np.zeros((*residual.shape, state.points.kinematics.size))
-    residual[rows, links] = value / unit
-    jacobian[rows, links] = (
-        np.einsum("qi,qid->qd", direction, _rows_jacobian(state, rows, sphere, position)) / unit
-    )
-    return residual, jacobian
+    half = [np.linalg.norm(span[finger]) / 2 for finger in fingers]
+    return matrix, matrix @ (start + sum(h * d for h, d in zip(half, along, strict=True)))
 
 
 def _rows_jacobian(

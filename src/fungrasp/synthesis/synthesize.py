@@ -1,17 +1,24 @@
 """Human grasps from specifications: the solver of retargeting, applied to the human hand, with contact
-targets on named parts of the object."""
+targets on named parts of the object.
+
+from fungrasp.synthesis import GraspSpecification, synthesize_grasps
+
+spec = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
+grasps = synthesize_grasps([spec], seed=0)
+"""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from fungrasp.core.errors import FungraspError
-from fungrasp.geometry.poses import transform_points
+from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
+from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -21,8 +28,14 @@ from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem, project_to_surface
 from fungrasp.optimization.terms import Term
-from fungrasp.synthesis.grasp_candidates import GraspCandidates, check_candidates
-from fungrasp.synthesis.grasp_specification import GraspSpecification
+from fungrasp.synthesis.grasp_candidates import (
+    HAND,
+    GraspCandidates,
+    check_candidates,
+    choose_grasps,
+    join_candidates,
+)
+from fungrasp.synthesis.grasp_specification import GRASP_KINDS, GraspSpecification
 from fungrasp.synthesis.human_hand_terms import (
     HumanPoints,
     PartTargets,
@@ -31,17 +44,16 @@ from fungrasp.synthesis.human_hand_terms import (
     part_samples,
     place_error,
 )
-from fungrasp.synthesis.initial_poses import (
-    approach_until_contact,
-    close_until_contact,
-    random_offsets,
-    specified_wrist_pose,
-)
-
-HAND = "human"
 
 BATCH_SIZE = 12
 """Number of specifications solved together."""
+
+CONTACT_TOLERANCE = 0.001
+"""Penetration at which the closing hand stops [m]; the solver removes it."""
+
+FARTHEST, DEEPEST, STEP = 0.15, 0.05, 0.002
+"""The hand comes from ``FARTHEST`` in front of the held place to at most ``DEEPEST`` beyond it, in steps of
+``STEP`` [m]."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +97,90 @@ class SynthesisSettings:
     """Grasps of one object whose joints are nearer than this on average are the same grasp [m]."""
 
 
-def specification_batches(specs: Sequence[GraspSpecification]) -> list[Sequence[GraspSpecification]]:
+def synthesize_grasps(
+    specs: Sequence[GraspSpecification],
+    seed: int | Sequence[int] = 0,
+    settings: SynthesisSettings | None = None,
+    objects: Mapping[str, ObjectModel] | None = None,
+    *,
+    store: PartStore | None = None,
+    ray: RayCluster | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> HumanGraspSet:
+    """Make human grasps of objects at rest on the table; those that cannot be met are left out.
+
+    Every grasp has bones of exactly the human hand's lengths, joints within its limits, no more than 2 mm of
+    penetration, nothing below the table, and its links on their parts; no two are alike, whatever their seed.
+
+    Args:
+        specs: what to make. The grasps keep their order, all of the first seed before those of the next.
+        seed: of the random starts, or several: each specification is solved with each. The same
+            specifications and seeds give the same grasps.
+        settings: the defaults if None.
+        objects: by name; built-in ones that are not in it are found by themselves.
+        store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
+        ray: solves the parts on a cluster. The result is the same.
+        progress: called with the share that is done, 0 to 1.
+
+    Raises:
+        FungraspError: an object or part does not exist, none of the specifications can be met, or a part
+            can't be written.
+    """
+    seeds = (seed,) if isinstance(seed, int) else tuple(seed)
+    models, settings = specified_objects(specs, objects), settings or SynthesisSettings()
+    job = Synthesis(tuple(specs), models, settings, seeds)
+    batches = [GraspCandidates(**arrays) for arrays in run_job(job, store, ray=ray, progress=progress)]
+    candidates = join_candidates(batches, [len(part.specifications) for part in job.parts()])
+    goals = settings.max_penetration, settings.max_cost, settings.min_difference
+    return choose_grasps(candidates, job.specifications * len(seeds), models, *goals)
+
+
+@dataclass(frozen=True)
+class SpecificationBatch:
     """Specifications that are solved together. Batches do not depend on each other."""
-    return [specs[start : start + BATCH_SIZE] for start in range(0, len(specs), BATCH_SIZE)]
+
+    seed: int
+    """Of the random starts."""
+    specifications: tuple[GraspSpecification, ...]
+    """``BATCH_SIZE`` of them at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Synthesis(Job[SpecificationBatch]):
+    """Grasps to be made, and how."""
+
+    specifications: tuple[GraspSpecification, ...]
+    """What to make."""
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    settings: SynthesisSettings
+    """Of the solver, and what a good grasp is."""
+    seeds: tuple[int, ...]
+    """Each specification is solved with each."""
+
+    def parts(self) -> list[SpecificationBatch]:
+        """All batches of all seeds."""
+        count, specs = len(self.specifications), self.specifications
+        batches = [specs[start : start + BATCH_SIZE] for start in range(0, count, BATCH_SIZE)]
+        return [SpecificationBatch(seed, batch) for seed in self.seeds for batch in batches]
+
+    def key(self, part: SpecificationBatch) -> str:
+        """Digest of all that the candidates depend on."""
+        objects = {spec.object: self.objects[spec.object] for spec in part.specifications}
+        return part_key("synthesis", load_hand(HAND), objects, self.settings, part)
+
+    def size(self, part: SpecificationBatch) -> float:
+        """Number of specifications."""
+        return len(part.specifications)
+
+    def run(self, parts: Sequence[SpecificationBatch], progress: Callable[[float], None]) -> list[Arrays]:
+        """Fields of the good ones of each part's ``GraspCandidates``."""
+        s, results = self.settings, []
+        for part in parts:
+            found = solve_batch(part.specifications, self.objects, part.seed, s)
+            good = found.good(s.max_penetration, s.max_cost)
+            results.append({f.name: getattr(found, f.name)[good] for f in fields(GraspCandidates)})
+        return results
 
 
 def specified_objects(
@@ -120,7 +213,7 @@ def solve_batch(
     """Candidates of a few specifications, solved together.
 
     Args:
-        specs: one of ``specification_batches``.
+        specs: of one batch.
         objects: by name.
         seed: of the random starts.
         settings: of the solver.
@@ -167,42 +260,7 @@ def solve_batch(
     pose, independent, _ = minimize(points, problem, objective(4.0), pose, independent, first)
     closure = partial(terms.force_closure, unit=settings.closure_unit)
     pose, independent, cost = minimize(points, problem, objective(1.0, closure), pose, independent, second)
-    return check_candidates(hand, scene, each, owner, objects, pose, independent, cost)
-
-
-def choose_grasps(
-    candidates: GraspCandidates,
-    specs: Sequence[GraspSpecification],
-    settings: SynthesisSettings,
-    objects: Mapping[str, ObjectModel],
-) -> HumanGraspSet:
-    """The cheapest good candidate of each specification that differs from those chosen before it; a
-    specification without one is left out.
-
-    Args:
-        candidates: of all specifications.
-        specs: in the order of the grasps.
-        settings: what is good, and what is different.
-        objects: by name.
-
-    Raises:
-        FungraspError: there is none.
-    """
-    rows = _best(candidates, specs, settings)
-    if not rows:
-        raise FungraspError("none of the specified grasps can be met")
-    chosen = candidates.specification[rows].tolist()
-    names = [specs[i].object for i in chosen]
-    pose = np.array([specs[i].rest_pose(objects[specs[i].object]) for i in chosen]).reshape(-1, 7)
-    return HumanGraspSet(
-        object_name=np.array(names),
-        object_mass=np.array([objects[name].mass for name in names]),
-        object_pose=pose,
-        object_rest_pose=pose,
-        hand_joints=transform_points(pose, candidates.joints[rows]),
-        link_contacts=candidates.contacts[rows],
-        task=np.array([specs[i].task for i in chosen]),
-    )
+    return check_candidates(scene, each, owner, objects, (pose, independent, cost))
 
 
 def _problem(
@@ -229,27 +287,92 @@ def _problem(
     )
 
 
-def _best(
-    candidates: GraspCandidates, specs: Sequence[GraspSpecification], settings: SynthesisSettings
-) -> list[int]:
-    """Row of the cheapest good candidate of each specification, if any, that differs from those chosen
-    before."""
-    good = candidates.good(settings.max_penetration, settings.max_cost)
-    order = np.lexsort((candidates.cost, candidates.specification))
-    order = order[good[order]]
-    first = np.searchsorted(candidates.specification[order], np.arange(len(specs) + 1))
-    counts = Counter(spec.object for spec in specs)
-    # Joints of the chosen grasps of each object, in the leading rows.
-    joints = {name: np.empty((count, *candidates.joints.shape[1:])) for name, count in counts.items()}
-    found, chosen = dict.fromkeys(counts, 0), []
-    for index, spec in enumerate(specs):
-        there = joints[spec.object]
-        for row in order[first[index] : first[index + 1]].tolist():
-            before = there[: found[spec.object]]
-            apart = np.linalg.norm(before - candidates.joints[row], axis=-1).mean(axis=-1)
-            if apart.min(initial=np.inf) >= settings.min_difference:
-                there[found[spec.object]] = candidates.joints[row]
-                found[spec.object] += 1
-                chosen.append(row)
-                break
-    return chosen
+def random_offsets(
+    specs: Sequence[GraspSpecification], seed: int, starts: int, shift: float, turn: float
+) -> np.ndarray:
+    """Shift [m] and turn [rad] of the wrist at each start, zero for the first of a specification.
+
+    Args:
+        specs: each gets ``starts`` candidates, in consecutive rows.
+        seed: with the specification itself, all that the offsets depend on.
+        starts: candidates per specification.
+        shift, turn: standard deviations [m], [rad].
+
+    Returns:
+        shape [N, 6], N = len(specs) * starts.
+    """
+    result = []
+    for spec in specs:
+        # The class's former name: the built-in grasps were made from these random numbers.
+        text = repr(spec).replace(type(spec).__name__, "GraspWish", 1)
+        random = np.random.default_rng([seed, zlib.crc32(text.encode())])
+        offsets = random.normal(size=(starts, 6)) * np.repeat([shift, turn], 3)
+        offsets[0] = 0.0
+        result.append(offsets)
+    return np.concatenate(result)
+
+
+def specified_wrist_pose(specs: Sequence[GraspSpecification], offsets: np.ndarray) -> np.ndarray:
+    """Wrist pose that puts the center of the grasp kind at the specified place, object frame, shape [N, 7].
+
+    Args:
+        specs: one per candidate, length N.
+        offsets: as ``random_offsets`` returns them, shape [N, 6].
+    """
+    x = np.array([spec.palm for spec in specs], dtype=float)
+    z = np.array([spec.fingers for spec in specs], dtype=float)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    z -= np.sum(z * x, axis=1, keepdims=True) * x
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    # Columns are the palm's axes in the object's frame: out of the palm, to the thumb's side, to the fingers.
+    matrix = np.stack([x, np.cross(z, x), z], axis=-1)
+    center = np.array([GRASP_KINDS[spec.kind].center for spec in specs])
+    place = np.array([spec.at for spec in specs], dtype=float)
+    rotation = Rotation.from_matrix(matrix).as_quat(scalar_first=True)
+    rotation = quaternion_multiply(quaternion_from_rotation_vector(offsets[:, 3:]), rotation)
+    turned = Rotation.from_quat(rotation, scalar_first=True).apply(center)
+    return np.concatenate([place + offsets[:, :3] - turned, rotation], axis=1)
+
+
+def approach_until_contact(
+    points: HumanPoints, scene: CollisionScene, specs: Sequence[GraspSpecification], pose: np.ndarray
+) -> np.ndarray:
+    """Wrist poses moved along the palm's direction until the palm touches, shape [N, 7].
+
+    For kinds that do not use the palm, only until the held place is between the fingers.
+    """
+    into = Rotation.from_quat(pose[:, 3:], scalar_first=True).apply([1.0, 0.0, 0.0])
+    deepest = np.array([DEEPEST if GRASP_KINDS[spec.kind].palm else 0.0 for spec in specs])
+    base = np.isin(
+        points.spheres.link, [0, *(i for i, name in enumerate(HUMAN_LINKS) if name.endswith("proximal"))]
+    )
+    opened = np.array([GRASP_KINDS[spec.kind].open for spec in specs])
+    depth, free = np.full(len(pose), -FARTHEST), np.ones(len(pose), dtype=bool)
+    for step in np.arange(-FARTHEST, DEEPEST + STEP / 2, STEP):
+        moved = pose.copy()
+        moved[:, :3] += step * into
+        state = HandState(points, scene, moved, opened)
+        clear = np.minimum(state.clearance, state.heights)[:, base].min(axis=1)
+        free &= (clear > -CONTACT_TOLERANCE) & (step <= deepest + 1e-9)
+        depth[free] = step
+    result = pose.copy()
+    result[:, :3] += depth[:, None] * into
+    return result
+
+
+def close_until_contact(
+    points: HumanPoints, scene: CollisionScene, specs: Sequence[GraspSpecification], pose: np.ndarray
+) -> np.ndarray:
+    """Joints with each finger closed until it touches object or table [rad], shape [N, 21]."""
+    opened = np.array([GRASP_KINDS[spec.kind].open for spec in specs])
+    closed = np.array([GRASP_KINDS[spec.kind].closed for spec in specs])
+    finger_of_joint = np.repeat(np.arange(5), [4, 4, 4, 4, 5])
+    finger_of_sphere = np.where(points.spheres.link > 0, (points.spheres.link - 1) // 3, -1)
+    share, free = np.zeros((len(specs), 5)), np.ones((len(specs), 5), dtype=bool)
+    for step in np.linspace(0.0, 1.0, 21):
+        state = HandState(points, scene, pose, opened + step * (closed - opened))
+        clear = np.minimum(state.clearance, state.heights)
+        for finger in range(5):
+            free[:, finger] &= clear[:, finger_of_sphere == finger].min(axis=1) > -CONTACT_TOLERANCE
+        share[free] = step
+    return opened + share[:, finger_of_joint] * (closed - opened)

@@ -1,1 +1,6 @@
-"""Training: PPO for the teacher, distillation for the student."""
+"""Training: teachers by PPO, students by distillation, success predictors."""
+
+import os
+
+# rsl-rl's runner imports a package that looks for the program git, and fails where there is none.
+os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")

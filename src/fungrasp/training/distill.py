@@ -1,37 +1,67 @@
-"""Distillation: the student imitates its teacher on episodes that it plays itself."""
+"""Distillation: a student imitates its teacher on episodes that it plays itself; from the teacher's folder to
+the student's, with any number of interruptions."""
 
 from __future__ import annotations
 
+import json
+import logging
+import shutil
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
+from torch.utils.tensorboard import SummaryWriter
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.training.checkpoint import (
+from fungrasp.core.files import digest
+from fungrasp.core.formats.record_json import record_from_json, record_to_json
+from fungrasp.core.provenance import git_revision, machine
+from fungrasp.core.version import __version__
+from fungrasp.hands import Hand, load_hand
+from fungrasp.objects import ObjectModel, load_object
+from fungrasp.policies.checkpoint.card import Budget, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
+from fungrasp.sim2real.joint_dynamics import identified_hand
+from fungrasp.training.environment import HISTORY, Step, TrainingEnvironment
+from fungrasp.training.export import export_policy, make_card
+from fungrasp.training.folder import (
+    RunFolder,
     check_environment,
     environment_state,
     read_checkpoint,
     restore_environment,
     write_checkpoint,
 )
-from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.kept_rounds import KeptRounds, Round
-from fungrasp.training.networks import played, tensors
-from fungrasp.training.settings import HIDDEN, DistillSettings
-from fungrasp.training.student import StudentModel
+from fungrasp.training.imitation import imitated_round, learn_imitation
+from fungrasp.training.networks import make_student
+from fungrasp.training.plan_library import PlanLibrary
+from fungrasp.training.ppo import Trainer
+from fungrasp.training.settings import DistillSettings, StudentSpec, TrainSpec
+from fungrasp.training.train import EXPLORING, PLANNED_FROM, PLANS, checkpoint_digest, keep_beside
+from fungrasp.training.training_sets import kept_library
+
+_log = logging.getLogger(__name__)
+
+STUDENT = "student.onnx"
 
 CHECKPOINT_ROUNDS = 10
 """Rounds between two checkpoints."""
 
+LARGEST_GRADIENT = 1.0
+"""Norm to which gradients of all weights together are cut."""
+
 ROUNDS = "rounds"
 """Folder beside the checkpoint with the episodes that are learned from."""
+
+TRAINED_BY = ("seed", "variety", "environment", "ppo")
+"""Fields of a teacher's spec that a student needs."""
 
 
 @dataclass(frozen=True)
@@ -50,193 +80,328 @@ class DistillProgress:
     """Loss L_re of the inferred contacts."""
 
 
-def make_student(
-    environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN, estimates: bool = True
-) -> StudentModel:
-    """An untrained student for an environment that keeps a history.
+@dataclass(frozen=True, eq=False)
+class TeacherRun:
+    """A teacher's training, as found in its folder."""
+
+    folder: RunFolder
+    """The training's folder."""
+    hand: Hand
+    """The robot hand."""
+    spec: TrainSpec
+    """How the teacher was trained: ``TRAINED_BY``."""
+    objects: Mapping[str, ObjectModel]
+    """Objects of the plans, by name."""
+    library: PlanLibrary
+    """Plans that it was trained on."""
+    data: tuple[TrainingData, ...]
+    """What it was trained on."""
+    licence: str
+    """Licence of the teacher's policy."""
+    plans: str
+    """Name of the success predictor whose plans it follows, a file beside it; none if empty."""
+    shrink: float
+    """Factor on its corrections, and on those of its students."""
+
+    def environment(self, seed: int, history: bool, threads: int = 0) -> TrainingEnvironment:
+        """Worlds like those that it was trained in. history: whether observations hold a student's."""
+        given = self.spec.environment
+        settings = replace(given, history=history, residual=given.residual.shrunk(self.shrink))
+        return TrainingEnvironment(self.library, self.objects, self.hand, settings, seed, threads)
+
+
+def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
+    """The training in a folder.
 
     Args:
-        environment: whose observations it sees.
-        hidden: units of its hidden layers.
-        estimates: whether it infers the contacts.
-    """
-    observations = tensors(environment.observations)
-    return StudentModel(
-        observations,
-        {},
-        "actor",
-        environment.actions,
-        layout=environment.student_layout,
-        encoder=environment.encoder_layout,
-        estimates=estimates,
-        hidden_dims=list(hidden),
-        activation="elu",
-        obs_normalization=True,
-    )
-
-
-def distill(
-    teacher: MLPModel,
-    environment: TrainingEnvironment,
-    steps: int,
-    settings: DistillSettings | None = None,
-    seed: int = 0,
-    progress: Callable[[DistillProgress], None] = lambda p: None,
-    checkpoint: Path | None = None,
-    student: StudentModel | None = None,
-) -> Distillation:
-    """Train a student.
-
-    Args:
-        teacher: whose actions are imitated.
-        environment: that keeps a history.
-        steps: control steps of all worlds together.
-        settings: the defaults if None.
-        seed: of networks and noise.
-        progress: called after each round.
-        checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
-        student: to go on with; a new one that takes over the teacher's network if None.
+        objects: folder of meshes; where they were when it was trained if None.
 
     Raises:
-        FungraspError: the checkpoint is damaged or of another training, or can't be written.
+        FungraspError: no training is there, its plans are lost, or its hand or objects have changed.
     """
-    s = settings or DistillSettings()
-    torch.manual_seed(seed)
-    if student is None:
-        hidden = tuple(layer.out_features for layer in _linear(teacher)[:-1])
-        student = make_student(environment, hidden, s.estimates_contacts)
-        student.take_over(teacher)
-    teacher.eval()
-    student.eval()
-    optimizer = torch.optim.Adam(student.parameters(), lr=s.learning_rate)
-    rounds = max(1, round(steps / (s.steps * environment.settings.worlds)))
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, rounds, 0.1 * s.learning_rate)
-    kept = KeptRounds(s.kept_rounds, None if checkpoint is None else checkpoint.with_name(ROUNDS))
-    recent: deque[bool] = deque(maxlen=1000)
-    state = Distillation(student, optimizer, schedule, environment, recent)
-    if checkpoint is not None and checkpoint.exists():
-        state.load(checkpoint)
-        if state.rounds < rounds:
-            kept.load(state.rounds)
-    start = perf_counter() - state.seconds
-    for index in range(state.rounds, rounds):
-        actor = teacher if index < s.teacher_rounds else student
-        kept.add(index, _collect(actor, teacher, environment, s, recent))
-        imitation, reconstruction = _learn(student, optimizer, list(kept.batches), s)
-        schedule.step()
-        state.rounds, state.seconds = index + 1, perf_counter() - start
-        progress(
-            DistillProgress(
-                (index + 1) * s.steps * environment.settings.worlds,
-                state.seconds,
-                state.success,
-                imitation,
-                reconstruction,
-            )
+    run = RunFolder(folder)
+    config = run.read_config()
+    wanted = config["settings"]
+    try:
+        if config["kind"] != "teacher":
+            raise FungraspError(f"{folder} holds a {config['kind']}, not a teacher")
+        told = {name: wanted[name] for name in TRAINED_BY}
+        spec = record_from_json(TrainSpec, told | {"steps": config["steps"]}, str(run.config))
+        if any(record_to_json(getattr(spec, name)) != told[name] for name in TRAINED_BY):
+            raise KeyError("a setting is missing")
+        hand = load_hand(config["hand"])
+        if hand_digest(hand) != wanted["hand_sha256"]:
+            raise FungraspError(f"the hand '{hand.name}' has changed since {folder} was trained")
+        identified = config["hand_dynamics"]
+        if identified is not None:
+            hand = _identified(hand, Path(identified), wanted.get("hand_dynamics_sha256"), folder)
+        things: dict[str, ObjectModel] = {}
+        for one, place in zip(wanted["sets"], config["object_folders"], strict=True):
+            things |= _objects(one["objects"], None if place is None else objects or Path(place), folder)
+        data = tuple(TrainingData(one["name"], one["terms"], one["count"]) for one in wanted["sets"])
+        planned_from = {name: wanted[name] for name in PLANNED_FROM if name in wanted}
+        plan_file = Path(config["plan_file"])
+        licence, plans, shrink = config["licence"], config["plans"], float(config["shrink"])
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, FungraspError):
+            raise
+        raise FungraspError(f"{run.config} is damaged, or of another version of fungrasp") from error
+    here = folder / PLANS
+    key = digest(__version__, json.dumps(planned_from))
+    library = kept_library(here if here.is_file() else plan_file, key, lambda: _lost(folder))
+    return TeacherRun(run, hand, spec, things, library, data, licence, plans, shrink)
+
+
+def train_student(
+    teacher_folder: str | Path,
+    folder: str | Path,
+    spec: StudentSpec | None = None,
+    *,
+    progress: Callable[[DistillProgress], None] = lambda p: None,
+) -> Path:
+    """Distill a student, or go on distilling it.
+
+    Returns:
+        The student's file, ``student.onnx`` in the folder.
+
+    Raises:
+        FungraspError: no such teacher, a folder of another training, a damaged checkpoint, or a file that
+            can't be written.
+    """
+    spec, folder = spec or StudentSpec(), Path(folder)
+    steps, seed = int(spec.steps), spec.seed
+    teacher_folder = Path(teacher_folder)
+    teacher = read_teacher(teacher_folder, spec.objects)
+    if teacher.spec.ppo.sees != "contacts":
+        raise FungraspError(
+            f"{teacher_folder} holds a policy that sees {teacher.spec.ppo.sees}; "
+            "a student needs a teacher that sees contacts"
         )
-        if index % CHECKPOINT_ROUNDS == CHECKPOINT_ROUNDS - 1 or index == rounds - 1:
-            if checkpoint is not None:
-                state.save(checkpoint)
-                kept.forget_before(state.rounds - s.kept_rounds)
-            # As a distillation that goes on from here does: it ends as one that was never interrupted.
-            environment.restart()
-    kept.remove()
-    return state
+    weights = checkpoint_digest(teacher_folder)
+    run = RunFolder(folder)
+    run.claim(
+        {"teacher_sha256": weights, "hand": teacher.hand.name, "seed": seed, "steps": steps}
+        | {"distill": asdict(spec.settings)},
+        kind="student",
+        teacher=str(teacher_folder.absolute()),
+    )
+    environment = teacher.environment(seed, history=True, threads=spec.threads)
+    trainer = Trainer(environment, teacher.spec.ppo, seed)
+    trainer.load(teacher.folder.checkpoint)
+    # The teacher's checkpoint holds its random numbers, too; the sensors draw from the same generator.
+    environment.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
+    with SummaryWriter(str(folder)) as events:
+
+        def report(p: DistillProgress) -> None:
+            numbers = asdict(p)
+            run.forget_progress_after(p.steps - 1)
+            run.add_progress(numbers)
+            for name, value in numbers.items():
+                events.add_scalar(name, value, p.steps)
+            progress(p)
+
+        done = Distillation(trainer.actor, environment, steps, spec.settings, seed)
+        done.learn(run.checkpoint, report)
+    card = make_card(
+        folder.absolute().name,
+        "student",
+        teacher.hand,
+        environment.student_layout,
+        (),
+        environment.settings.residual,
+        1 / environment.protocol.control_period,
+        Budget(trainer.steps + done.steps, trainer.seconds + done.seconds, machine()),
+        layout_name=environment.settings.layout,
+        training_data=teacher.data,
+        git_revision=git_revision(),
+        seed=seed,
+        measured={EXPLORING: {"success": done.success}},
+        licence=teacher.licence,
+        plans=teacher.plans,
+    )
+    if teacher.plans:
+        keep_beside(folder, teacher_folder / (teacher.plans + SUFFIX))
+    export_policy(done.student, folder / STUDENT, card)
+    return folder / STUDENT
 
 
-@dataclass
 class Distillation:
-    """Where a distillation stands, with all it needs to go on."""
+    """A student that learns from its teacher."""
 
-    student: StudentModel
-    """The network that learns."""
-    optimizer: torch.optim.Optimizer
-    """Optimizer of its weights."""
-    schedule: torch.optim.lr_scheduler.LRScheduler
-    """Schedule of its learning rate, one step per round."""
-    environment: TrainingEnvironment
-    """The worlds whose episodes are learned from."""
-    recent: deque[bool]
-    """Whether the last episodes succeeded."""
-    rounds: int = 0
-    """Rounds of learning so far."""
-    seconds: float = 0.0
-    """Time of the rounds so far [s]."""
+    def __init__(
+        self,
+        teacher: MLPModel,
+        environment: TrainingEnvironment,
+        steps: int,
+        settings: DistillSettings,
+        seed: int,
+    ):
+        """
+        Args:
+            environment: that keeps a history.
+            steps: control steps of all worlds together.
+        """
+        s = self._settings = settings
+        self._teacher, self._environment = teacher, environment
+        torch.manual_seed(seed)
+        linear = [module for module in teacher.mlp.modules() if isinstance(module, torch.nn.Linear)]
+        hidden = tuple(layer.out_features for layer in linear[:-1])
+        self.student = make_student(environment, hidden, s.estimates_contacts)
+        self.student.take_over(teacher)
+        teacher.eval()
+        self.student.eval()
+        self._optimizer = torch.optim.Adam(self.student.parameters(), lr=s.learning_rate)
+        self._round = s.steps * environment.settings.worlds
+        """Control steps of a round."""
+        self._wanted = max(1, round(steps / self._round))
+        lowest = 0.1 * s.learning_rate
+        self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimizer, self._wanted, lowest)
+        self._kept: deque[TensorDict] = deque(maxlen=s.kept_rounds)
+        self._recent: deque[bool] = deque(maxlen=1000)
+        self._rounds = 0
+        self.seconds = 0.0
+        """Time of the rounds so far [s]."""
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far."""
+        return self._rounds * self._round
 
     @property
     def success(self) -> float:
         """Share of the last episodes that succeeded; 0 before any has ended."""
-        return float(np.mean(self.recent)) if self.recent else 0.0
+        return float(np.mean(self._recent)) if self._recent else 0.0
 
-    def save(self, path: Path) -> None:
-        """Keep everything but the episodes that are learned from (see ``KeptRounds``).
+    def learn(self, checkpoint: Path, progress: Callable[[DistillProgress], None]) -> None:
+        """Learn to the end.
 
-        Raises:
-            FungraspError: the file can't be written.
-        """
-        parts = {name: getattr(self, name).state_dict() for name in ("student", "optimizer", "schedule")}
-        counts = {"rounds": self.rounds, "seconds": self.seconds, "recent": torch.tensor(list(self.recent))}
-        write_checkpoint(path, parts | counts | environment_state(self.environment))
-
-    def load(self, path: Path) -> None:
-        """Go on from what was kept.
+        Args:
+            checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
 
         Raises:
-            FungraspError: it can't be read, is damaged, or belongs to another distillation.
+            FungraspError: the checkpoint is damaged or of another training, or can't be written.
         """
+        s, folder = self._settings, checkpoint.with_name(ROUNDS)
+        if checkpoint.exists():
+            self._load(checkpoint)
+            if self._rounds < self._wanted:
+                first = max(0, self._rounds - s.kept_rounds)
+                self._kept.extend(read_rounds(folder, range(first, self._rounds)))
+        start = perf_counter() - self.seconds
+        while self._rounds < self._wanted:
+            batch, begun = self._played()
+            self._kept.append(batch)
+            write_round(folder / f"{self._rounds:06d}.pt", batch, begun)
+            losses = learn_imitation(self.student, self._optimizer, self._kept, s, LARGEST_GRADIENT)
+            self._schedule.step()
+            self._rounds, self.seconds = self._rounds + 1, perf_counter() - start
+            progress(DistillProgress(self.steps, self.seconds, self.success, *losses))
+            if self._rounds % CHECKPOINT_ROUNDS == 0 or self._rounds == self._wanted:
+                self._save(checkpoint)
+                for path in sorted(folder.glob("*.pt"))[: -s.kept_rounds]:
+                    path.unlink(missing_ok=True)
+                # As a distillation that goes on from here does: it ends as one that was never interrupted.
+                self._environment.restart()
+        shutil.rmtree(folder, ignore_errors=True)
+
+    def _played(self) -> tuple[TensorDict, torch.Tensor]:
+        """A round's episodes, shape [S W], and whether a world's episode was new, shape [S, W] bool."""
+        environment, s = self._environment, self._settings
+        actor = self._teacher if self._rounds < s.teacher_rounds else self.student
+        begun = [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
+
+        def choose(observations: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
+            wanted = self._teacher(observations)
+            return wanted if actor is self._teacher else actor(observations), wanted
+
+        def done(step: Step) -> None:
+            self._recent.extend(environment.ended.success.tolist())
+            begun.append(torch.as_tensor(step.done))
+
+        batch = imitated_round(environment, s.steps, s.noise, choose, done)
+        return batch, torch.stack(begun[:-1])
+
+    def _parts(self) -> dict[str, Any]:
+        """What a checkpoint holds the state of, by name."""
+        return {"student": self.student, "optimizer": self._optimizer, "schedule": self._schedule}
+
+    def _save(self, path: Path) -> None:
+        """Keep everything but the episodes that are learned from (see ``write_round``)."""
+        state = {name: part.state_dict() for name, part in self._parts().items()}
+        state |= {"rounds": self._rounds, "seconds": self.seconds, "recent": torch.tensor(list(self._recent))}
+        write_checkpoint(path, state | environment_state(self._environment))
+
+    def _load(self, path: Path) -> None:
         state = read_checkpoint(path)
-        check_environment(path, state, self.environment)
+        check_environment(path, state, self._environment)
         try:
-            for name in ("student", "optimizer", "schedule"):
-                getattr(self, name).load_state_dict(state[name])
-            restore_environment(state, self.environment)
-            self.rounds, self.seconds = int(state["rounds"]), float(state["seconds"])
-            self.recent.extend(state["recent"].bool().tolist())
+            for name, part in self._parts().items():
+                part.load_state_dict(state[name])
+            restore_environment(state, self._environment)
+            self._rounds, self.seconds = int(state["rounds"]), float(state["seconds"])
+            self._recent.extend(state["recent"].bool().tolist())
         except (RuntimeError, ValueError, KeyError) as error:
             words = " ".join(str(error).split())
             raise FungraspError(f"the checkpoint {path} is not of this distillation: {words}") from error
 
 
-def _collect(
-    actor: MLPModel,
-    teacher: MLPModel,
-    environment: TrainingEnvironment,
-    s: DistillSettings,
-    recent: deque[bool],
-) -> Round:
-    """Let one act, and ask the teacher what it would have done."""
-    batches, begun = [], [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
-    with torch.no_grad():
-        for _ in range(s.steps):
-            observations = tensors(environment.observations)
-            wanted = teacher(observations)
-            action = wanted if actor is teacher else actor(observations)
-            batches.append(observations.exclude("value").clone().update({"action": wanted}))
-            noisy = action + s.noise * torch.randn_like(action)
-            step = environment.step(played(environment, noisy))
-            recent.extend(environment.ended.success.tolist())
-            begun.append(torch.as_tensor(step.done))
-    return Round(torch.cat(batches), torch.stack(begun[:-1]))  # type: ignore[arg-type]
+def write_round(path: Path, batch: TensorDict, begun: torch.Tensor) -> None:
+    """Keep the episodes of a round in a file, so that an interrupted distillation goes on with them. Of the
+    histories, which are ten times as large as the rest, it holds what they can be made from again.
+
+    Args:
+        batch: of S control steps of W worlds, shape [S W].
+        begun: whether a world's episode was new, shape [S, W] bool.
+
+    Raises:
+        FungraspError: the file can't be written.
+    """
+    parts = {name: batch[name] for name in ("robot", "privileged", "action")}
+    window = batch["history"].unflatten(0, begun.shape).unflatten(2, (HISTORY, -1))
+    write_checkpoint(
+        path, parts | {"begun": begun, "first": window[0].clone(), "seen": window[:, :, -1].clone()}
+    )
 
 
-def _learn(
-    student: StudentModel, optimizer: torch.optim.Optimizer, kept: list[TensorDict], s: DistillSettings
-) -> tuple[float, float]:
-    """Mean losses."""
-    losses = np.zeros(2)
-    for _ in range(s.updates):
-        part = kept[int(torch.randint(len(kept), ()))]
-        batch = part[torch.randint(len(part), (s.minibatch,))].clone()
-        imitation = ((student(batch) - batch["action"]) ** 2).mean()
-        reconstruction = student.reconstruction_loss(batch)
-        optimizer.zero_grad()
-        (imitation + s.reconstruction * reconstruction).backward()
-        torch.nn.utils.clip_grad_norm_(student.parameters(), 1.0)
-        optimizer.step()
-        losses += [float(imitation.detach()), float(reconstruction.detach())]
-    imitation_loss, reconstruction_loss = losses / s.updates
-    return float(imitation_loss), float(reconstruction_loss)
+def read_rounds(folder: Path, numbers: range) -> list[TensorDict]:
+    """The rounds that are there.
+
+    Raises:
+        FungraspError: a file is damaged.
+    """
+    found = []
+    for path in (folder / f"{number:06d}.pt" for number in numbers):
+        if not path.is_file():
+            _log.warning("%s is missing: going on without these episodes", path)
+            continue
+        state = read_checkpoint(path)
+        windows = [state.pop("first")]
+        for last, new in zip(state.pop("seen")[1:], state.pop("begun")[1:], strict=True):
+            window = torch.where(new[:, None, None], 0.0, windows[-1])
+            windows.append(torch.cat([window[:, 1:], last[:, None]], dim=1))
+        # Files of before have steps and worlds apart.
+        groups = {name: values.reshape(-1, values.shape[-1]) for name, values in state.items()}
+        groups["history"] = torch.stack(windows).flatten(2).flatten(0, 1)
+        found.append(TensorDict(groups, batch_size=[len(groups["robot"])]))
+    return found
 
 
-def _linear(model: MLPModel) -> list[torch.nn.Linear]:
-    return [m for m in model.mlp.modules() if isinstance(m, torch.nn.Linear)]
+def _identified(hand: Hand, path: Path, sha256: str | None, folder: Path) -> Hand:
+    found = identified_hand(hand, path)
+    if digest(path.read_bytes()) != sha256:
+        raise FungraspError(f"the hand dynamics {path} have changed since {folder} was trained")
+    return found
+
+
+def _lost(folder: Path) -> PlanLibrary:
+    raise FungraspError(f"the plans of {folder} are lost or damaged: run fungrasp train on it again")
+
+
+def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> dict[str, ObjectModel]:
+    """Objects by name, if they still are what they were."""
+    # The mass is set in each episode.
+    things = {name: load_object(name, 1.0, place) for name in digests}
+    for name, thing in things.items():
+        if thing.mesh_digest != digests[name]:
+            raise FungraspError(f"the object '{name}' is not the one that {folder} was trained on")
+    return things

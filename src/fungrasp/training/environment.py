@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.geometry.arrays import is_numpy
+from fungrasp.geometry.arrays import is_numpy, moved_to
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
@@ -29,12 +29,15 @@ from fungrasp.task.features import (
     value_features,
 )
 from fungrasp.task.reward import RewardWeights, total
-from fungrasp.task.sensors import Jitter
-from fungrasp.training.history import History
 from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.rewards import LiftReward
 
 _log = logging.getLogger(__name__)
+
+HISTORY = 10
+"""Control steps that the encoder looks back on, the present one included."""
+
+Layout = tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,10 @@ class EnvironmentSettings:
     reward: RewardWeights = field(default_factory=RewardWeights)
     """Weights of the reward's terms."""
 
-    def check(self) -> None:
-        """Complain about impossible values.
-
+    def __post_init__(self) -> None:
+        """
         Raises:
-            FungraspError: there is one.
+            FungraspError: a value is impossible.
         """
         if self.worlds < 1:
             raise FungraspError(f"a training needs at least one world, not {self.worlds}")
@@ -127,6 +129,50 @@ class EndedEpisodes:
     """Whether they succeeded, shape [I] bool."""
 
 
+class History:
+    """The last observations of W worlds, zeros before an episode's first."""
+
+    def __init__(self, worlds: int, size: int, on: Array):
+        """
+        Args:
+            size: H, numbers of a control step.
+            on: an array of the library and the device of what is seen.
+        """
+        xp = array_namespace(on)
+        self.window = xp.zeros((worlds, HISTORY, size), dtype=xp.float32, device=on.device)
+
+    def push(self, seen: Array, begun: np.ndarray) -> Array:
+        """The windows with one more control step, shape [W, HISTORY, H].
+
+        Args:
+            seen: what the encoder gets of it, shape [W, H].
+            begun: worlds whose episode is new.
+        """
+        self.window[moved_to(self.window, begun)] = 0.0
+        self.window = array_namespace(seen).concat([self.window[:, 1:], seen[:, None]], axis=1)
+        return self.window
+
+
+class DeviceJitter:
+    """Jitter of sensors whose worlds are torch tensors (``fungrasp.task.sensors.Jitter``), from torch's
+    generator of the device, whose state is part of checkpoints."""
+
+    def __init__(self, on: Array, seed: int):
+        """on: a tensor of the device and the number type."""
+        import torch
+
+        torch.manual_seed(seed)
+        self._on = on
+
+    def normal(self, *, size: tuple[int, int]) -> Array:
+        """Standard normal numbers."""
+        return self._on.new_empty(size).normal_()
+
+    def random(self, count: int, /) -> Array:
+        """Numbers from 0 to 1."""
+        return self._on.new_empty(count).uniform_()
+
+
 class TrainingEnvironment:
     """W worlds in which one episode follows another.
 
@@ -149,13 +195,6 @@ class TrainingEnvironment:
         """
         Args:
             library: of plans of ``hand``.
-            objects: by name.
-            hand: the robot hand.
-            settings: the defaults if None.
-            seed: of everything random here.
-            threads: 0 means all processors. Results do not depend on it.
-            device: where the worlds are simulated.
-            buffers: room for contacts on a GPU; found by a probe if None.
         """
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand
@@ -167,7 +206,7 @@ class TrainingEnvironment:
         engine = make_engine(scene, s.worlds, threads, tensors=True)
         self.on: Array = engine.object_pose
         """An array of the library and the device that actions, observations and rewards are on."""
-        jitter = self.rng if is_numpy(self.on) else _device_jitter(self.on, seed)
+        jitter = self.rng if is_numpy(self.on) else DeviceJitter(self.on, seed)
         self.episodes = LiftEnvironment(
             scene, s.worlds, s.randomization, self.protocol, jitter, engine=engine
         )
@@ -320,15 +359,17 @@ class TrainingEnvironment:
         return replace(seen, history=self._history.push(encoded, begun))
 
 
-def _device_jitter(on: Array, seed: int) -> Jitter:
-    """Random numbers of torch's own on a device."""
-    from fungrasp.training.device_jitter import DeviceJitter
-
-    return DeviceJitter(on, seed)
-
-
 def _mean(values: Array) -> Array:
     """Of the numbers that are finite."""
     xp = array_namespace(values)
     known = xp.isfinite(values)
     return xp.sum(xp.where(known, values, 0.0)) / xp.sum(xp.astype(known, values.dtype))
+
+
+def columns(layout: Layout, names: tuple[str, ...]) -> np.ndarray:
+    """Where some parts lie in a flat observation."""
+    starts = dict(
+        zip([name for name, _ in layout], np.cumsum([0, *(n for _, n in layout)])[:-1], strict=True)
+    )
+    sizes = dict(layout)
+    return np.concatenate([starts[name] + np.arange(sizes[name]) for name in names])

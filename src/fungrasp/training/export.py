@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import io
 import warnings
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any, cast
@@ -19,9 +18,8 @@ from fungrasp.policies.checkpoint.card import ActionPart, Budget, Part, PolicyCa
 from fungrasp.policies.checkpoint.checkpoint_file import hand_digest, save_policy, servo_gains
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings
 from fungrasp.policies.residual_policy import ACTION_PARTS
-from fungrasp.training.history import HISTORY
-from fungrasp.training.student import StudentGraph, StudentModel
-from fungrasp.training.success_predictor import PredictorNetwork
+from fungrasp.training.environment import HISTORY
+from fungrasp.training.networks import StudentGraph, StudentModel
 
 OPSET = 18
 
@@ -112,15 +110,9 @@ def make_card(
     """A card with what the hand and the training say.
 
     Args:
-        name: of the policy.
         kind: "teacher", "student" or "predictor".
-        hand: that it moves.
-        observation: layout of the observation.
         privileged: layout of the privileged observation; empty but for a teacher.
-        residual: of its actions.
         rate: of control [Hz].
-        budget: of the training.
-        more: further fields of ``PolicyCard``.
     """
     gains = servo_gains(hand)
     sizes = (3, WRIST_ACTIONS - 3, len(gains))
@@ -162,11 +154,3 @@ def export_policy(actor: MLPModel, path: Path, card: PolicyCard) -> None:
         FungraspError: it can't be written.
     """
     save_policy(path, policy_graph(actor, card), card)
-
-
-def export_predictor(predictor: PredictorNetwork, path: Path, card: PolicyCard) -> None:
-    """Write a success predictor's file: its observation is ``plan_features``, its action the expected
-    success."""
-    card = replace(card, action=(ActionPart("success", 1, 1.0),))
-    example = torch.zeros(2, card.input_size)
-    save_policy(path, graph(predictor, {"observation": example}, ("action",)), card)

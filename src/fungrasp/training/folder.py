@@ -1,31 +1,38 @@
-"""A training as a folder: settings, plans, checkpoint, progress."""
+"""A training as a folder: settings, progress, and checkpoints, all that a training needs to go on.
+
+A checkpoint begins with a line that names the format, then the SHA-256 of the rest, then what ``torch.save``
+gives; a file that was cut off or changed is found before it is read. Reading never runs code of the file.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import io
 import json
-import logging
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import torch
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.file_bytes import read_bytes
 from fungrasp.core.formats.json_file import parse_json, read_json
-from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.provenance import git_revision, machine
 from fungrasp.core.version import __version__
-from fungrasp.task import GraspPlan
-from fungrasp.training.plan_library import PlanLibrary
-
-_log = logging.getLogger(__name__)
+from fungrasp.training.environment import TrainingEnvironment
 
 LARGEST_PROGRESS = 1_000_000_000
-LARGEST_LIBRARY = 1 << 33
-"""Bytes of the largest files that are read; a library holds plans of up to tens of thousands of grasps."""
+LARGEST_CHECKPOINT = 2_000_000_000
+"""Bytes of the largest files that are read."""
+
+MAGIC = b"fungrasp checkpoint 2\n"
+"""Its number goes up when checkpoints change."""
+DIGITS = 64
+"""Length of the digest in hexadecimal digits."""
 
 NAMED = 5
 """Most differences to name in an error."""
@@ -50,7 +57,6 @@ class RunFolder:
 
         Args:
             settings: of the training; as JSON can hold them.
-            more: besides them.
 
         Raises:
             FungraspError: the folder holds a training with other settings, something else, or can't be
@@ -114,34 +120,6 @@ class RunFolder:
             raise FungraspError(f"cannot write {self.progress}: {error.strerror or error}") from error
 
 
-def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanLibrary:
-    """A planned library from its file; if it isn't there, can't be read or is another one, it is planned and
-    kept.
-
-    Args:
-        path: of the file (.npz).
-        key: digest of all that the library depends on.
-        plan: makes it.
-
-    Raises:
-        FungraspError: planning fails, or the file can't be written.
-    """
-    if path.is_file():
-        try:
-            arrays = read_npz(path, "plan library", largest=LARGEST_LIBRARY)
-            if str(arrays.pop("key")) == key:
-                group = arrays.pop("group")
-                return PlanLibrary(GraspPlan.from_arrays(arrays), group)
-            _log.warning("%s belongs to other grasps or settings: planning again", path)
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            _log.warning("%s is unreadable (%s): planning again", path, error)
-    library = plan()
-    with atomic_path(path) as part, part.open("wb") as stream:
-        arrays = {"key": np.array(key), "group": library.group} | library.plans.arrays()
-        np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
-    return library
-
-
 def _differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
     """In words, one for each value that is not the same."""
     if isinstance(there, dict) and isinstance(here, dict):
@@ -154,3 +132,96 @@ def _differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
 def _short(value: Any) -> str:
     text = json.dumps(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def write_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
+    """Keep a state: tensors, numbers, text and tables of these. An older file is there until the new one is
+    whole.
+
+    Raises:
+        FungraspError: the file can't be written.
+    """
+    buffer = io.BytesIO()
+    torch.save(dict(state), buffer)
+    payload = buffer.getvalue()
+    with atomic_path(path) as part, part.open("wb") as stream:
+        stream.write(MAGIC + hashlib.sha256(payload).hexdigest().encode() + b"\n" + payload)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """What ``write_checkpoint`` kept.
+
+    Raises:
+        FungraspError: no such file, no checkpoint of this version, or one that is damaged.
+    """
+    data = read_bytes(path, "checkpoint", LARGEST_CHECKPOINT)
+    if not data.startswith(MAGIC):
+        raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
+    said, payload = data[len(MAGIC) : len(MAGIC) + DIGITS], data[len(MAGIC) + DIGITS + 1 :]
+    found = hashlib.sha256(payload).hexdigest()
+    if said != found.encode():
+        raise FungraspError(
+            f"the checkpoint {path} is damaged or was changed since it was saved: its SHA-256 is "
+            f"{found[:12]}..., it says {said.decode('ascii', errors='replace')[:12]}..."
+        )
+    try:
+        state = torch.load(io.BytesIO(payload), map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise FungraspError(f"cannot read the checkpoint {path}: {' '.join(str(error).split())}") from error
+    if not isinstance(state, dict):
+        raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
+    return state
+
+
+def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
+    """What tells an environment from others, and what it has learned and drawn so far."""
+    device = torch.as_tensor(environment.observations.robot).device
+    return {
+        "hand": environment.hand.name,
+        "layout_name": environment.settings.layout,
+        "layout": _layout(environment),
+        "success_of_group": torch.from_numpy(environment.success_of_group.copy()),
+        "diverged": environment.diverged,
+        "environment_steps": environment.steps,
+        "random": json.dumps(environment.rng.bit_generator.state),
+        "torch_random": torch.get_rng_state(),
+        "device_random": None if device.type == "cpu" else torch.cuda.get_rng_state(device),
+    }
+
+
+def check_environment(path: Path, state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
+    """Refuse a checkpoint from another kind of environment.
+
+    Raises:
+        FungraspError: it is of another hand or of other observations.
+    """
+    hand = environment.hand.name
+    if state.get("hand") != hand:
+        raise FungraspError(f"the checkpoint {path} is of the hand '{state.get('hand')}', not of '{hand}'")
+    name, wanted = state.get("layout_name"), environment.settings.layout
+    if name != wanted:
+        raise FungraspError(
+            f"the checkpoint {path} was trained with the observation layout '{name}', not '{wanted}'"
+        )
+    if state.get("layout") != _layout(environment):
+        raise FungraspError(f"the checkpoint {path} was trained on other observations")
+
+
+def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
+    """Go on with the success rates and random numbers of a checkpoint; episodes begin anew."""
+    rates = state["success_of_group"].numpy()
+    if rates.shape == environment.success_of_group.shape:
+        environment.success_of_group[:] = rates
+    environment.steps = int(state.get("environment_steps", 0))
+    environment.diverged = int(state.get("diverged", 0))
+    environment.rng.bit_generator.state = json.loads(state["random"])
+    torch.set_rng_state(state["torch_random"])
+    if state.get("device_random") is not None and torch.cuda.is_available():
+        torch.cuda.set_rng_state(state["device_random"])
+    environment.restart()
+
+
+def _layout(environment: TrainingEnvironment) -> str:
+    return json.dumps([environment.layout, environment.privileged_layout, environment.value_layout])

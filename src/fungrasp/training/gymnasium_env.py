@@ -54,17 +54,12 @@ def lift_worlds(
     """The worlds of the environments below; their arguments are these.
 
     Args:
-        count: of the worlds.
-        hand: the robot hand, or its name.
         grasps: human grasps, which are retargeted, or robot grasps of ``hand``; or a file of them, or
             "builtin".
         objects: of the grasps, or a folder of meshes ``<name>.obj``; built-in objects need none.
         worlds: what episodes draw their worlds from: "nominal", "moderate", "wide" or "reality".
         settings: of the episodes, but for the number of worlds, what they are drawn from, and histories,
             which there are none of.
-        copies: variations of each grasp.
-        seed: of everything random.
-        threads: of the simulation; 0 means all processors.
 
     Raises:
         FungraspError: a file or an object can't be read, grasps of another hand, or an unknown name.

@@ -1,44 +1,93 @@
-"""Imitation of planned motions: how a policy that follows none begins to learn (DAgger, Ross et al., AISTATS
-2011)."""
+"""Imitation: a network learns to do what another, or a planned motion, would, on episodes that it plays
+itself (DAgger, Ross et al., AISTATS 2011)."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
-from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.networks import played, tensors
-from fungrasp.training.student import StudentModel
+from fungrasp.training.environment import Step, TrainingEnvironment
+from fungrasp.training.networks import StudentModel, played, tensors
+from fungrasp.training.settings import DistillSettings
 
 PLANNED_ROUNDS = 2
 """Rounds at the beginning in which the planned motions act."""
-KEPT_ROUNDS = 40
-"""Number of last rounds that are learned from."""
-UPDATES, MINIBATCH = 60, 1024
-"""Minibatches in each round, and control steps in one."""
-NOISE = 0.05
-"""Standard deviation of the noise on the actions that are played."""
-LEARNING_RATE = 1e-3
-"""Of Adam."""
+
+
+def imitated_round(
+    environment: TrainingEnvironment,
+    steps: int,
+    noise: float,
+    choose: Callable[[TensorDict], tuple[torch.Tensor, torch.Tensor]],
+    done: Callable[[Step], None],
+) -> TensorDict:
+    """Play S control steps in W worlds.
+
+    Args:
+        noise: standard deviation of the noise on the actions that are played.
+        choose: gives, for observations, what is played and what would have been right, shape [W, A] each.
+        done: called after each step.
+
+    Returns:
+        what is learned from, shape [S W]: observations, and the right actions as the group "action".
+    """
+    batches = []
+    with torch.no_grad():
+        for _ in range(steps):
+            observations = tensors(environment.observations)
+            action, wanted = choose(observations)
+            batches.append(observations.exclude("value").clone().update({"action": wanted}))
+            step = environment.step(played(environment, action + noise * torch.randn_like(action)))
+            done(step)
+    return torch.cat(batches)  # type: ignore[arg-type]
+
+
+def learn_imitation(
+    model: MLPModel,
+    optimizer: torch.optim.Optimizer,
+    kept: Sequence[TensorDict],
+    s: DistillSettings,
+    largest_gradient: float | None = None,
+) -> tuple[float, float]:
+    """Learn from the last rounds; gives the mean squared difference of the actions, and the mean loss L_re of
+    what a student's encoder infers."""
+    losses = np.zeros(2)
+    for _ in range(s.updates):
+        part = kept[int(torch.randint(len(kept), ()))]
+        batch = part[torch.randint(len(part), (s.minibatch,))].clone()
+        imitation = ((model(batch) - batch["action"]) ** 2).mean()
+        reconstruction = torch.zeros(())
+        if isinstance(model, StudentModel):
+            reconstruction = model.reconstruction_loss(batch)
+        optimizer.zero_grad()
+        (imitation + s.reconstruction * reconstruction).backward()
+        if largest_gradient is not None:
+            torch.nn.utils.clip_grad_norm_(model.parameters(), largest_gradient)
+        optimizer.step()
+        losses += [float(imitation.detach()), float(reconstruction.detach())]
+    means = losses / s.updates
+    return float(means[0]), float(means[1])
 
 
 class MotionImitation:
-    """An actor learns to do what the planned motions would, where its own actions lead."""
+    """An actor learns to do what the planned motions would, where its own actions lead: how a policy that
+    follows none begins."""
 
     def __init__(self, actor: MLPModel, environment: TrainingEnvironment, steps: int):
         """
         Args:
-            actor: that learns.
             environment: whose actions change something else than planned motions.
             steps: control steps of each world in a round.
         """
         self._actor, self._environment, self._steps = actor, environment, steps
-        self._optimizer = torch.optim.Adam(actor.parameters(), lr=LEARNING_RATE)
-        self._kept: deque[TensorDict] = deque(maxlen=KEPT_ROUNDS)
+        self._settings = DistillSettings()
+        self._optimizer = torch.optim.Adam(actor.parameters(), lr=self._settings.learning_rate)
+        self._kept: deque[TensorDict] = deque(maxlen=self._settings.kept_rounds)
         self._rounds = 0
 
     def round(self) -> tuple[float, float, list[bool]]:
@@ -47,37 +96,23 @@ class MotionImitation:
         Returns:
             mean reward, mean loss, and whether each episode that ended succeeded.
         """
-        environment, actor = self._environment, self._actor
-        batches, rewards, ended = [], [], []
-        with torch.no_grad():
-            for _ in range(self._steps):
-                observations = tensors(environment.observations)
-                actor.update_normalization(observations)
-                wanted = torch.as_tensor(environment.tracker.planned_action()).float()
-                action = wanted if self._rounds < PLANNED_ROUNDS else actor(observations)
-                batches.append(observations.clone().update({"action": wanted}))
-                noisy = action + NOISE * torch.randn_like(action)
-                step = environment.step(played(environment, noisy))
-                rewards.append(step.reward.mean())
-                ended.extend(environment.ended.success.tolist())
-        self._kept.append(torch.cat(batches))  # type: ignore[arg-type]
+        environment, actor, s = self._environment, self._actor, self._settings
+        rewards: list[float] = []
+        ended: list[bool] = []
+
+        def choose(observations: TensorDict) -> tuple[torch.Tensor, torch.Tensor]:
+            actor.update_normalization(observations)
+            wanted = torch.as_tensor(environment.tracker.planned_action()).float()
+            return wanted if self._rounds < PLANNED_ROUNDS else actor(observations), wanted
+
+        def done(step: Step) -> None:
+            rewards.append(float(step.reward.mean()))
+            ended.extend(environment.ended.success.tolist())
+
+        self._kept.append(imitated_round(environment, self._steps, s.noise, choose, done))
         self._rounds += 1
-        loss = self._learn()
+        loss = sum(learn_imitation(actor, self._optimizer, self._kept, s))
         with torch.inference_mode():
             # What is reported of the noise is of the last actions.
             actor(tensors(environment.observations), stochastic_output=True)
-        return float(np.mean([float(reward) for reward in rewards])), loss, ended
-
-    def _learn(self) -> float:
-        losses = 0.0
-        for _ in range(UPDATES):
-            part = self._kept[int(torch.randint(len(self._kept), ()))]
-            batch = part[torch.randint(len(part), (MINIBATCH,))].clone()
-            loss = ((self._actor(batch) - batch["action"]) ** 2).mean()
-            if isinstance(self._actor, StudentModel):
-                loss = loss + self._actor.reconstruction_loss(batch)
-            self._optimizer.zero_grad()
-            loss.backward()
-            self._optimizer.step()
-            losses += float(loss.detach())
-        return losses / UPDATES
+        return float(np.mean(rewards)), loss, ended

@@ -15,7 +15,7 @@ from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.file_bytes import read_bytes
 from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.objects import ObjectModel, with_sizes
-from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork
 from fungrasp.policies.residual_policy import residual_policy
 from fungrasp.sim2real import draw
 from fungrasp.simulation import SceneSettings, build_scene
@@ -60,15 +60,10 @@ class LearningCurve:
     ):
         """
         Args:
-            folder: of the training.
             library: with the grasps that it is measured on, the first plan of each; ``GRASPS`` drawn from
                 them if there are more.
-            objects: by name.
             environment: of the training, which is left alone. The worlds are drawn once from what its worlds
                 are drawn from: all points are measured in the same ones.
-            every: control steps between two points.
-            seed: of grasps and worlds.
-            threads: 0 means all processors.
         """
         self._path, self._every, self._seed, self._threads = folder / CURVE, every, seed, threads
         self._hand, self._objects = environment.hand, objects
@@ -101,10 +96,7 @@ class LearningCurve:
         between once in every so many steps.
 
         Args:
-            steps: of the training so far.
-            seconds: that they took [s].
             network: makes that of the policy as it is by now.
-            finished: whether the training is.
 
         Raises:
             FungraspError: a file can't be written.
@@ -137,7 +129,9 @@ class LearningCurve:
         csv.writer(text, lineterminator="\n").writerows([CurvePoint._fields, *self.points])
         with atomic_path(self._path) as part:
             part.write_text(text.getvalue())
-        draw_curves(self._path.with_name(DRAWING), {"": self._path})
+        drawing = curve_svg(np.array(self.points, dtype=float).reshape(-1, len(CurvePoint._fields)))
+        with atomic_path(self._path.with_name(DRAWING)) as part:
+            part.write_text(drawing)
 
 
 def read_curve(path: Path) -> list[CurvePoint]:
@@ -155,41 +149,18 @@ def read_curve(path: Path) -> list[CurvePoint]:
         raise FungraspError(f"{path} is damaged, or no learning curve") from error
 
 
-def draw_curves(path: Path, curves: Mapping[str, Path]) -> None:
-    """Draw the curves of trainings over control steps and time.
-
-    Args:
-        path: of the drawing (.svg).
-        curves: files of the curves, by the name of the training.
-
-    Raises:
-        FungraspError: a curve can't be read, or the drawing can't be written.
-    """
-    columns = {name: np.array(read_curve(file), dtype=float).reshape(-1, 5) for name, file in curves.items()}
-    with atomic_path(path) as part:
-        part.write_text(curve_svg(columns))
-
-
 ACROSS = ((0, 1e-6, "control steps [millions]"), (1, 1 / 60, "time [min]"))
 """Column, factor and title of what the panels beside each other are over."""
 DOWN = ((2, "success", (0.0, 1.0)), (3, "contact ratio", (0.0, 1.0)), (4, "slip [mm/s]", None))
 """Column, title and limits of what the panels below each other show."""
 
 
-def curve_svg(curves: Mapping[str, np.ndarray]) -> str:
-    """Success, contact ratio and slip over control steps and over time.
-
-    Args:
-        curves: columns of ``CurvePoint``, shape [N, 5] each, by the name of the training.
-    """
+def curve_svg(points: np.ndarray) -> str:
+    """Success, contact ratio and slip over control steps and over time. points: columns of ``CurvePoint``,
+    shape [N, 5]."""
     panels = []
-    for row, (measure, title, limits) in enumerate(DOWN):
+    for measure, title, limits in DOWN:
         for column, (over, factor, across) in enumerate(ACROSS):
-            # One legend is enough.
-            named = row == 0 and column == len(ACROSS) - 1
-            lines = [
-                PlotLine(factor * points[:, over], points[:, measure], name if named else "")
-                for name, points in curves.items()
-            ]
-            panels.append(PlotPanel(title if column == 0 else "", across, title, lines, limits=limits))
+            line = PlotLine(factor * points[:, over], points[:, measure], "")
+            panels.append(PlotPanel(title if column == 0 else "", across, title, [line], limits=limits))
     return panels_svg(panels, columns=2) + "\n"

@@ -67,13 +67,6 @@ def build_plan_library(
     """Plan the motions of variations of grasps.
 
     Args:
-        grasps: of ``hand``.
-        objects: by name.
-        hand: the robot hand.
-        variety: of the copies.
-        seed: of the variations.
-        threads: 0 means all processors.
-        progress: called with the number of plans that are made.
         predictor: of success: the most promising variations become the copies.
 
     Raises:

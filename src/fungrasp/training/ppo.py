@@ -1,41 +1,44 @@
-"""The teacher: PPO, through rsl-rl-lib."""
+"""The teacher: PPO, by rsl-rl-lib's runner; with ``torchrun``, several processes that learn together."""
 
 from __future__ import annotations
 
+import math
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from rsl_rl.algorithms import PPO
+from rsl_rl.env import VecEnv
 from rsl_rl.models import MLPModel
+from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils.logger import Logger
 from tensordict import TensorDict
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.policies.residual_action import Base
+from fungrasp.simulation import Device
 from fungrasp.task.environment import report_problems
-from fungrasp.training.checkpoint import (
+from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.folder import (
     check_environment,
     environment_state,
     read_checkpoint,
     restore_environment,
     write_checkpoint,
 )
-from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.imitation import MotionImitation
-from fungrasp.training.networks import ColoredGaussian, make_networks, played, tensors
-from fungrasp.training.processes import Processes
+from fungrasp.training.networks import ColoredGaussian, StudentModel, make_networks, played, tensors
 from fungrasp.training.settings import PpoSettings
-from fungrasp.training.student import StudentModel
 
-ALONE = Processes()
 VALUE_UPDATES = 5
 """Updates after an imitation in which the value network alone learns: the actor would unlearn what it has
 while nothing is known of its returns."""
@@ -44,6 +47,51 @@ NOISE_CORRELATION: Mapping[Base, float] = {"plan": 0.95, "guided": 0.0}
 """Correlation of the exploration noise from one control step to the next, by what an action changes. Fingers
 that move from where they are add up their noise: at 0.95, with the noise of ``train``'s example without a
 planned motion, by 2 rad in 3 s, at 0 by 0.5 rad."""
+
+
+class Processes(NamedTuple):
+    """How many there are, and which of them this is."""
+
+    count: int = 1
+    """All of them."""
+    number: int = 0
+    """This one's, from 0."""
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the one that writes files and prints."""
+        return self.number == 0
+
+    def wait(self) -> None:
+        """For all others to come here."""
+        if self.count > 1:
+            torch.distributed.barrier()
+
+
+ALONE = Processes()
+
+
+@contextmanager
+def joined(device: Device) -> Iterator[Processes]:
+    """Connect the processes that were started together, each with a GPU of its own.
+
+    Raises:
+        FungraspError: they find no connection.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield Processes()
+        return
+    if device == "cuda":
+        torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
+    try:
+        torch.distributed.init_process_group("nccl" if device == "cuda" else "gloo")
+    except (RuntimeError, ValueError) as error:
+        words = " ".join(str(error).split())
+        raise FungraspError(f"the processes of torchrun find no connection: {words}") from error
+    try:
+        yield Processes(torch.distributed.get_world_size(), torch.distributed.get_rank())
+    finally:
+        torch.distributed.destroy_process_group()
 
 
 @dataclass(frozen=True)
@@ -68,39 +116,67 @@ class Progress:
     """Mean of each reward term over the last batch, by name."""
 
 
-class Trainer:
-    """PPO on a ``TrainingEnvironment``: collects, learns, keeps checkpoints."""
+class Worlds(VecEnv):
+    """A ``TrainingEnvironment`` as the runner takes it; keeps what progress is told from."""
+
+    def __init__(self, environment: TrainingEnvironment, reward_scale: float):
+        """reward_scale: factor on the reward."""
+        self.environment, self._scale = environment, reward_scale
+        self.num_envs, self.num_actions = environment.settings.worlds, environment.actions
+        self.device, self.cfg = str(self.get_observations().device), {}
+        self.recent: deque[bool] = deque(maxlen=1000)
+        """Whether the last episodes succeeded."""
+        self._rewards: list[Array] = []
+        self._terms: list[dict[str, Array]] = []
+
+    def get_observations(self) -> TensorDict:
+        """Of the worlds as they are now."""
+        return tensors(self.environment.observations)
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """One control period."""
+        step = self.environment.step(played(self.environment, actions))
+        self.recent.extend(self.environment.ended.success.tolist())
+        self._rewards.append(step.reward.mean())
+        self._terms.append(step.terms)
+        reward = self._scale * torch.as_tensor(step.reward).float()
+        return self.get_observations(), reward, torch.as_tensor(step.done), {}
+
+    def means(self) -> tuple[float, dict[str, float]]:
+        """Mean reward, and mean of each of its terms, since the last call."""
+        reward = float(np.mean([float(reward) for reward in self._rewards]))
+        names = self._terms[0]
+        terms = {name: float(np.mean([float(t[name]) for t in self._terms])) for name in names}
+        self._rewards.clear()
+        self._terms.clear()
+        return reward, terms
+
+
+class AdaptedPpo(PPO):
+    """PPO whose value network has a learning rate of its own, and whose actor's is adapted after each update
+    to how much the policy changed. Teaches a student's encoder the contacts besides."""
 
     def __init__(
         self,
         environment: TrainingEnvironment,
-        settings: PpoSettings | None = None,
-        seed: int = 0,
-        processes: Processes = ALONE,
+        settings: PpoSettings,
+        processes: Mapping[str, int] | None = None,
     ):
-        """
-        Args:
-            environment: to learn in.
-            settings: the defaults if None.
-            seed: of the networks and of exploration.
-            processes: that learn together, each in an environment of its own.
-        """
-        torch.manual_seed(seed + processes.number)
-        self.environment, self._seed, self._processes = environment, seed, processes
-        environment.processes = processes.count
-        s = self.settings = settings or PpoSettings()
+        """processes: as rsl-rl wants it, of several that learn together."""
+        s = self._settings = settings
+        self._environment = environment
+        self.steps = 0
+        """Control steps so far, of all processes."""
         correlation = s.noise_correlation
         if correlation is None:
             correlation = NOISE_CORRELATION[environment.settings.residual.base]
         actor, critic = make_networks(environment, s.sees, s.hidden, s.noise, correlation)
-        observations = tensors(environment.observations)
-        worlds = environment.settings.worlds
+        observations, worlds = tensors(environment.observations), environment.settings.worlds
         device = str(observations.device)
-        storage = RolloutStorage("rl", worlds, s.steps, observations, [environment.actions], device)
-        self.algorithm = PPO(
+        super().__init__(
             actor,
             critic,
-            storage,
+            RolloutStorage("rl", worlds, s.steps, observations, [environment.actions], device),
             num_learning_epochs=s.epochs,
             num_mini_batches=s.minibatches,
             clip_param=s.clip,
@@ -112,16 +188,14 @@ class Trainer:
             schedule="fixed",
             max_grad_norm=0.5,
             device=device,
-            multi_gpu_cfg=(
-                {"global_rank": processes.number, "world_size": processes.count}
-                if processes.count > 1
-                else None
-            ),
+            multi_gpu_cfg=None if processes is None else dict(processes),
         )
-        if processes.count > 1:
-            self.algorithm.broadcast_parameters()
+        if self.is_multi_gpu:
+            self.broadcast_parameters()
+        self.batch = s.steps * worlds * self.gpu_world_size
+        """Control steps of an update, of all processes."""
         # The actor's steps are small against those the value network needs.
-        self.algorithm.optimizer = torch.optim.Adam(
+        self.optimizer = torch.optim.Adam(
             [
                 {"params": list(actor.parameters()), "lr": s.learning_rate},
                 {"params": list(critic.parameters()), "lr": s.value_learning_rate},
@@ -130,30 +204,146 @@ class Trainer:
         if isinstance(actor, StudentModel):
             encoder = [*actor.encoder.parameters(), *actor.head.parameters()]
             self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.value_learning_rate)
-        self.steps, self.seconds = 0, 0.0
-        """Control steps, and what they took [s], earlier runs included."""
+
+    @staticmethod
+    def construct_algorithm(obs: TensorDict, env: VecEnv, cfg: dict, device: str) -> AdaptedPpo:
+        """As the runner asks for it."""
+        assert isinstance(env, Worlds)
+        return AdaptedPpo(env.environment, cfg["settings"], cfg["multi_gpu"])
+
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Of the batch; the policy's actions in its last observations are kept, to compare them."""
+        super().compute_returns(obs)
+        self.actor(obs, stochastic_output=True)
+        self._before = obs, tuple(p.clone() for p in self.actor.output_distribution_params)
+
+    def update(self) -> dict[str, float]:
+        """Learn from the batch; gives losses by name."""
+        report_problems(self._environment.episodes.engine)
+        s, group = self._settings, self.optimizer.param_groups[0]
+        rate = group["lr"]
+        still = s.imitate > 0 and self.steps < s.imitate + VALUE_UPDATES * self.batch
+        group["lr"] = 0.0 if still else rate
+        losses = super().update()
+        group["lr"] = rate
+        losses["kl"] = 0.0 if still else self._adapt(*self._before)
+        if isinstance(self.actor, StudentModel):
+            losses["reconstruction"] = self._reconstruct(self.actor)
+        self.steps += self.batch
+        return losses
+
+    def _reconstruct(self, student: StudentModel) -> float:
+        """Teach a student's encoder the contacts of the last batch; gives its last loss."""
+        kept = self.storage.observations.flatten(0, 1)
+        loss = torch.zeros(())
+        for rows in torch.randperm(len(kept), device=kept.device).split(1024):
+            loss = student.reconstruction_loss(kept[rows])
+            self._encoder_optimizer.zero_grad()
+            loss.backward()
+            if self.is_multi_gpu:
+                self.reduce_parameters()
+            self._encoder_optimizer.step()
+        return float(loss.detach())
+
+    def _adapt(self, observations: TensorDict, before: tuple[torch.Tensor, ...]) -> float:
+        """Change the actor's learning rate so that an update changes the policy as much as wanted.
+
+        Returns:
+            How much the last one did.
+        """
+        with torch.inference_mode():
+            self.actor(observations, stochastic_output=True)
+            change = self.actor.get_kl_divergence(before, self.actor.output_distribution_params).mean()
+            if self.is_multi_gpu:
+                torch.distributed.all_reduce(change)
+                change /= self.gpu_world_size
+        found = float(change)
+        group, wanted = self.optimizer.param_groups[0], self._settings.kl
+        if found > 1.5 * wanted:
+            group["lr"] = max(1e-6, group["lr"] / 1.3)
+        elif found < wanted / 1.5:
+            group["lr"] = min(3e-3, group["lr"] * 1.3)
+        return found
+
+    def save(self) -> dict[str, Any]:
+        """Networks and optimizers."""
+        state = super().save()
+        if isinstance(self.actor, StudentModel):
+            state["encoder_optimizer_state_dict"] = self._encoder_optimizer.state_dict()
+        return state
+
+    def load(self, loaded_dict: dict, load_cfg: dict | None, strict: bool) -> bool:
+        """Networks and, without ``load_cfg``, optimizers."""
+        if load_cfg is None and isinstance(self.actor, StudentModel):
+            self._encoder_optimizer.load_state_dict(loaded_dict["encoder_optimizer_state_dict"])
+        return super().load(loaded_dict, load_cfg, strict)
+
+
+class _Reports(Logger):
+    """Passes on what the runner has to log after an update, and writes nothing."""
+
+    def __init__(self, report: Callable[[dict[str, float]], None]):
+        self._report, self.log_dir, self.writer, self.disable_logs = report, None, None, True
+
+    def log(self, **numbers: Any) -> None:
+        """An update's losses."""
+        self._report(numbers["loss_dict"])
+
+
+class Trainer(OnPolicyRunner):
+    """PPO on a ``TrainingEnvironment``: collects and learns as rsl-rl's runner does; counts control steps,
+    keeps checkpoints of its own, and can begin with an imitation."""
+
+    alg: AdaptedPpo
+
+    def __init__(
+        self,
+        environment: TrainingEnvironment,
+        settings: PpoSettings | None = None,
+        seed: int = 0,
+        processes: Processes = ALONE,
+    ):
+        """
+        Args:
+            processes: that learn together, each in an environment of its own.
+        """
+        torch.manual_seed(seed + processes.number)
+        self.environment, self._seed, self._processes = environment, seed, processes
+        environment.processes = processes.count
+        s = self.settings = settings or PpoSettings()
+        self._worlds = Worlds(environment, s.reward_scale)
+        config = {"algorithm": {"class_name": AdaptedPpo}, "settings": s, "num_steps_per_env": s.steps}
+        super().__init__(self._worlds, config | {"check_for_nan": False}, None, str(self._worlds.device))
+        self.seconds = 0.0
+        """Time of the training so far [s], earlier runs included."""
         self._begun = False
         """Whether its networks come from another training."""
-        self._recent: deque[bool] = deque(maxlen=1000)
+
+    def _configure_multi_gpu(self) -> None:
+        """The process group is there (``joined``), and parameters are sent once, by the algorithm."""
+        self.is_distributed, self.gpu_local_rank = False, 0
+        self.gpu_world_size, self.gpu_global_rank = self._processes
+        several = {"global_rank": self.gpu_global_rank, "world_size": self.gpu_world_size}
+        self.cfg["multi_gpu"] = several if self.gpu_world_size > 1 else None
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far, of all processes, earlier runs included."""
+        return self.alg.steps
 
     @property
     def actor(self) -> MLPModel:
         """The policy's network."""
-        return self.algorithm.get_policy()
-
-    @property
-    def _batch(self) -> int:
-        """Control steps of an update, of all processes."""
-        return self.settings.steps * self.environment.settings.worlds * self._processes.count
+        return self.alg.get_policy()
 
     @property
     def success(self) -> float:
         """Share of the last episodes that succeeded; 0 before any has ended."""
-        return float(np.mean(self._recent)) if self._recent else 0.0
+        return float(np.mean(self._worlds.recent)) if self._worlds.recent else 0.0
 
-    def learn(
+    def learn_until(
         self,
-        steps: int,
+        steps: float,
         progress: Callable[[Progress], None] = lambda p: None,
         checkpoint: Path | None = None,
         every: int = 20,
@@ -162,36 +352,36 @@ class Trainer:
 
         Args:
             steps: since the beginning, earlier runs included.
-            progress: called after each update.
             checkpoint: where to keep the state, written atomically.
             every: updates between two checkpoints, at which all episodes begin anew: a training that goes on
-            from one ends as if it had never been interrupted.
+                from one ends as if it had never been interrupted.
         """
         start, before = perf_counter(), self.seconds
-        self.algorithm.train_mode()
+
+        def told(losses: dict[str, float], reward: float, terms: dict[str, float]) -> None:
+            self.seconds = before + perf_counter() - start
+            noise, rate = self.actor.output_std.detach().mean(), self.alg.optimizer.param_groups[0]["lr"]
+            now = self.steps, self.seconds, self.success
+            progress(Progress(*now, reward, float(noise), rate, losses, terms))
+
+        self.logger = _Reports(lambda losses: told(losses, *self._worlds.means()))
+        self.alg.train_mode()
         if self.steps == 0 and not self._begun:
             self._warm_up()
         imitation = MotionImitation(self.actor, self.environment, self.settings.steps)
         while self.steps < steps:
-            imitates = self.steps < self.settings.imitate
-            report = self._imitate(imitation) if imitates else self._update()
-            self.seconds = before + perf_counter() - start
-            progress(
-                Progress(
-                    self.steps,
-                    self.seconds,
-                    self.success,
-                    report["reward"],
-                    float(self.actor.output_std.detach().mean()),
-                    self.algorithm.optimizer.param_groups[0]["lr"],
-                    report["losses"],
-                    report["terms"],
-                )
-            )
             if self.steps < self.settings.imitate:
-                # An imitation that was interrupted begins anew: it takes a few minutes.
-                continue
-            if self.steps // self._batch % every == 0:
+                reward, loss, ended = imitation.round()
+                self._worlds.recent.extend(ended)
+                self.alg.steps += self.alg.batch
+                told({"imitation": loss}, reward, {})
+                if self.steps < self.settings.imitate:
+                    # An imitation that was interrupted begins anew: it takes a few minutes.
+                    continue
+            else:
+                left = math.ceil((steps - self.steps) / self.alg.batch)
+                self.learn(min(left, every - self.steps // self.alg.batch % every))
+            if self.steps // self.alg.batch % every == 0:
                 if checkpoint is not None:
                     self.save(checkpoint)
                 self._restart()
@@ -202,7 +392,9 @@ class Trainer:
         """Begin new episodes with new noise."""
         if self._processes.count > 1:
             self._begin_random_numbers()
-        self.environment.restart()
+        # What the runner has collected are tensors of inference.
+        with torch.inference_mode():
+            self.environment.restart()
         self._restart_noise()
 
     def _begin_random_numbers(self) -> None:
@@ -212,7 +404,7 @@ class Trainer:
         own = np.random.default_rng([self._seed, self._processes.number, self.steps])
         rng.bit_generator.state = own.bit_generator.state
         torch.manual_seed(int(own.integers(2**62)))
-        shared = torch.as_tensor(rates.copy(), device=self.algorithm.device)
+        shared = torch.as_tensor(rates.copy(), device=self.alg.device)
         torch.distributed.broadcast(shared, src=0)
         rates[:] = shared.cpu().numpy()
 
@@ -228,90 +420,17 @@ class Trainer:
             self.environment.step(still)
             observations = tensors(self.environment.observations)
             self.actor.update_normalization(observations)
-            self.algorithm.critic.update_normalization(observations)
+            self.alg.critic.update_normalization(observations)
 
-    def _imitate(self, imitation: MotionImitation) -> dict[str, Any]:
-        reward, loss, ended = imitation.round()
-        self._recent.extend(ended)
-        self.steps += self._batch
-        return {"reward": reward, "losses": {"imitation": loss}, "terms": {}}
-
-    def _update(self) -> dict[str, Any]:
-        algorithm, environment = self.algorithm, self.environment
-        rewards: list[Array] = []
-        terms: list[dict[str, Array]] = []
-        observations = tensors(environment.observations)
-        with torch.no_grad():
-            for _ in range(self.settings.steps):
-                action = algorithm.act(observations)
-                step = environment.step(played(environment, action))
-                observations = tensors(environment.observations)
-                reward = self.settings.reward_scale * torch.as_tensor(step.reward).float()
-                algorithm.process_env_step(observations, reward, torch.as_tensor(step.done), {})
-                self._recent.extend(environment.ended.success.tolist())
-                rewards.append(step.reward.mean())
-                terms.append(step.terms)
-            algorithm.compute_returns(observations)
-            self.actor(observations, stochastic_output=True)
-            before = tuple(p.clone() for p in self.actor.output_distribution_params)
-        report_problems(environment.episodes.engine)
-        group = algorithm.optimizer.param_groups[0]
-        rate = group["lr"]
-        still = self.settings.imitate > 0 and self.steps < self.settings.imitate + VALUE_UPDATES * self._batch
-        group["lr"] = 0.0 if still else rate
-        losses = algorithm.update()
-        group["lr"] = rate
-        losses["kl"] = 0.0 if still else self._adapt(observations, before)
-        if isinstance(self.actor, StudentModel):
-            losses["reconstruction"] = self._reconstruct(self.actor)
-        self.steps += self._batch
-        return {
-            "reward": float(np.mean([float(reward) for reward in rewards])),
-            "losses": losses,
-            "terms": {name: float(np.mean([float(t[name]) for t in terms])) for name in terms[0]},
-        }
-
-    def _reconstruct(self, student: StudentModel) -> float:
-        """Teach a student's encoder the contacts of the last batch; gives its last loss."""
-        kept = self.algorithm.storage.observations.flatten(0, 1)
-        loss = torch.zeros(())
-        for rows in torch.randperm(len(kept), device=kept.device).split(1024):
-            loss = student.reconstruction_loss(kept[rows])
-            self._encoder_optimizer.zero_grad()
-            loss.backward()
-            if self._processes.count > 1:
-                self.algorithm.reduce_parameters()
-            self._encoder_optimizer.step()
-        return float(loss.detach())
-
-    def _adapt(self, observations: TensorDict, before: tuple[torch.Tensor, ...]) -> float:
-        """Change the actor's learning rate so that an update changes the policy as much as wanted.
-
-        Returns:
-            How much the last one did.
-        """
-        with torch.inference_mode():
-            self.actor(observations, stochastic_output=True)
-            change = float(self.actor.get_kl_divergence(before, self.actor.output_distribution_params).mean())
-        change = self._processes.mean(change, self.algorithm.device)
-        group, wanted = self.algorithm.optimizer.param_groups[0], self.settings.kl
-        if change > 1.5 * wanted:
-            group["lr"] = max(1e-6, group["lr"] / 1.3)
-        elif change < wanted / 1.5:
-            group["lr"] = min(3e-3, group["lr"] * 1.3)
-        return change
-
-    def save(self, path: Path) -> None:
+    def save(self, path: Path) -> None:  # type: ignore[override]
         """Keep everything needed to go on.
 
         Raises:
             FungraspError: the file can't be written; an older one is left as it was.
         """
-        state = self.algorithm.save() | environment_state(self.environment)
-        if isinstance(self.actor, StudentModel):
-            state["encoder_optimizer_state_dict"] = self._encoder_optimizer.state_dict()
-        state |= {"steps": self.steps, "seconds": self.seconds, "recent": torch.tensor(list(self._recent))}
-        write_checkpoint(path, state)
+        state = self.alg.save() | environment_state(self.environment)
+        counted = {"steps": self.steps, "seconds": self.seconds}
+        write_checkpoint(path, state | counted | {"recent": torch.tensor(list(self._worlds.recent))})
 
     def begin_from(self, path: Path) -> None:
         """Take the networks of another training's checkpoint, and nothing else: noise begins as set.
@@ -326,11 +445,11 @@ class Trainer:
         noise = self.actor.distribution
         wanted = {} if noise is None else {name: p.clone() for name, p in noise.state_dict().items()}
         with _fitting(path):
-            self.algorithm.load(state, {"actor": True, "critic": True}, True)
+            self.alg.load(state, {"actor": True, "critic": True}, True)
         if noise is not None:
             noise.load_state_dict(wanted)
 
-    def load(self, path: Path) -> None:
+    def load(self, path: Path) -> None:  # type: ignore[override]
         """Go on from a checkpoint.
 
         Raises:
@@ -340,13 +459,11 @@ class Trainer:
         state = read_checkpoint(path)
         check_environment(path, state, self.environment)
         with _fitting(path):
-            self.algorithm.load(state, None, True)
-            if isinstance(self.actor, StudentModel):
-                self._encoder_optimizer.load_state_dict(state["encoder_optimizer_state_dict"])
+            self.alg.load(state, None, True)
             restore_environment(state, self.environment)
             self._restart_noise()
-            self.steps, self.seconds = int(state["steps"]), float(state["seconds"])
-            self._recent.extend(state["recent"].bool().tolist())
+            self.alg.steps, self.seconds = int(state["steps"]), float(state["seconds"])
+            self._worlds.recent.extend(state["recent"].bool().tolist())
         if self._processes.count > 1:
             self._restart()
 

@@ -28,8 +28,6 @@ class LiftReward:
     def __init__(self, hand: Hand, period: float, goal_height: float, start_distance: float | None = None):
         """
         Args:
-            hand: the robot hand.
-            period: of control [s].
             goal_height: at which the object is lifted [m].
             start_distance: of the wrist from the object's center at an episode's beginning [m]; None where a
                 planned motion brings it to the object.
@@ -49,8 +47,6 @@ class LiftReward:
         """Terms of the reward by name, each of shape [W].
 
         Args:
-            state: after the step.
-            privileged: after the step.
             previous_action: the one before the state's, shape [W, A].
         """
         now, target, p = state.now, state.target, privileged

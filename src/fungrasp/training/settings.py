@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.training.environment import EnvironmentSettings
+from fungrasp.training.plan_library import Variety
 
 Sees = Literal["contacts", "nothing", "history"]
 """What an actor knows of the contacts."""
@@ -139,3 +142,112 @@ class PredictorSettings:
     """Passes over the episodes."""
     minibatch: int = 256
     """Episodes in a minibatch."""
+
+
+@dataclass(frozen=True)
+class TrainSpec:
+    """How ``train`` trains a policy. A folder's training goes on with the same spec, but for ``steps``,
+    ``licence``, ``shrink``, the curve and what the result does not depend on."""
+
+    steps: float = 3e6
+    """Control steps of all worlds together, earlier runs of this training included."""
+    plans: str | None = None
+    """A success predictor that chooses the plans to follow, in training and at work: one that comes with the
+    package ("predictor" is short for the hand's), or a file. The grasps' own plans by default."""
+    plan_file: Path | None = None
+    """File of the plans to train on, which several trainings may share; in the training's folder by
+    default."""
+    initial: Path | None = None
+    """Folder of another training, whose networks this one begins with."""
+    shrink: float = 1.0
+    """Factor on the finished policy's corrections, and on those of its students. A policy that has seen
+    little is right about their direction more often than about their size."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    threads: int = 0
+    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
+    device: Literal["cuda", "cpu-warp", "cpu"] | None = None
+    """Where the worlds are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or the
+    processor. By default a GPU if there is one with the extra "gpu"."""
+    buffers: tuple[int, int] | None = None
+    """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
+    by default."""
+    licence: str = ""
+    """Licence of the policy, for its card."""
+    curve: CurveSettings = field(default_factory=CurveSettings)
+    """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder."""
+    environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
+    """Settings of the worlds that the policy is trained in."""
+    ppo: PpoSettings = field(default_factory=PpoSettings)
+    """Settings of PPO."""
+    variety: Variety = field(default_factory=Variety)
+    """How the grasps are varied that the policy is trained on."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value is impossible, or actions that change planned motions, which are to be
+                imitated.
+        """
+        check_numbers(self.steps, self.seed, self.threads)
+        if self.ppo.imitate and self.environment.residual.base == "plan":
+            raise FungraspError(
+                "actions that change planned motions follow them from the first step: to imitate them, give "
+                "--environment.residual.base guided"
+            )
+        if self.steps < self.ppo.imitate:
+            raise FungraspError(
+                f"{self.ppo.imitate:g} control steps of imitation do not fit into a training of "
+                f"{self.steps:g}"
+            )
+
+
+@dataclass(frozen=True)
+class StudentSpec:
+    """How ``train_student`` distills a student from a teacher."""
+
+    steps: float = 5e5
+    """Control steps of all worlds together."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; where they were when the teacher was trained by default."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    threads: int = 0
+    """Threads of the simulation; 0 means all processors."""
+    settings: DistillSettings = field(default_factory=DistillSettings)
+    """Settings of the learning."""
+
+    def __post_init__(self) -> None:
+        check_numbers(self.steps, self.seed, self.threads)
+
+
+@dataclass(frozen=True)
+class PredictorSpec:
+    """How ``train_predictor`` makes a success predictor."""
+
+    episodes: Path | None = None
+    """Folder in which the episodes' outcomes are kept, so that an interrupted command goes on where it was,
+    and more --attempts add to them; beside the predictor by default."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    threads: int = 0
+    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
+    licence: str = ""
+    """Licence of the predictor, for its card."""
+    settings: PredictorSettings = field(default_factory=PredictorSettings)
+    """Settings of the episodes and of the learning."""
+
+    def __post_init__(self) -> None:
+        check_numbers(1, self.seed, self.threads)
+
+
+def check_numbers(steps: float, seed: int, threads: int) -> None:
+    """Complain about impossible ones.
+
+    Raises:
+        FungraspError: one is.
+    """
+    if not 1 <= steps < 1e15:
+        raise FungraspError(f"--steps must be at least 1, not {steps:g}")
+    if seed < 0 or threads < 0:
+        raise FungraspError("--seed and --threads must not be negative")

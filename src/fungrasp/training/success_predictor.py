@@ -6,6 +6,8 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
+from time import perf_counter
 from typing import Self
 
 import numpy as np
@@ -13,22 +15,28 @@ import torch
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.json_file import parse_json
-from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
+from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
+from fungrasp.core.provenance import machine
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.candidates import VariationSpread, vary, with_settings
 from fungrasp.planning.selection.success_predictor import plan_features
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.policies.checkpoint.card import ActionPart, Budget, PolicyCard, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import save_policy
+from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, play
 from fungrasp.task.features import flatten, layout
-from fungrasp.training.settings import PredictorSettings
+from fungrasp.training.environment import Layout
+from fungrasp.training.export import graph, make_card
+from fungrasp.training.settings import PredictorSettings, PredictorSpec
+from fungrasp.training.training_sets import TrainingSet
 
-Layout = tuple[tuple[str, int], ...]
-"""Names and sizes of the parts of a flat vector."""
-
+MEASURED = "cross-validated, no residual"
+"""Entry of a predictor's card."""
 
 LAYOUT = "layout"
 """Name of the layout of the features beside the arrays of a part."""
@@ -132,22 +140,13 @@ def try_plans(
     threads: int = 0,
     *,
     store: PartStore | None = None,
-    ray: RayCluster | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[PlanOutcomes, Layout]:
     """Plan variations of grasps and try each once in physics, open loop.
 
     Args:
-        grasps: of ``hand``.
-        objects: by name.
-        hand: the robot hand.
-        settings: the defaults if None.
-        seed: of the variations.
-        threads: 0 means all processors.
         store: keeps outcomes as they come; those that an interrupted call, or one of fewer variations, has
             left there are not tried again.
-        ray: tries them on a cluster. The result is the same.
-        progress: called with the share that is done, 0 to 1.
 
     Returns:
         The outcomes, and the layout of their features.
@@ -156,7 +155,7 @@ def try_plans(
         FungraspError: a part can't be written.
     """
     job = PlanTrials(grasps, objects, hand, settings or PredictorSettings(), seed, threads)
-    found = run_job(job, store, ray=ray, progress=progress)
+    found = run_job(job, store, progress=progress)
     names = tuple((str(name), int(size)) for name, size in parse_json(str(found[-1][LAYOUT]), "kept layout"))
     columns = [np.concatenate([part[f.name] for part in found]) for f in fields(PlanOutcomes)]
     return PlanOutcomes(*columns), names
@@ -268,3 +267,68 @@ def cross_validate(
         "any": float(np.mean([outcomes.success[rows].any() for rows in groups])),
         "contact_ratio": float(outcomes.contact_ratio[chosen].mean()),
     }
+
+
+def train_predictor(
+    path: str | Path,
+    sets: Sequence[TrainingSet],
+    hand: Hand | str | Path = "allegro",
+    spec: PredictorSpec | None = None,
+    *,
+    progress: Callable[[float], None] = lambda done: None,
+) -> Path:
+    """Train a success predictor, or go on where this was interrupted.
+
+    Args:
+        sets: of grasps of ``hand``, at least one.
+
+    Returns:
+        The file. ``measured[MEASURED]`` of its card says how it does on grasps that it has not seen.
+
+    Raises:
+        FungraspError: a file can't be written.
+    """
+    start, spec, hand, path = perf_counter(), spec or PredictorSpec(), as_hand(hand), Path(path)
+    settings, seed = spec.settings, spec.seed
+    folder = path.with_suffix(".episodes") if spec.episodes is None else spec.episodes
+    parts, names = [], ()
+    for number, one in enumerate(sets):
+        outcomes, names = try_plans(
+            one.grasps,
+            one.objects,
+            hand,
+            settings,
+            seed,
+            spec.threads,
+            store=PartStore(folder / str(number)),
+            progress=lambda done, before=number: progress((before + done) / len(sets)),
+        )
+        parts.append(outcomes)
+    outcomes = PlanOutcomes.join(*parts)
+    measured = cross_validate(outcomes, settings, seed=seed)
+    predictor = fit_predictor(outcomes, settings, seed)
+    card = make_card(
+        path.stem,
+        "predictor",
+        hand,
+        names,
+        (),
+        ResidualSettings(),
+        1 / LiftProtocol().control_period,
+        Budget(len(outcomes.grasp), perf_counter() - start, machine()),
+        training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
+        seed=seed,
+        licence=spec.licence,
+        limits=("Its budget counts episodes where a policy of motions counts control steps.",),
+        measured={MEASURED: measured},
+    )
+    export_predictor(predictor, path, card)
+    return path
+
+
+def export_predictor(predictor: PredictorNetwork, path: Path, card: PolicyCard) -> None:
+    """Write a success predictor's file: its observation is ``plan_features``, its action the expected
+    success."""
+    card = replace(card, action=(ActionPart("success", 1, 1.0),))
+    example = torch.zeros(2, card.input_size)
+    save_policy(path, graph(predictor, {"observation": example}, ("action",)), card)

@@ -1,8 +1,9 @@
-"""Grasps to train on, and to hold out."""
+"""Grasps to train on and to hold out, and the plans made of them, which a file keeps."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,24 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import digest
+from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
 from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
+from fungrasp.task import GraspPlan
+from fungrasp.training.plan_library import PlanLibrary, build_plan_library
+from fungrasp.training.settings import TrainSpec
+
+_log = logging.getLogger(__name__)
 
 BUILTIN_TERMS = "Apache-2.0, part of fungrasp"
 """Terms of the built-in grasps."""
+LARGEST_LIBRARY = 1 << 33
+"""Bytes of the largest file of plans that is read, of up to tens of thousands of grasps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +72,7 @@ def load_training_sets(
 
     Args:
         names: of files, or "builtin".
-        folder: of meshes.
-        hand: the robot hand.
-        method: of retargeting.
         terms: one for each name, or none.
-        threads: 0 means all processors.
 
     Raises:
         FungraspError: a file or an object can't be read, grasps of another hand, or an unknown method.
@@ -118,7 +124,6 @@ def split_sets(
     """Sets to train on, and what is held out of each.
 
     Args:
-        sets: of grasps.
         share: of the grasps of each that is held out, rounded, 0 to below 1.
         seed: of which these are.
 
@@ -138,3 +143,65 @@ def split_sets(
         for part, rows in zip(parts, (order[number:], order[:number]), strict=True):
             part.append(replace(one, grasps=one.grasps.select(np.sort(rows))))
     return parts
+
+
+def planned_sets(
+    sets: Sequence[TrainingSet],
+    hand: Hand,
+    spec: TrainSpec,
+    progress: Callable[[int], None] = lambda done: None,
+    predictor: SuccessPredictor | None = None,
+) -> PlanLibrary:
+    """The plans of several sets, each grasp a group of its own.
+
+    Raises:
+        FungraspError: a set without any usable grasp; the message names it.
+    """
+    parts: list[PlanLibrary] = []
+    groups = done = 0
+    for number, one in enumerate(sets):
+        try:
+            part = build_plan_library(
+                one.grasps,
+                one.objects,
+                hand,
+                spec.variety,
+                spec.seed + number,
+                spec.threads,
+                lambda count, before=done: progress(before + count),
+                predictor,
+            )
+        except FungraspError as error:
+            raise FungraspError(f"{one.name}: {error}") from error
+        parts.append(PlanLibrary(part.plans, part.group + groups))
+        groups += len(one.grasps)
+        done += len(one.grasps) * spec.variety.planned(predictor is not None)
+    return PlanLibrary(
+        GraspPlan.join([part.plans for part in parts]), np.concatenate([part.group for part in parts])
+    )
+
+
+def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanLibrary:
+    """A planned library from its file; if it isn't there, can't be read or is another one, it is planned and
+    kept.
+
+    Args:
+        key: digest of all that the library depends on.
+
+    Raises:
+        FungraspError: planning fails, or the file can't be written.
+    """
+    if path.is_file():
+        try:
+            arrays = read_npz(path, "plan library", largest=LARGEST_LIBRARY)
+            if str(arrays.pop("key")) == key:
+                group = arrays.pop("group")
+                return PlanLibrary(GraspPlan.from_arrays(arrays), group)
+            _log.warning("%s belongs to other grasps or settings: planning again", path)
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            _log.warning("%s is unreadable (%s): planning again", path, error)
+    library = plan()
+    with atomic_path(path) as part, part.open("wb") as stream:
+        arrays = {"key": np.array(key), "group": library.group} | library.plans.arrays()
+        np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
+    return library

@@ -79,7 +79,7 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
 
         return ChosenPage("Result", partial(ResultPage, shown=ShownResult.of(what)))
     if isinstance(what, Trajectory):
-        from fungrasp.viewer.recording_page import RecordingPage
+        from fungrasp.viewer.result_page import RecordingPage
 
         return ChosenPage("Episode", partial(RecordingPage, trajectory=what, objects=objects))
     from fungrasp.perception.perceived import Perceived

@@ -16,14 +16,10 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.hand_registry import hand_files
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting.retarget import METHODS
-from fungrasp.viewer.downloads import add_downloads
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
-from fungrasp.viewer.figures import HumanFigure, ObjectFigure
-from fungrasp.viewer.grasp_numbers import LEGEND, quality_rows, view_across
-from fungrasp.viewer.joint_sliders import JointSliders
-from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
-from fungrasp.viewer.robot_view import RobotView
-from fungrasp.viewer.scene_nodes import move, pose_of
+from fungrasp.viewer.figures import HumanFigure, ObjectFigure, move, pose_of
+from fungrasp.viewer.page import BrowserPage, JointSliders, add_table, look_at, values_table
+from fungrasp.viewer.robot_view import LEGEND, RobotView, add_downloads, quality_rows, view_across
 
 if TYPE_CHECKING:
     from viser import ClientHandle

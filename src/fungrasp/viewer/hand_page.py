@@ -13,9 +13,8 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.viewer.joint_sliders import JointSliders
-from fungrasp.viewer.page import BrowserPage, add_table, look_at
-from fungrasp.viewer.robot_figure import RobotFigure
+from fungrasp.viewer.figures import RobotFigure
+from fungrasp.viewer.page import BrowserPage, JointSliders, add_table, look_at
 
 if TYPE_CHECKING:
     from viser import ClientHandle

@@ -15,8 +15,13 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
-from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front
-from fungrasp.viewer.episode_states import EpisodeState, EpisodeStates
+from fungrasp.viewer.episode_stage import (
+    EpisodePlayer,
+    EpisodeScene,
+    EpisodeState,
+    EpisodeStates,
+    place_in_front,
+)
 from fungrasp.viewer.page import BrowserPage, add_table, look_at
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The page of a lift test's result: a table that can be filtered, and episodes that are played again."""
+"""The pages of a recorded episode, and of a result, whose episodes are filtered and played again."""
 
 from __future__ import annotations
 
@@ -13,15 +13,59 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.evaluation import LiftTestResult, LiftTestSpec, ResultFile, replay
+from fungrasp.evaluation import LiftTestResult, LiftTestSpec, ResultFile, Trajectory, replay
 from fungrasp.grasps import RobotGraspSet, load_objects, load_robot_grasps
-from fungrasp.objects import ObjectModel
-from fungrasp.viewer.episode_stage import EpisodePlayer
+from fungrasp.hands import load_hand
+from fungrasp.objects import ObjectModel, load_object
+from fungrasp.viewer.episode_stage import EpisodePlayer, EpisodeScene, place_in_front, recorded_states
 from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
-from fungrasp.viewer.recording_page import show_recording
 
 if TYPE_CHECKING:
     from viser import ClientHandle
+
+
+class RecordingPage(BrowserPage):
+    """Scrub through an episode, and play it again."""
+
+    def __init__(
+        self, client: ClientHandle, trajectory: Trajectory, objects: Mapping[str, ObjectModel] | None = None
+    ):
+        """
+        Args:
+            client: the browser.
+            trajectory: the episode.
+            objects: by name; a built-in object if None.
+        """
+        super().__init__(client)
+        self._trajectory, self._objects = trajectory, objects or {}
+        add_table(client)
+        client.gui.add_markdown(f"**{trajectory.object_name}, {trajectory.hand}**")
+        self._player = EpisodePlayer(self)
+        self.worker.ask("show", self._show)
+
+    def _show(self) -> None:
+        show_recording(self, self._player, self._trajectory, self._objects)
+
+
+def show_recording(
+    page: BrowserPage, player: EpisodePlayer, trajectory: Trajectory, objects: Mapping[str, ObjectModel]
+) -> None:
+    """Put a recorded episode into a page.
+
+    Raises:
+        FungraspError: no such hand or object.
+    """
+    hand = load_hand(trajectory.hand)
+    name = trajectory.object_name
+    model = objects[name] if name in objects else load_object(name)
+    look_at(page.client, (0.0, 0.0, 0.12), 0.75)
+    with page.client.atomic():
+        place = place_in_front(trajectory.object_pose[0])
+        scene = EpisodeScene(page.client.scene, f"/episode{id(trajectory)}", place, hand, model)
+    player.begin(scene, recorded_states(trajectory))
+    player.finish()
+    player.status.content = "**success**" if trajectory.success else f"**failed: {trajectory.reason}**"
+
 
 ALL = "all"
 LISTED = 12

@@ -9,10 +9,9 @@ import numpy as np
 
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
-from fungrasp.viewer.downloads import add_downloads
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
 from fungrasp.viewer.page import BrowserPage, add_table, look_at, values_table
-from fungrasp.viewer.robot_view import RobotView
+from fungrasp.viewer.robot_view import RobotView, add_downloads
 
 if TYPE_CHECKING:
     from viser import ClientHandle

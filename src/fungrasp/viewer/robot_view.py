@@ -1,15 +1,20 @@
-"""One robot hand in a page: it imitates the human hand, follows it while it is dragged, and is judged."""
+"""One robot hand in a page: it imitates the human hand, follows what is dragged, is judged and kept."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
-from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, save_robot_grasps
 from fungrasp.grasps.mirroring import mirrored_grasps
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -20,8 +25,8 @@ from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, contacts_of_li
 from fungrasp.optimization.problem import CollisionScene
 from fungrasp.retargeting import retarget
 from fungrasp.retargeting.retargeter import Retargeter
-from fungrasp.viewer.figures import ContactMarks, ObjectFigure
-from fungrasp.viewer.robot_figure import RobotFigure
+from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
+from fungrasp.viewer.page import BrowserPage
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -200,3 +205,106 @@ def _one_sided(human: HumanGrasp, hand: Hand) -> HumanGraspSet:
     """The grasp as a set, of a left hand for a left one."""
     one = HumanGraspSet.of([replace(human, hand_qpos=None)])
     return one if hand.side == "right" else mirrored_grasps(one)
+
+
+LEGEND = (
+    "Orange: asked to touch, and touches. Pink: asked to, and does not. Yellow: touches without being asked. "
+    "Points: green on the surface, red inside the object."
+)
+
+QUANTITIES = {
+    "object_penetration_mm": ("Penetration of the object", "mm"),
+    "contact_gap_mm": ("Gap at wanted contacts", "mm"),
+    "contact_error_mm": ("Contacts off the person's", "mm"),
+    "link_direction_error_deg": ("Directions off the person's", "°"),
+    "force_closure_residual": ("Forces that stay unbalanced", ""),
+    "force_closure_epsilon": ("Weakest wrench resisted", ""),
+}
+"""Numbers of ``StaticQuality`` that are shown: title and unit."""
+
+
+def quality_rows(robots: Sequence[RobotView], quality: Sequence[StaticQuality]) -> list[tuple[str, ...]]:
+    """Lines of a table, a column for each hand.
+
+    Args:
+        robots: that are shown.
+        quality: of each; none while something is dragged: then there is only what costs nothing.
+    """
+    rows: list[tuple[str, ...]] = []
+    if quality:
+        for name, (title, unit) in QUANTITIES.items():
+            values = [float(getattr(each, name)[0]) for each in quality]
+            rows.append((title, *(_worded(name, value, unit) for value in values)))
+    else:
+        deepest = [max(0.0, -float(r.touch.clearance.min())) if r.touch else 0.0 for r in robots]
+        rows.append(("Penetration of the object", *(f"{1e3 * d:.1f} mm" for d in deepest)))
+    touches = []
+    for robot in robots:
+        if robot.touch is not None and robot.grasp is not None:
+            asked = np.asarray(robot.grasp.link_contacts, dtype=bool)
+            touches.append(f"{int((robot.touch.reached & asked).sum())} of {int(asked.sum())}")
+    return [*rows, ("Contacts reached", *touches)]
+
+
+def view_across(grasp: HumanGrasp) -> np.ndarray:
+    """The unit vector to the right of somebody who looks at the grasp from where thumb and fingertips are
+    seen, across the forearm; horizontal, shape [3]."""
+    forearm = (grasp.hand_joints[0] - grasp.hand_joints[9])[:2]
+    size = float(np.linalg.norm(forearm))
+    aside = forearm / size if size > 0.02 else np.array([1.0, 0.0])
+    towards = np.array([aside[1], -aside[0]])
+    # The eye is at that side of the knuckles where the tips are.
+    tips = grasp.hand_joints[[4, 8, 12, 20]][:, :2].mean(axis=0) - grasp.hand_joints[[5, 17]][:, :2].mean(
+        axis=0
+    )
+    if float(tips @ towards) < 0:
+        aside = -aside
+    return np.array([aside[0], aside[1], 0.0])
+
+
+def _worded(name: str, value: float, unit: str) -> str:
+    """A number, marked where it is good or bad."""
+    if not np.isfinite(value):
+        return "–"
+    good = {"object_penetration_mm": value < 2.0, "force_closure_residual": value < 0.1}.get(name)
+    mark = "" if good is None else " ✓" if good else " ✗"
+    return f"{value:.2f} {unit}".strip() + mark
+
+
+def add_downloads(page: BrowserPage, robot: Callable[[], RobotView | None]) -> None:
+    """Buttons that save a grasp and a picture.
+
+    Args:
+        page: in whose controls they are put.
+        robot: gives what is shown now; None if nothing is.
+    """
+    gui = page.client.gui
+    with gui.add_folder("Keep", expand_by_default=False):
+        grasp = gui.add_button("Save grasp (.npz)")
+        picture = gui.add_button("Save picture (.png)")
+    grasp.on_click(lambda _: page.worker.ask("save", lambda: _save_grasp(page, robot())))
+    picture.on_click(lambda _: page.worker.ask("picture", lambda: _save_picture(page, robot())))
+
+
+def _save_grasp(page: BrowserPage, robot: RobotView | None) -> None:
+    if robot is None or robot.grasp is None:
+        raise FungraspError("there is no robot grasp yet")
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "grasp.npz"
+        save_robot_grasps(file, robot.grasp_set())
+        page.client.send_file_download(f"{robot.model.name}-{robot.hand.name}.npz", file.read_bytes())
+
+
+def _save_picture(page: BrowserPage, robot: RobotView | None) -> None:
+    from PIL import Image
+
+    try:
+        picture = page.client.get_render(720, 1280, transport_format="png", timeout=20.0)
+    except (RuntimeError, TimeoutError) as error:
+        raise FungraspError(f"the browser gave no picture: {error}") from error
+    background = np.full((*picture.shape[:2], 4), 255, np.uint8)
+    whole = Image.alpha_composite(Image.fromarray(background), Image.fromarray(picture))
+    buffer = io.BytesIO()
+    whole.convert("RGB").save(buffer, "PNG")
+    name = "picture" if robot is None else robot.model.name
+    page.client.send_file_download(f"{name}.png", buffer.getvalue())

@@ -1,22 +1,204 @@
-"""``view``: anything that a verb returns or a command writes, in a browser or as a page on disk."""
+"""``view``: what a verb returns or a command writes, as a page on disk or in a browser; its server."""
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import io
+import logging
+import socket
 import sys
 import threading
+import time
+import warnings
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Self, TypeAlias
 
-from fungrasp.viewer.server import LOOPBACK, Viewer
+from fungrasp.core.errors import FungraspError
+from fungrasp.viewer.page import BrowserPage
 
 if TYPE_CHECKING:
+    from viser import ClientHandle, SceneApi
+
     from fungrasp.evaluation import LiftTestResult, Trajectory
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
     from fungrasp.perception.perceived import Perceived
+
+_log = logging.getLogger(__name__)
+
+LOOPBACK = "127.0.0.1"
+"""Address that only this machine reaches."""
+
+PORTS = range(8080, 8100)
+"""Where the page is by default: at the first that is free."""
+
+WIDE = 700
+"""Width of a browser's window from which on the controls stand beside the scene [pixels]."""
+
+_SHEET = 'div[style*="position: fixed"][style*="max-height: 60%"]'
+NARROW = f"""<style>@media (max-width: 36em) {{
+  {_SHEET} {{ width: 100% !important; max-height: 46% !important; }}
+  {_SHEET} div[style*="width: 20em"] {{ width: 100% !important; }}
+}}</style>"""
+"""On a phone viser's controls are a sheet at the right lower corner, over most of the picture: here it is as
+wide as the screen, the scene above it, and a tap on its title folds it."""
+
+MISSING = 'the interactive page needs packages that are not installed: pip install "fungrasp[viewer]"'
+
+
+class Viewer:
+    """A running server. ``close`` it, or use it as a context."""
+
+    def __init__(
+        self,
+        make_page: Callable[[ClientHandle], BrowserPage],
+        title: str = "fungrasp",
+        host: str = LOOPBACK,
+        port: int | None = None,
+    ):
+        """
+        Args:
+            make_page: what a browser sees; called when it connects.
+            title: of the browser's tab and of the panel.
+            host: address to listen at; by default this machine alone reaches it.
+            port: 0 for any that is free; the first free one of ``PORTS`` if None.
+
+        Raises:
+            FungraspError: the extra is not installed, or the port can't be used.
+        """
+        try:
+            import viser
+        except ImportError as error:
+            raise FungraspError(f"{MISSING} ({error})") from error
+        port = _first_free_port(host) if port is None else _free_port(host, port)
+        logging.getLogger("websockets").setLevel(logging.ERROR)
+        # A browser may go while its page is still drawing.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        self._server.gui.configure_theme(
+            control_width="large", show_logo=False, show_share_button=False, brand_color=(32, 96, 150)
+        )
+        _light(self._server.scene)
+        self._host, self._make_page, self._pages = host, make_page, dict[int, BrowserPage]()
+        self._lock, self._closed = threading.Lock(), threading.Event()
+        self._server.on_client_connect(self._open)
+        self._server.on_client_disconnect(self._leave)
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        host = "localhost" if self._host in (LOOPBACK, "0.0.0.0") else self._host
+        return f"http://{host}:{self._server.get_port()}"
+
+    @property
+    def summary(self) -> str:
+        """Where the page is and who reaches it, in a sentence."""
+        who = (
+            "only this machine reaches it" if self._host == LOOPBACK else "everyone in the network reaches it"
+        )
+        return f"{self.url} ({who})"
+
+    @property
+    def pages(self) -> list[BrowserPage]:
+        """Of the browsers that are there."""
+        with self._lock:
+            return list(self._pages.values())
+
+    def wait(self) -> None:
+        """Until it is closed, or Ctrl-C."""
+        try:
+            while not self._closed.wait(0.5):
+                pass
+        except KeyboardInterrupt:
+            self.close()
+
+    def close(self) -> None:
+        """Stop, and free what all pages held."""
+        self._closed.set()
+        for page in self.pages:
+            page.close()
+        with self._lock:
+            self._pages.clear()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _repr_html_(self) -> str:
+        return f'<iframe src="{self.url}" width="100%" height="600" style="border:0"></iframe>'
+
+    def _open(self, client: ClientHandle) -> None:
+        start = time.perf_counter()
+        client.gui.add_html(NARROW)
+        if client.camera.image_width >= WIDE:
+            client.gui.main_panel.dock_right()
+        try:
+            page = self._make_page(client)
+        except FungraspError as error:
+            client.add_notification("Not possible", str(error), color="red", auto_close_seconds=None)
+            return
+        with self._lock:
+            gone = client.client_id not in self._server.get_clients()
+            if not gone:
+                self._pages[client.client_id] = page
+        if gone:
+            page.close()
+        _log.info("page %d made in %.2f s", client.client_id, time.perf_counter() - start)
+
+    def _leave(self, client: ClientHandle) -> None:
+        with self._lock:
+            page = self._pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+            # Handles and their callbacks know each other.
+            del page
+            gc.collect()
+
+
+def _light(scene: SceneApi) -> None:
+    """A sky above a light table, and lamps at both sides. An environment map and shadows, which viser has by
+    itself, take seconds of a processor where the browser has no GPU."""
+    scene.configure_environment_map(None)
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=2.2)
+    for side, color, intensity in ((1.0, (255, 246, 235), 1.6), (-1.0, (225, 235, 255), 0.8)):
+        lamp = "warm" if side > 0 else "cold"
+        scene.add_light_directional(f"/{lamp}", color=color, intensity=intensity, position=(side, -0.8, 1.5))
+
+
+def _first_free_port(host: str) -> int:
+    for port in PORTS:
+        try:
+            return _free_port(host, port)
+        except FungraspError:
+            continue
+    return _free_port(host, 0)
+
+
+def _free_port(host: str, port: int) -> int:
+    """A port that can be listened at.
+
+    Raises:
+        FungraspError: it is in use, or the address is none of this machine's.
+    """
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((host, port))
+            return int(probe.getsockname()[1])
+    except (OSError, OverflowError) as error:
+        words = getattr(error, "strerror", None) or error
+        raise FungraspError(f"the page can't be served at {host}:{port}: {words}; choose --port") from error
+
 
 Viewable: TypeAlias = (
     "HumanGraspSet | RobotGraspSet | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
@@ -76,6 +258,6 @@ def view(
     if wait is None:
         wait = not hasattr(sys, "ps1") and "ipykernel" not in sys.modules and sys.stdin.isatty()
     if wait:
-        sys.stderr.write(f"{page.title}: {viewer.words}; Ctrl-C ends it\n")
+        sys.stderr.write(f"{page.title}: {viewer.summary}; Ctrl-C ends it\n")
         viewer.wait()
     return viewer

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.faults.control_bench import CONTROL, ControlBench
 from benchmarks.faults.control_faults import control_reactions
 from benchmarks.faults.control_session import ControlFault
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.spec import GraspChoice
 from fungrasp.hands import load_hand
 from fungrasp.robots.cell import load_cell
 

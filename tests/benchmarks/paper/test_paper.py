@@ -7,8 +7,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
-from benchmarks.paper import free_policies
-from benchmarks.paper.commands import HandsTable
+from benchmarks.paper.tables import PaperTable
 from benchmarks.paper.variants import CONDITIONS, mean_interval
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.evaluation.statistics import wilson_interval
@@ -20,8 +19,7 @@ TABLE = ("--grasps", "builtin", "--test", "builtin")
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("paper", "policies", "--hands", "alegro"), "Did you mean 'allegro'?"),
-        (("paper", "policies", "--grasp-seeds", -1), "must not be negative"),
+        (("paper", "hands", *TABLE, "--seeds", -1), "must not be negative"),
         (("paper", "hands", *TABLE, "--seeds", 1, 1), "--seeds must be different ones"),
         (("paper", "privileged", *TABLE, "--only", "techer"), "Did you mean 'teacher'?"),
     ],
@@ -44,8 +42,8 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
         trials = [{**trial, "index": index, "success": done} for index, done in enumerate(success)]
         return {name: {"trials": trials, "success_rate": sum(success) / 2} for name in CONDITIONS}
 
-    monkeypatch.setattr(HandsTable, "_trained", lambda *_: tmp_path / "policy.onnx")
-    monkeypatch.setattr(HandsTable, "_tested", stand_in)
+    monkeypatch.setattr(PaperTable, "_trained", lambda *_: tmp_path / "policy.onnx")
+    monkeypatch.setattr(PaperTable, "_tested", stand_in)
     command = ("paper", "hands", "--grasps", grasps, "--test", grasps, "--seeds", 0, 4)
     status, out, err = run_benchmark(capsys, *command, "--out", tmp_path / "out")
     assert status == 0, err
@@ -60,43 +58,6 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
     assert other[0] == 0 and len(tested) == 12, "but with other settings"
     one = run_benchmark(capsys, *command, "--only", "faive", "--out", tmp_path / "out")
     assert one[0] == 0 and "Faive" in one[1] and "Shadow" not in one[1] and len(tested) == 12
-
-
-def test_free_policies_are_trained_in_turn_and_only_where_they_are_missing(tmp_path, capsys, monkeypatch):
-    pytest.importorskip("rsl_rl")
-    from fungrasp.training import predictor_run, run, student_run, training_sets
-
-    made = []
-
-    def stand_in(name, path):
-        made.append(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(name)
-
-    def synthesized(seed, path):
-        made.append("grasps")
-        save_human_grasps(path, some_grasps())
-
-    monkeypatch.setattr(free_policies, "_synthesize", synthesized)
-    monkeypatch.setattr(training_sets, "load_training_sets", lambda names, *_, **more: [])
-    monkeypatch.setattr(
-        predictor_run, "train_predictor", lambda path, *_, **more: stand_in("predictor", path)
-    )
-    monkeypatch.setattr(run, "train", lambda folder, *_, **more: stand_in("teacher", folder / run.POLICY))
-    monkeypatch.setattr(
-        student_run,
-        "train_student",
-        lambda teacher, folder, *_, **more: stand_in("student", folder / student_run.STUDENT),
-    )
-    command = ("paper", "policies", "--hands", "leap", "--grasp-seeds", 1, "--out", tmp_path)
-    status, _, err = run_benchmark(capsys, *command)
-    assert status == 0, err
-    assert made == ["grasps", "predictor", "teacher", "student"]
-    files = {path.name: path.read_text() for path in (tmp_path / "policies").iterdir()}
-    assert files == {f"leap-{kind}-free.onnx": kind for kind in ("predictor", "teacher", "student")}
-    made.clear()
-    run_benchmark(capsys, *command)
-    assert made == ["teacher"], "which goes on by its checkpoint"
 
 
 def test_the_interval_of_a_mean_counts_groups_not_values():

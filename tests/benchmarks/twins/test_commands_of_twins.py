@@ -9,7 +9,8 @@ import pytest
 from played_twins import play_twins
 
 from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
-from benchmarks.twins.commands import EvaluateOnTwins
+from benchmarks.twins.__main__ import EvaluateOnTwins
+from benchmarks.twins.twin_series import TwinSeriesSpec
 from fungrasp.cli.main import run_command
 from fungrasp.core.errors import UnknownNameError
 from fungrasp.evaluation.result_files import read_result
@@ -21,8 +22,10 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def evaluate(out: Path, **options) -> EvaluateOnTwins:
-    settings = {"rows": (0, 3), "policy": "reference", "given_dynamics": True, "in_turn": True, "threads": 1}
-    return EvaluateOnTwins(out=out, **{**settings, **options})
+    images = options.pop("images_per_grasp", 0)
+    asked = {"policy": "reference", "given_dynamics": True, "in_turn": True, **options}
+    spec = TwinSeriesSpec(**asked)
+    return EvaluateOnTwins(out, spec, rows=(0, 3), images_per_grasp=images, threads=1)
 
 
 def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> None:

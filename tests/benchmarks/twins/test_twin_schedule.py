@@ -12,11 +12,10 @@ import pytest
 
 import benchmarks.twins.twin_episode as twin_episode
 from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
-from benchmarks.twins.twin_schedule import KnownGrasps, given_dynamics, placed_grasps, try_on_twins
-from benchmarks.twins.twin_series import VARIANTS
-from fungrasp.core.errors import FungraspError
+from benchmarks.twins.twin_series import VARIANTS as NAMED
+from benchmarks.twins.twin_series import KnownGrasps, given_dynamics, placed_grasps, try_on_twins
 from fungrasp.core.jobs import PartStore
-from fungrasp.deployment.hand_knowledge import HandDynamics
+from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
@@ -27,6 +26,8 @@ from fungrasp.robots.cell import load_cell
 HAND = load_hand("allegro")
 AT = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
 NOWHERE = np.zeros((0, 7))
+VARIANTS = list(NAMED.values())
+GIVEN = given_dynamics(HAND)
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +51,11 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     """Deployments are not played, but listed here."""
     seen: list[tuple[Any, ...]] = []
 
-    def deploy(cell, hand, thing, grasp, placement, policy, planner, truth, **options):
-        seen.append((thing.name, truth.gain, options["dynamics"], options["compensate"]))
+    def deploy(task, placement, truth, **options):
+        seen.append((task.thing.name, truth.gain, task.dynamics, task.spec.gravity_compensation))
         if len(seen) == 2 or placement[0] < 0:
             raise UnreachableError("the grasp is not reachable: the arm would touch the table")
-        result = SimpleNamespace(fault="", attempts=1)
-        return SimpleNamespace(result=result, success=True, height=0.12, tracking=0.02, sag=np.nan)
+        return SimpleNamespace(fault="", attempts=1, success=True, height=0.12, tracking=0.02, sag=np.nan)
 
     monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
     return seen
@@ -89,7 +89,7 @@ def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
     robot, objects = grasps
     placed = [PlacedGrasp(5, robot.select(np.array([0])), AT)]
     setup = setup_of(objects)
-    found = list(try_on_twins(setup, placed, [4], VARIANTS[:3], identify=given_dynamics(HAND)))
+    found = list(try_on_twins(setup, placed, [4], VARIANTS[:3], GIVEN))
     assert [episode.variant for episode in found] == [variant.name for variant in VARIANTS[:3]]
     assert [dynamics is None for _, _, dynamics, _ in deployed] == [False, True, False]
     assert [compensate for *_, compensate in deployed] == [True, True, False]
@@ -100,8 +100,6 @@ def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
     driven = [HAND.joint_names.index(name) for name in HAND.actuators]
     given = deployed[0][2].servo_stiffness[driven]
     assert given.max() < 1.2 * deployed[0][1]
-    with pytest.raises(FungraspError, match="'full' needs identified dynamics"):
-        next(try_on_twins(setup, placed, [4], VARIANTS))
 
 
 def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
@@ -119,10 +117,10 @@ def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
     assert [one.placements[:, 0].tolist() for one in placed] == [[-0.1, 0.3, -0.5], [0.2, -0.4, -0.6]]
     deployed.append(("so that the second is not refused", 0, None, False))
     deployed.append(("nor this", 0, None, False))
-    found = list(try_on_twins(setup, placed, [4], VARIANTS[1:2]))
+    found = list(try_on_twins(setup, placed, [4], VARIANTS[1:2], GIVEN))
     assert [(e.place, e.placements, e.success) for e in found] == [(0, 2, True), (1, 1, True)]
     refused = replace(placed[1], placements=placed[1].placements[1:])
-    (episode,) = try_on_twins(setup, [refused], [4], VARIANTS[1:2])
+    (episode,) = try_on_twins(setup, [refused], [4], VARIANTS[1:2], GIVEN)
     assert (episode.placements, episode.attempts, episode.success) == (2, 0, False)
     assert "not reachable" in episode.fault
 
@@ -130,11 +128,11 @@ def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
 def test_a_stopped_run_is_balanced_over_twins(grasps, deployed) -> None:
     robot, objects = grasps
     placed = [PlacedGrasp(n, robot.select(np.array([n])), AT if n else NOWHERE) for n in range(4)]
-    found = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2])
+    found = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2], GIVEN)
     order = [(episode.index, episode.twin) for episode in found]
     # The one out of reach is passed over; every grasp comes before any comes on its second twin.
     assert order == [(1, 4), (2, 5), (3, 4), (1, 5), (2, 4), (3, 5)]
-    in_turn = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2], in_turn=True)
+    in_turn = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2], GIVEN, in_turn=True)
     assert [(episode.index, episode.twin) for episode in in_turn] == order[:3]
 
 
@@ -155,12 +153,12 @@ def test_a_stopped_run_goes_on_where_it_was(grasps, deployed, monkeypatch, tmp_p
         def identify(truth) -> HandDynamics:
             def fit() -> HandDynamics:
                 fitted.append(truth.gain)
-                return given_dynamics(HAND)(truth)
+                return GIVEN(truth)
 
             return setup.identified(truth, fit)
 
         placed = placed_grasps(setup, KnownGrasps(robot, [0, 1, 2, 3]))
-        return try_on_twins(setup, placed, [4, 5], VARIANTS[:3], identify=identify)
+        return try_on_twins(setup, placed, [4, 5], VARIANTS[:3], identify)
 
     stopped = list(islice(episodes(), 7))
     counts = len(deployed), len(looked), len(fitted)

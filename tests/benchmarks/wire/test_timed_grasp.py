@@ -13,7 +13,7 @@ from benchmarks.wire import timed_grasp as room
 from benchmarks.wire.series import BenchWire
 from benchmarks.wire.timed_grasp import MOST_IMAGES, rendered_grasp, timed_grasp
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.grasp_choice import GraspChoice
+from fungrasp.deployment.spec import GraspChoice
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import mirrored_object

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.twins.placements import MOST_PLACEMENTS
+from benchmarks.twins.twin_episode import MOST_PLACEMENTS
 from benchmarks.wire import wire_run
 from benchmarks.wire.wire_run import run_over_the_wire
 from fungrasp.deployment.preparation import UnreachableError
 
 TASK: Any = SimpleNamespace(
-    cell=None, hand=None, thing=SimpleNamespace(name="mug"), grasp=None, seed=0, policy=None
+    cell=None, hand=None, thing=SimpleNamespace(name="mug"), grasp=None, spec=SimpleNamespace(seed=0)
 )
 
 
@@ -26,7 +26,7 @@ def _places(monkeypatch: pytest.MonkeyPatch, count: int, reached: int) -> list[f
             raise UnreachableError("no placement was found")
         yield from (np.full(7, float(i)) for i in range(count))
 
-    def run(task: Any, twin: int, placement: np.ndarray, attempts: int) -> Any:
+    def run(task: Any, twin: int, placement: np.ndarray) -> Any:
         tried.append(placement[0])
         if len(tried) <= reached:
             raise UnreachableError("the arm doesn't reach so far")

@@ -87,13 +87,6 @@ def test_files_that_are_something_else(tmp_path: Path, content: bytes, message: 
         load_policy(tmp_path / "x.onnx")
 
 
-def test_files_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(FungraspError, match=r"the policy .*none\.onnx does not exist"):
-        load_policy(tmp_path / "none.onnx")
-    with pytest.raises(FungraspError, match="is a folder"):
-        read_card(tmp_path)
-
-
 def test_two_cards(saved: Path, tmp_path: Path) -> None:
     whole = saved.read_bytes()
     card = onnx.ModelProto(metadata_props=onnx.load(saved).metadata_props).SerializeToString()

@@ -13,10 +13,10 @@ from small_policies import OBSERVATION, STEPS, allegro_card, feedforward, model,
 from fungrasp.core.errors import FungraspError
 from fungrasp.policies.checkpoint.card import ActionPart
 from fungrasp.policies.checkpoint.checkpoint_file import (
+    PolicyNetwork,
     load_policy,
     save_policy,
 )
-from fungrasp.policies.checkpoint.network import PolicyNetwork
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,16 @@ binary sequences with low autocorrelation, IEEE Trans. Inf. Theory 16, 1970).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.hands import Hand
+from fungrasp.sim2real.identification.log_simulation import chain_of, simulate_log
+from fungrasp.sim2real.identification.motion_log import MotionLog, joint_samples
+from fungrasp.sim2real.joint_dynamics import model_dynamics
 
 REST = 0.5
 """Before and after each finger's motion [s]: it begins and ends at rest."""
@@ -22,9 +28,18 @@ REST = 0.5
 RAMP = 1.0
 """From rest to full swing, and back [s]."""
 
-
 LINES = 8
 """Of each joint, about; more of them leave less amplitude for each."""
+
+SMALLEST_SHARE = 0.2
+"""A motion that must be made smaller than this share of itself so that the hand doesn't touch itself shows
+nothing."""
+
+SIZINGS = 3
+"""Simulations in which amplitudes are made smaller until no servo needs more torque than it may."""
+
+CHECKED_EVERY = 2
+"""Commands between two postures that are checked for contacts."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +78,19 @@ class Excitation:
             raise FungraspError("the sines of an excitation are above 0 Hz, up to a fifth of its rate")
 
 
+class JointRoom(NamedTuple):
+    """What U joints may do."""
+
+    lower: np.ndarray
+    """Limits [rad], shape [U]."""
+    upper: np.ndarray
+    """Limits [rad], shape [U]."""
+    speed: np.ndarray | float = np.inf
+    """Of the driver's setpoints at most [rad/s], shape [U]."""
+    torque: np.ndarray | float = np.inf
+    """That the driver asks for at most [N m], shape [U]; infinite where it leaves that to the hand."""
+
+
 @dataclass(frozen=True, eq=False)
 class ExcitationMotion:
     """Commands of an excitation."""
@@ -76,9 +104,7 @@ class ExcitationMotion:
 def excitation_motion(
     excitation: Excitation,
     rest: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    speed: np.ndarray,
+    room: JointRoom,
     finger: np.ndarray,
     share: np.ndarray | None = None,
 ) -> ExcitationMotion:
@@ -87,13 +113,12 @@ def excitation_motion(
     Args:
         excitation: kind of motion.
         rest: where the joints begin [rad], shape [U].
-        lower: limits [rad], shape [U].
-        upper: limits [rad], shape [U].
-        speed: of the driver's setpoints at most [rad/s], shape [U].
+        room: what they may do.
         finger: number of the finger that each joint belongs to, shape [U].
         share: of the amplitude that is left of each joint's, shape [U]; all if None.
     """
     e, rng = excitation, np.random.default_rng(excitation.seed)
+    lower, upper, speed = room.lower, room.upper, np.broadcast_to(room.speed, rest.shape)
     times = np.arange(round(e.seconds * e.rate)) / e.rate
     share = np.ones(len(rest)) if share is None else share
     swing = np.clip(np.minimum(times - REST, times[-1] - REST - times) / RAMP, 0.0, 1.0)
@@ -130,3 +155,75 @@ def _wave(e: Excitation, times: np.ndarray, place: int, joints: int, begin: floa
     angles = 2 * np.pi * multiples * (e.slowest * times[:, None] + begin) + phase
     wave = np.sin(angles) @ np.sqrt(power)
     return wave / np.abs(wave).max()
+
+
+def safe_motion(
+    excitation: Excitation,
+    hand: Hand,
+    rest: np.ndarray,
+    room: JointRoom,
+    gravity: np.ndarray,
+) -> ExcitationMotion:
+    """The excitation of a hand's independent joints from where it is, with amplitudes so small that it
+    doesn't touch itself and no servo needs all its torque.
+
+    Args:
+        excitation: kind of motion.
+        hand: its model.
+        rest: where it is [rad], shape [U].
+        room: what its joints may do.
+        gravity: in the palm's frame [m/s^2], shape [3].
+
+    Raises:
+        FungraspError: the hand touches itself in every motion from this place.
+    """
+    joints = tuple(hand.actuators)
+    finger = chain_of(hand, joints)
+    servos = list(hand.actuators.values())
+    most = excitation.torque * np.minimum(room.torque, [servo.force_limit for servo in servos])
+    share = np.ones(len(joints))
+
+    def motion() -> ExcitationMotion:
+        return excitation_motion(excitation, rest, room, finger, share)
+
+    for _ in range(SIZINGS):
+        share *= np.minimum(1.0, most / np.maximum(_torques(hand, motion(), excitation.rate, gravity), 1e-9))
+    data = mujoco.MjData(hand.model)
+    before = _contacts(hand.model, data, hand.all_joints(rest))
+    for number in np.unique(finger):
+        own, least = finger == number, SMALLEST_SHARE * share.copy()
+        while True:
+            made = motion()
+            rows = np.flatnonzero(made.moving[:, own].any(axis=1))[::CHECKED_EVERY]
+            postures = hand.all_joints(made.commands[rows])
+            if all(_contacts(hand.model, data, posture) <= before for posture in postures):
+                break
+            share[own] *= 0.85
+            if (share < least).any():
+                name = joints[int(np.flatnonzero(own)[0])]
+                raise FungraspError(
+                    f"hand '{hand.name}' touches itself wherever the finger of '{name}' moves from this "
+                    "place: put it into a half open posture first"
+                )
+    return motion()
+
+
+def _torques(hand: Hand, motion: ExcitationMotion, rate: float, gravity: np.ndarray) -> np.ndarray:
+    """Largest torques of the servos by the hand's model [N m], shape [U]."""
+    times = np.arange(len(motion.commands)) / rate
+    dynamics = model_dynamics(hand)
+    log = MotionLog(dynamics.joints, times, motion.commands, motion.commands, gravity, moving=motion.moving)
+    samples = joint_samples(log)
+    positions = simulate_log(hand, samples, [dynamics])[0]
+    servos = hand.actuators.values()
+    kp, kd = np.array([s.kp for s in servos]), np.array([s.kd for s in servos])
+    torques = kp * (samples.commands - positions) - kd * np.gradient(positions, 1.0 / rate, axis=0)
+    return np.abs(torques).max(axis=0)
+
+
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData, joints: np.ndarray) -> set[tuple[int, int]]:
+    data.qpos[:] = joints
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    return {(int(c.geom1), int(c.geom2)) for c in data.contact if c.dist < 0.0}

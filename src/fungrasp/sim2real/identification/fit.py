@@ -20,10 +20,13 @@ from mujoco import minimize
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
-from fungrasp.sim2real.identification.finger_chains import chain_of, place_in_finger
-from fungrasp.sim2real.identification.joint_samples import joint_samples
-from fungrasp.sim2real.identification.log_simulation import DriveErrors, simulate_log
-from fungrasp.sim2real.identification.motion_log import MotionLog
+from fungrasp.sim2real.identification.log_simulation import (
+    DriveErrors,
+    chain_of,
+    place_in_finger,
+    simulate_log,
+)
+from fungrasp.sim2real.identification.motion_log import MotionLog, joint_samples
 from fungrasp.sim2real.joint_dynamics import QUANTITIES, JointDynamics, model_dynamics
 
 METHODS = ("gauss-newton", "cma-es")

@@ -1,20 +1,22 @@
-"""A log's motion, simulated with the hand's model."""
+"""A log's motion, simulated with the hand's model, its palm fixed; many dynamics at once."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from mujoco import rollout
 
 from fungrasp.hands import Hand
-from fungrasp.sim2real.identification.fingertip_weights import hang_weights
-from fungrasp.sim2real.identification.joint_samples import JointSamples, joint_samples
-from fungrasp.sim2real.identification.motion_log import MotionLog
+from fungrasp.sim2real.identification.motion_log import JointSamples, MotionLog, joint_samples
 from fungrasp.sim2real.joint_dynamics import JointDynamics, set_dynamics
-from fungrasp.simulation.joint_response import STEP, joint_response
+
+STEP = 0.002
+"""Of the integration [s]."""
 
 NOSLIP = 5
 """Iterations that take the creep out of dry friction."""
@@ -88,6 +90,39 @@ def simulate_log(
     return (1 - share) * lower + share * upper
 
 
+def joint_response(
+    model: mujoco.MjModel,
+    changes: Sequence[Callable[[mujoco.MjModel], None]],
+    start: np.ndarray,
+    controls: np.ndarray,
+    every: int = 1,
+) -> np.ndarray:
+    """Positions of all joints, shape [W, S // every, M].
+
+    Args:
+        model: a hand with position servos, its palm fixed.
+        changes: made to each world's copy of the model, length W.
+        start: positions of all joints [rad], shape [M] or, one for each world, [W, M]; at rest.
+        controls: of the servos at each step of the model [rad], shape [W, S, U].
+        every: positions are returned every so many steps, the first after so many.
+    """
+    models = []
+    for change in changes:
+        world = copy.copy(model)
+        change(world)
+        models.append(world)
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    data = mujoco.MjData(model)
+    begin = np.zeros((len(models), mujoco.mj_stateSize(model, kind)))
+    for world, positions in enumerate(np.broadcast_to(start, (len(models), model.nq))):
+        data.qpos[:] = positions
+        mujoco.mj_getState(model, data, begin[world], kind)
+    threads = [mujoco.MjData(model) for _ in range(min(len(models), os.cpu_count() or 1))]
+    states, _ = rollout.rollout(models, threads, begin, controls)
+    # Full physics begins with the time, then the positions.
+    return states[:, every - 1 :: every, 1 : 1 + model.nq]
+
+
 def prediction_rms(
     hand: Hand, logs: Sequence[MotionLog], dynamics: JointDynamics, errors: DriveErrors | None, after: float
 ) -> float:
@@ -150,3 +185,66 @@ def play_operator(commands: np.ndarray, slack: np.ndarray, start: np.ndarray) ->
 def _limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
     limits = np.array([hand.joint_limits[hand.joint_names.index(joint)] for joint in hand.actuators])
     return limits[:, 0], limits[:, 1]
+
+
+def hang_weights(model: mujoco.MjModel, hand: Hand, mass: float) -> None:
+    """Fix a point mass to the middle of each fingertip, in place.
+
+    Stiffness, damping, friction and drive inertia of a joint may be scaled together and move it the same, but
+    for the weight and inertia of what it carries. Where links are light against their drives only a known
+    weight adds enough: 0.2 kg on a fingertip add half the drive inertia of an Inspire's joint, and 0.15 N m
+    of weight.
+
+    Args:
+        model: compiled, of the hand or of a scene with it.
+        hand: whose fingertips they are.
+        mass: of each [kg].
+    """
+    for finger in hand.fingers.values():
+        body, place = _fingertip(model, finger.tip)
+        own, center = float(model.body_mass[body]), model.body_ipos[body].copy()
+        both = own + mass
+        middle = (own * center + mass * place) / both
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+        axes = rotation.reshape(3, 3)
+        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+        inertia += _about(own, center - middle) + _about(mass, place - middle)
+        moments, axes = np.linalg.eigh(inertia)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+        model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = both, middle, moments
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _fingertip(model: mujoco.MjModel, tip: str) -> tuple[int, np.ndarray]:
+    """Body and place in its frame [m] of a site or body."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, tip)
+    if site < 0:
+        return int(model.body(tip).id), np.zeros(3)
+    return int(model.site_bodyid[site]), model.site_pos[site].copy()
+
+
+def _about(mass: float, offset: np.ndarray) -> np.ndarray:
+    """Inertia of a point mass about a place [kg m^2], shape [3, 3]. offset: from there [m], shape [3]."""
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+def chain_of(hand: Hand, joints: Sequence[str]) -> np.ndarray:
+    """Number of the chain from the palm that each joint belongs to, shape [J]: with the palm held still, no
+    joint moves those of another chain."""
+    model, roots = hand.model, []
+    palm = model.body(hand.palm).id
+    for joint in joints:
+        body = int(model.jnt_bodyid[model.joint(joint).id])
+        while model.body_parentid[body] not in (palm, 0):
+            body = int(model.body_parentid[body])
+        roots.append(body)
+    return np.unique(roots, return_inverse=True)[1]
+
+
+def place_in_finger(hand: Hand, joints: Sequence[str]) -> np.ndarray:
+    """Number of each joint among those of its chain, from the palm, shape [J]. Where joints with one place
+    move alike, fingers stay side by side."""
+    finger = chain_of(hand, joints)
+    return np.array([np.sum(finger[:j] == finger[j]) for j in range(len(joints))])

@@ -1,0 +1,113 @@
+"""Makes the pictures and the film of README and docs: ``python -m benchmarks.documents.pictures [NAME ...]``.
+
+``grasps`` is a sheet of built-in grasps, human and on every robot hand; ``film`` the demonstration's own, of
+several hands, encoded smaller; ``perception`` the demo's image and what was seen in it, after ``fungrasp
+setup perception``.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import av
+import numpy as np
+from PIL import Image
+
+from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.grasps.picks import picked_rows
+from fungrasp.hands import load_hand
+from fungrasp.media import grasp_scene, look_at_grasp, render
+from fungrasp.media.demonstration import FPS, Shown, demonstrate
+from fungrasp.media.perception_pictures import drawn_over, grasp_from_four_sides
+from fungrasp.media.pictures import grid
+from fungrasp.media.video import write_video
+from fungrasp.perception.builtin_image import perceive_folder
+from fungrasp.perception.image_source import BUILTIN
+from fungrasp.policies import default_policy
+from fungrasp.retargeting import retarget
+
+IMAGES = Path(__file__).parents[2] / "docs" / "images"
+
+CHOICE = (
+    "mug:drink",
+    "hammer:hammer",
+    "spray_bottle:spray",
+    "scissors:cut",
+    "drill:drill",
+    "wine_glass:drink",
+)
+"""Object and task of each row of the sheet."""
+
+HANDS = ("allegro", "shadow", "faive", "inspire", "leap")
+
+SHOWN = (
+    ("allegro", ("mug:hand over", "drill:drill")),
+    ("shadow", ("spray_bottle:spray",)),
+    ("leap", ("bottle:pour",)),
+)
+"""Hands and what they grasp in the film."""
+
+QUALITY = 30.0
+"""Constant rate factor: a film in a repository is to be small."""
+
+
+def grasps() -> None:
+    """``grasps.jpg``."""
+    everything = builtin_grasps()
+    human = everything.select(picked_rows(everything, CHOICE))
+    objects = load_objects(human)
+    robots = {name: retarget(human, objects, load_hand(name)) for name in HANDS}
+    pictures, labels = [], []
+    for row, grasp in enumerate(human):
+        obj = objects[grasp.object_name]
+        model, qpos = grasp_scene(grasp, obj)
+        camera = look_at_grasp(model, width=340, height=300, margin=1.2)
+        pictures.append(render(model, qpos, camera)[0])
+        labels.append(f"{grasp.object_name.replace('_', ' ')}: {grasp.task}")
+        for name, robot in robots.items():
+            model, qpos = grasp_scene(robot[row], obj, load_hand(name))
+            pictures.append(render(model, qpos, camera)[0])
+            labels.append(name)
+    _save(grid(pictures, labels, columns=1 + len(HANDS), size=17), "grasps.jpg")
+
+
+def film() -> None:
+    """``demo.mp4``, and ``demo.jpg`` that stands for it."""
+    everything, frames = builtin_grasps(), []
+    for name, picks in SHOWN:
+        human = everything.select(picked_rows(everything, picks))
+        shown = Shown(human, load_objects(human), {})
+        with TemporaryDirectory() as folder:
+            made = demonstrate(shown, load_hand(name), default_policy(name), Path(folder))
+            with av.open(str(made.film)) as container:
+                frames += [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    write_video(IMAGES / "demo.mp4", frames, FPS, quality=QUALITY)
+    _save(frames[len(frames) // 5], "demo.jpg")
+
+
+def perception() -> None:
+    """``perception.jpg``."""
+    seen = perceive_folder(BUILTIN, None)
+    capture, model, pose = seen.capture, seen.object_model, seen.object.pose_camera_object
+    over = drawn_over(capture, seen.hand, model, pose, seen.object.accepted)
+    side = grasp_from_four_sides(seen.grasp, model, seen.pose_world_camera, mirrored=False)[0]
+    pictures = [
+        np.asarray(Image.fromarray(image).resize((480, 360))) for image in (capture.color, over, side)
+    ]
+    labels = ["the image, rendered", "hand and object found in it", "the human grasp, contacts orange"]
+    _save(grid(pictures, labels, columns=3, size=19), "perception.jpg")
+
+
+def _save(picture: np.ndarray, name: str) -> None:
+    Image.fromarray(picture).save(IMAGES / name, quality=87, optimize=True)
+
+
+MAKERS: dict[str, Callable[[], None]] = {"grasps": grasps, "film": film, "perception": perception}
+
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:] or MAKERS:
+        MAKERS[wanted]()

@@ -1,1 +1,0 @@
-"""Thousands of worlds on a GPU: how fast, in how much memory."""

@@ -1,0 +1,253 @@
+"""``fungrasp robots doctor | read | touch | hold | jog``: one device of a cell at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from fungrasp.cli.console import Answer, Answering
+from fungrasp.cli.options import STAYS, CellName, wired_cell
+
+if TYPE_CHECKING:
+    from fungrasp.hands import Hand
+    from fungrasp.robots.cell import RobotCell
+    from fungrasp.robots.guarded_driver import GuardedDriver
+
+STILL = {"arm": 0.005, "hand": 0.06}
+"""A joint that is told to stay moves less [rad]: an arm's servos are stiff, a hand's are not."""
+
+COMPARED = 2.0
+"""An arm that has been taken says within this time what its driver has compared [s]."""
+
+AT_REST, LONGEST_REST = 0.02, 1.0
+"""A joint slower than this is at rest [rad/s]; a stopped device is within this time [s]."""
+
+Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
+class Doctor(Answering):
+    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package."""
+
+    def run(self) -> Answer:
+        from fungrasp.robots.single_devices import examine_devices
+
+        reports = []
+        for report in examine_devices(*wired_cell(self.cell)):
+            print(report.words, flush=True)
+            reports.append(report)
+        ill = sum(not report.well for report in reports)
+        return Answer(
+            [{"device": report.words, "well": report.well} for report in reports],
+            fault=f"{ill} of 3 devices can't be used" if ill else "",
+        )
+
+
+@dataclass(frozen=True)
+class Read(Answering):
+    """Show the joints of an arm or a hand, as they are measured. Nothing moves."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package."""
+    part: Part
+    """Which device."""
+    seconds: float = 10.0
+    """For so long [s]."""
+
+    def run(self) -> Answer:
+        from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
+
+        cell, hand = wired_cell(self.cell)
+        names = joint_names(self.part, cell, hand)
+        states = []
+        with bare_driver(self.part, cell, hand) as driver:
+            for state in read_joints(driver, self.seconds):
+                states.append({"status": str(state.status), "positions": state.positions})
+                joints = "  ".join(f"{n} {q:.3f}" for n, q in zip(names, state.positions, strict=True))
+                print(f"{state.status}  {joints} rad", flush=True)
+        return Answer({"joints": names, "states": states})
+
+
+@dataclass(frozen=True)
+class Touch(Answering):
+    """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
+    bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
+    itself."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package."""
+    file: Annotated[Path, tyro.conf.Positional]
+    """JSON file; one that is there goes on."""
+    at: tuple[float, float, float]
+    """The marked point, in the world of the cell [m]."""
+    hand_point: tuple[float, float, float] | None = None
+    """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
+    default the middle of the flange touches."""
+
+    def run(self) -> Answer:
+        import numpy as np
+
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.robots.calibration.touched_checks import touched_point
+        from fungrasp.robots.calibration.touched_file import add_touched
+        from fungrasp.robots.single_devices import arm_at_rest
+
+        cell, hand = wired_cell(self.cell)
+        joints, at = arm_at_rest(cell, hand), np.array(self.at)
+        if not np.isfinite(at).all():
+            raise FungraspError("a point is 3 finite numbers")
+        point = None if self.hand_point is None else np.array(self.hand_point)
+        apart = at - touched_point(joints, point, cell, hand)
+        count = add_touched(self.file, joints, at, point)
+        x, y, z = np.round(1e3 * apart) + 0.0
+        what = "flange" if point is None else "hand"
+        text = (
+            f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
+            "where the cell has it"
+        )
+        return Answer({"touched": self.file, "count": count, "apart": apart}, text)
+
+
+@dataclass(frozen=True)
+class Hold(Answering):
+    """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package."""
+    part: Part
+    """Which device."""
+    seconds: float = 5.0
+    """For so long [s]."""
+    yes: bool = False
+    """Do not ask before; for emulated devices only."""
+
+    def run(self) -> Answer:
+        from fungrasp.robots.single_devices import hold_in_place
+
+        cell, hand = wired_cell(self.cell)
+        what = f"hold the {self.part} where it is for {self.seconds:g} s"
+        with _moving(self.part, cell, hand, what, self.yes) as driver:
+            driver.take_control()
+            said, end = driver.read().message, monotonic() + COMPARED
+            while self.part == "arm" and not said and monotonic() < end:
+                sleep(0.02)
+                said = driver.read().message
+            if said:
+                print(said, flush=True)
+            moved = hold_in_place(driver, self.seconds)
+        text, most = f"held within {moved:.3f} rad", STILL[self.part]
+        fault = f"it moved by {moved:.3f} rad, {most:g} rad are allowed" if moved > most else ""
+        return Answer({"moved": moved}, text, fault)
+
+
+@dataclass(frozen=True)
+class Jog(Answering):
+    """Move one joint of an arm or a hand slowly by a small angle, and back; the others hold."""
+
+    cell: CellName
+    """A robot cell: a TOML file, or one that comes with the package."""
+    part: Part
+    """Which device."""
+    joint: Annotated[str, tyro.conf.Positional]
+    """Name of the joint, as `robots read` shows it; "all" for one after the other, each to where it has more
+    room."""
+    by: float = 0.1
+    """Angle [rad], 0.2 at most."""
+    yes: bool = False
+    """Do not ask before; for emulated devices only."""
+
+    def run(self) -> Answer:
+        from fungrasp.core.errors import UnknownNameError
+        from fungrasp.robots.robot_state import SafetyStop
+        from fungrasp.robots.single_devices import joint_names
+
+        cell, hand = wired_cell(self.cell)
+        names = joint_names(self.part, cell, hand)
+        if self.joint not in (*names, "all"):
+            raise UnknownNameError("joint", self.joint, names)
+        what = f"move '{self.joint}' of the {self.part} by {self.by:g} rad and back"
+        moved, wrong = [], []
+        with _moving(self.part, cell, hand, what, self.yes) as driver:
+            for number in range(len(names)) if self.joint == "all" else [names.index(self.joint)]:
+                try:
+                    found, why = self._moved(driver, number, names[number])
+                except SafetyStop as stop:
+                    return Answer({"joint": names[number]}, _after_stop(driver), fault=stop.reason)
+                moved.append(found)
+                wrong += why
+        value = moved if self.joint == "all" else moved[0]
+        return Answer(value, fault="; ".join(wrong))
+
+    def _moved(self, driver: GuardedDriver, number: int, name: str) -> tuple[dict[str, Any], list[str]]:
+        """Move one joint; what was measured, and what was wrong."""
+        import numpy as np
+
+        from fungrasp.robots.single_devices import jog
+
+        rest, limits, by = driver.read().positions, driver.limits, self.by
+        room = limits.upper[number] - rest[number] > rest[number] - limits.lower[number]
+        by = -by if self.joint == "all" and not room else by
+        far, back = jog(driver, number, by)
+        there, here = (float(state.positions[number] - rest[number]) for state in (far, back))
+        others = float(np.abs(np.delete(far.positions - back.positions, number)).max(initial=0.0))
+        print(f"{name}: moved by {there:.3f} rad, and back to {here:.3f} rad from where it was", flush=True)
+        wrong = []
+        if abs(there - here - by) >= 0.5 * abs(by):
+            wrong.append(f"{name} was asked for {by:+.2f} rad and moved by {there - here:+.3f}")
+        if max(others, abs(here)) >= STILL[self.part]:
+            wrong.append(f"{name}: others moved by {others:.3f} rad, itself is {here:+.3f} rad off")
+        return {"joint": name, "moved": there, "back": here}, wrong
+
+
+def _after_stop(driver: GuardedDriver) -> str:
+    """Whether a device that was stopped comes to rest and stays so, in words."""
+    import numpy as np
+
+    from fungrasp.robots.device import RobotError
+
+    begun, place = monotonic(), driver.read().positions.copy()
+    while np.abs((state := driver.read()).velocities).max() > AT_REST:
+        if monotonic() > begun + LONGEST_REST:
+            return "it does not come to rest"
+        sleep(0.002)
+    waited, further = monotonic() - begun, float(np.abs(state.positions - place).max())
+    try:
+        driver.command(state.positions)
+    except RobotError:
+        return f"at rest {1e3 * waited:.0f} ms later and {further:.4f} rad further; {STAYS}"
+    return "it takes commands again without a new start"
+
+
+@contextmanager
+def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Iterator[GuardedDriver]:
+    """The connected driver of a device that is to move, after a question.
+
+    Args:
+        part: "arm" or "hand".
+        cell: the robot.
+        hand: on its arm.
+        what: will be done, as a phrase.
+        yes: whether nobody is asked.
+    """
+    from fungrasp.core.errors import FungraspError
+    from fungrasp.deployment.observer import ask_before_motion
+    from fungrasp.robots.cell import is_wired
+    from fungrasp.robots.single_devices import guarded_driver
+    from fungrasp.robots.stop_switch import StopSwitch
+
+    if yes and is_wired(cell):
+        raise FungraspError("a real robot moves only if a person says so: no --yes")
+    with StopSwitch(cell.stop_file, keyboard=True) as switch:
+        if not yes:
+            ask_before_motion(switch, what)
+        with guarded_driver(part, cell, hand, switch) as driver:
+            yield driver

@@ -1,0 +1,107 @@
+"""Who looks on while a robot grasps: told of everything, asked before it moves."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.deployment.phases import Phase
+from fungrasp.robots.device import StopKind
+from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp.task import Action, Observation
+
+if TYPE_CHECKING:
+    from fungrasp.deployment.preparation import PreparedGrasp
+    from fungrasp.robots.robot import Robot
+
+YES = "yes"
+"""The word that lets a phase begin."""
+
+MOTIONS = {
+    Phase.MOVE_TO_START: "approach: the arm goes to the start of the grasp",
+    Phase.GRASP: "grasp: the hand goes to the object and closes",
+    Phase.LIFT: "lift: the arm rises and holds the object up",
+    Phase.PUT_DOWN: "put down: the object is lowered and let go of, the hand withdraws",
+    Phase.HOME: "home: the arm goes back the way it came",
+}
+"""What moves in each phase, as a phrase."""
+
+
+class DeploymentObserver:
+    """Told of everything that a deployment does, in its thread; this one keeps nothing and agrees.
+
+    What a method raises ends the deployment as a fault of the robot would.
+    """
+
+    def connected(self, robot: Robot) -> None:
+        """The robot is connected. Nothing has moved."""
+
+    def planned(self, robot: Robot, prepared: PreparedGrasp) -> None:
+        """A plan was made, the first one before anything has moved: a ``FungraspError`` refuses it then."""
+
+    def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
+        """A phase in which the robot moves is to begin. It begins when this returns, and not if this raises
+        ``SafetyStop``. Who waits calls ``meanwhile`` again and again: the robot stands still and is watched
+        as in motion."""
+
+    def phase(self, time: float, phase: Phase) -> None:
+        """A phase has begun, on the robot's clock [s]. Not called for ``Phase.FAULT``."""
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        """A setpoint was sent."""
+
+    def step(
+        self, time: float, phase: Phase, observation: Observation, action: Action, sent: Action, late: float
+    ) -> None:
+        """A control step was made. late: by how much it began late [s]."""
+
+    def fault(self, time: float, reason: str) -> None:
+        """The robot was stopped. reason: a phrase."""
+
+    def note(self, time: float, text: str) -> None:
+        """Something else that a person wants to know."""
+
+    def hold(self, robot: Robot) -> bool:
+        """The robot has stopped and its hand may hold something: hold it as long as it should be, and open
+        the hand if it should be. False leaves that to the next observer, and to the keyboard at last."""
+        return False
+
+
+class PhaseQuestions(DeploymentObserver):
+    """Asks at the keyboard of a switch before each phase; any other answer than yes stops the robot there."""
+
+    def __init__(self, switch: StopSwitch):
+        self._switch = switch
+
+    def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
+        """See ``DeploymentObserver.confirm``."""
+        question = f"next, {MOTIONS[phase]}. Type '{YES}' to go on, anything else stops here: "
+        try:
+            answer = self._switch.ask(question, meanwhile)
+        except EOFError as error:
+            raise SafetyStop("the terminal is gone", StopKind.HOLD) from error
+        if answer.lower() != YES:
+            raise SafetyStop(f"the phase '{phase}' was not confirmed", StopKind.HOLD)
+
+
+def ask_before_motion(switch: StopSwitch, what: str) -> None:
+    """Ask at the keyboard of a switch before a device moves, and say how to stop it.
+
+    Args:
+        switch: that listens to the keyboard.
+        what: will be done, as a phrase.
+
+    Raises:
+        FungraspError: any other answer than yes, or no terminal.
+    """
+    question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type '{YES}': "
+    try:
+        answer = switch.ask(question)
+    except EOFError:
+        raise FungraspError("this moves a robot and asks first: it needs a terminal") from None
+    if answer.lower() != YES:
+        raise FungraspError("not confirmed: nothing has moved")
+    sys.stderr.write(f"to stop: {switch.ways}\n")

@@ -1,0 +1,130 @@
+"""What is asked of a deployment: the grasp, and how a robot does it. Both are options of commands, whose help
+comes at once: what finds the grasp is imported on use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+    from fungrasp.perception.perceived import Perceived
+
+Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
+"""Where a deployment ends."""
+
+
+@dataclass(frozen=True)
+class DeploymentSpec:
+    """What is asked of a deployment, as JSON by ``fungrasp.core.formats.record_json``."""
+
+    cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
+    """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
+    policy: str = "plan"
+    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
+    attempts: int = 1
+    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
+    looks where the object lies, plans anew and tries again. One attempt ends as it ends."""
+    until: Until = "home"
+    """Where to end: "plan" (nothing moves), "approach" (at the start of the grasp), "grasp" (fingers closed),
+    "lift" (after the hold, with the object held), "put-down" or "home"."""
+    speed: float = 1.0
+    """Share of the cell's speed, 0.02 to 1: slow motion. The hold takes its time. Not for policies that watch
+    (a student)."""
+    dry_run: bool = False
+    """Read everything, decide everything, log everything, and send nothing."""
+    gravity_compensation: bool = True
+    """Carry the hand's weight; else it sags."""
+    hand_dynamics: str = ""
+    """File of the hand's identified dynamics (`fungrasp identify fit`); what the cell names if empty."""
+    seed: int = 0
+    """Seed of the plan."""
+    twin: int = 0
+    """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
+    real_time: Annotated[bool, tyro.conf.Suppress] = True
+    """For a twin: run on the clock of the wall; else as fast as it goes, the same to the last bit."""
+    look_time: Annotated[float, tyro.conf.Suppress] = 1.0
+    """Time in which poses of the object are collected before planning [s]."""
+    threads: Annotated[int, tyro.conf.Suppress] = 0
+    """Of the planner; 0 means all processors."""
+    about: Annotated[str, tyro.conf.Suppress] = ""
+    """Which grasp, in words, for the log."""
+
+
+@dataclass(frozen=True)
+class GraspChoice:
+    """Which grasp a robot is to do."""
+
+    grasp: str = "wine_glass"
+    """Which grasp: an object ("mug"), object and task ("mug:drink") or a row number."""
+    grasps: str = "builtin"
+    """A file of human grasps, or "builtin"."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    image: str | None = None
+    """Take the grasp from an image with depth instead: a folder with rgb.png, depth.png and K.json, or
+    "builtin", the one of `fungrasp demo`."""
+    mesh: str | None = None
+    """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
+    mass: float | None = None
+    """Mass of that object [kg]; a built-in one has its own."""
+    threads: int = 0
+    """Of retargeting and planning; 0 means all processors."""
+
+    @property
+    def words(self) -> str:
+        """Which grasp, for a log."""
+        return self.grasp if self.image is None else f"image {self.image}"
+
+    def human(self, seed: int = 0) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
+        """The grasp as a person showed it, and its object by name.
+
+        Args:
+            seed: of what is drawn on the way from an image.
+
+        Raises:
+            FungraspError: no such grasp or image, no hand is seen in it, or what is seen is too uncertain.
+        """
+        if self.image is not None:
+            return self._of_image(self.image, seed)
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.grasps.picks import picked_rows
+
+        everything = load_human_grasps(self.grasps)
+        human = everything.select(picked_rows(everything, (self.grasp,)))
+        return human, dict(load_objects(human, self.objects))
+
+    def robot(self, hand: Hand, seed: int = 0) -> tuple[RobotGraspSet, dict[str, ObjectModel]]:
+        """The grasp, retargeted to the hand of a robot, and its object by name, as ``deploy`` takes them.
+        Raises what ``human`` raises."""
+        from fungrasp.retargeting import retarget
+
+        human, objects = self.human(seed)
+        return retarget(human, objects, hand, threads=self.threads), objects
+
+    def _of_image(self, folder: str, seed: int) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
+        from fungrasp.core.errors import FungraspError
+        from fungrasp.perception.builtin_image import perceive_folder
+
+        seen = perceive_folder(folder, self.mesh, self.mass, seed=seed)
+        why = why_not_tried(seen)
+        if why:
+            raise FungraspError(
+                f"image {folder}: {why}; look at it with 'fungrasp perceive', or take another"
+            )
+        return seen.grasps, seen.objects
+
+
+def why_not_tried(perceived: Perceived) -> str:
+    """Why a robot should not try what was seen, as a phrase; "" if nothing speaks against it."""
+    if perceived.grasp.object_name != perceived.object_model.name:
+        # A left hand's grasp is one of a right hand on the object's mirror image, which is not on the table.
+        return "it shows a left hand, and robots have right ones"
+    if not perceived.confident:
+        return "; ".join((perceived.verdict.words, *map(str, perceived.warnings)))
+    return ""

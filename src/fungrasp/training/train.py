@@ -1,0 +1,265 @@
+"""The verb ``train``: a policy in a folder, from grasps to policy file, with any number of interruptions."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from torch.utils.tensorboard import SummaryWriter
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.provenance import git_revision, machine
+from fungrasp.core.version import __version__
+from fungrasp.hands import Hand, as_hand, hand_files
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
+from fungrasp.policies import policy_files
+from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
+from fungrasp.simulation import BufferSizes, Device, found_device
+from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.export import export_policy, make_card, policy_graph
+from fungrasp.training.folder import RunFolder
+from fungrasp.training.learning_curve import LearningCurve
+from fungrasp.training.ppo import Processes, Progress, Trainer, joined
+from fungrasp.training.settings import TrainSpec
+from fungrasp.training.training_sets import (
+    TrainingSet,
+    joined_objects,
+    kept_library,
+    planned_sets,
+    split_sets,
+)
+
+PLANS = "plans.npz"
+HELD_OUT_PLANS = "held-out-plans.npz"
+POLICY = "policy.onnx"
+
+EXPLORING = "in training, exploring"
+"""Name of what a policy's card says of the last episodes of its training."""
+
+PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256", "hand_dynamics_sha256")
+"""Settings that the plans depend on."""
+
+
+def train(
+    folder: str | Path,
+    sets: Sequence[TrainingSet],
+    hand: Hand | str | Path = "allegro",
+    spec: TrainSpec | None = None,
+    *,
+    planning: Callable[[int], None] = lambda done: None,
+    progress: Callable[[Progress], None] = lambda p: None,
+) -> Path:
+    """Train a policy, or go on training it, until ``spec.steps`` have been made in all. Of several processes
+    that ``torchrun`` has started each learns in as many worlds, and the first one writes the files.
+
+    Args:
+        sets: of grasps of ``hand``, at least one.
+        spec: how; the default if None. The one that the folder was begun with, if it was.
+        planning: called with the number of plans that are made.
+
+    Returns:
+        The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take. Beside it
+        lies a copy of the success predictor whose plans it follows, if there is one.
+
+    Raises:
+        FungraspError: no usable grasp, a folder of another training, a damaged checkpoint, a missing
+            package, or a file that can't be written.
+    """
+    spec, hand = spec or TrainSpec(), as_hand(hand)
+    # An actor that sees the history needs an environment that keeps it.
+    history = spec.ppo.sees == "history"
+    spec = replace(spec, environment=replace(spec.environment, history=history))
+    device = found_device(spec.device)
+    if device != "cpu":
+        from fungrasp.simulation.warp_device import open_warp
+
+        open_warp(device)
+    with joined(device) as processes:
+        if spec.ppo.imitate and processes.count > 1:
+            raise FungraspError("motions are imitated by one process: leave torchrun or --ppo.imitate out")
+        _train(Path(folder), sets, hand, spec, device, processes, planning, progress)
+    return Path(folder) / POLICY
+
+
+def _train(
+    folder: Path,
+    sets: Sequence[TrainingSet],
+    hand: Hand,
+    spec: TrainSpec,
+    device: Device,
+    processes: Processes,
+    planning: Callable[[int], None],
+    progress: Callable[[Progress], None],
+) -> None:
+    """``train`` in one of some processes."""
+    run, plan_file = RunFolder(folder), spec.plan_file or folder / PLANS
+    objects = joined_objects(sets)
+    curve = spec.curve
+    sets, held_out = split_sets(sets, curve.held_out, curve.seed)
+    about = [s.about() for s in sets]
+    plans = None if spec.plans is None else predictor_file(spec.plans, hand)
+    plans_name = "" if plans is None else plans.stem
+    predictor = None if plans is None else NetworkPredictor(load_policy(plans), hand, objects)
+    planned_from = {
+        "hand": hand.name,
+        "hand_sha256": hand_digest(hand),
+        "sets": about,
+        "variety": asdict(spec.variety),
+        "seed": spec.seed,
+        "plans_sha256": "" if predictor is None else predictor.digest,
+    }
+    if hand.dynamics_path is not None:
+        planned_from["hand_dynamics_sha256"] = digest(hand.dynamics_path.read_bytes())
+    if not processes.first:
+        # The first one plans, the others read.
+        processes.wait()
+    run.claim(
+        planned_from
+        | {"initial_sha256": "" if spec.initial is None else checkpoint_digest(spec.initial)}
+        | {"environment": asdict(spec.environment), "ppo": asdict(spec.ppo)},
+        kind="teacher",
+        plans=plans_name,
+        shrink=spec.shrink,
+        steps=int(spec.steps),
+        hand=hand.name if hand.name in hand_files() else str(hand.path.absolute()),
+        hand_dynamics=None if hand.dynamics_path is None else str(hand.dynamics_path.absolute()),
+        licence=spec.licence,
+        plan_file=str(plan_file.absolute()),
+        object_folders=[None if s.folder is None else str(s.folder.absolute()) for s in sets],
+    )
+    library = kept_library(
+        plan_file,
+        digest(__version__, json.dumps(planned_from)),
+        lambda: planned_sets(sets, hand, spec, planning, predictor),
+    )
+    unseen = library
+    if held_out:
+        planned_from["sets"] = [s.about() for s in held_out]
+        before = sum(len(s.grasps) for s in sets) * spec.variety.planned(predictor is not None)
+        unseen = kept_library(
+            folder / HELD_OUT_PLANS,
+            digest(__version__, json.dumps(planned_from)),
+            lambda: planned_sets(held_out, hand, spec, lambda done: planning(before + done), predictor),
+        )
+    if plans is not None:
+        keep_beside(folder, plans)
+    if processes.first:
+        processes.wait()
+    seed = spec.seed + processes.number
+    buffers = None if spec.buffers is None else BufferSizes(*spec.buffers)
+    environment = TrainingEnvironment(
+        library, objects, hand, spec.environment, seed, spec.threads, device, buffers
+    )
+    trainer = Trainer(environment, spec.ppo, spec.seed, processes)
+    if run.checkpoint.exists():
+        trainer.load(run.checkpoint)
+    elif spec.initial is not None:
+        trainer.begin_from(RunFolder(spec.initial).checkpoint)
+    if not processes.first:
+        trainer.learn_until(spec.steps)
+        return
+    run.forget_progress_after(trainer.steps)
+
+    def card() -> PolicyCard:
+        return replace(training_card(folder, trainer, sets, spec), plans=plans_name)
+
+    def network() -> PolicyNetwork:
+        now = card()
+        return PolicyNetwork(policy_graph(trainer.actor, now), now)
+
+    measured = None
+    if curve.every:
+        measured = LearningCurve(
+            folder, unseen, objects, environment, int(curve.every), curve.seed, spec.threads
+        )
+        measured.resume(trainer.steps)
+    with SummaryWriter(str(folder), purge_step=trainer.steps) as events:
+
+        def report(p: Progress) -> None:
+            numbers = flat(p) | {
+                "success_of_groups": float(environment.success_of_group.mean()),
+                "diverged": environment.diverged,
+            }
+            run.add_progress(numbers)
+            for name, value in numbers.items():
+                events.add_scalar(name, value, p.steps)
+            if measured is not None:
+                measured.update(p.steps, p.seconds, network, p.steps >= spec.steps)
+            progress(p)
+
+        trainer.learn_until(spec.steps, report, run.checkpoint)
+    export_policy(trainer.actor, folder / POLICY, card())
+
+
+def predictor_file(name: str, hand: Hand) -> Path:
+    """The file of a success predictor.
+
+    Raises:
+        FungraspError: there is none of this name, or it is another kind of policy.
+    """
+    files = policy_files(name, hand.name)
+    if files.network is not None or files.predictor is None:
+        raise FungraspError(f"--plans takes a success predictor, which '{name}' is not")
+    return files.predictor
+
+
+def checkpoint_digest(folder: Path) -> str:
+    """SHA-256 of the checkpoint of a training.
+
+    Raises:
+        FungraspError: there is none.
+    """
+    try:
+        return hashlib.sha256(RunFolder(folder).checkpoint.read_bytes()).hexdigest()
+    except OSError as error:
+        raise FungraspError(f"{folder} has no checkpoint yet: train it first") from error
+
+
+def keep_beside(folder: Path, predictor: Path) -> None:
+    """Copy a success predictor's file into the folder of a policy that follows its plans.
+
+    Raises:
+        FungraspError: it can't be written.
+    """
+    copy = folder / (predictor.stem + SUFFIX)
+    if copy.resolve() != predictor.resolve():
+        with atomic_path(copy) as part:
+            part.write_bytes(predictor.read_bytes())
+
+
+def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], spec: TrainSpec) -> PolicyCard:
+    """What a trained policy's file should say about it."""
+    environment = trainer.environment
+    teacher = trainer.settings.sees == "contacts"
+    return make_card(
+        folder.absolute().name,
+        "teacher" if teacher else "student",
+        environment.hand,
+        environment.student_layout if trainer.settings.sees == "history" else environment.layout,
+        environment.privileged_layout if teacher else (),
+        spec.environment.residual.shrunk(spec.shrink),
+        1 / environment.protocol.control_period,
+        Budget(trainer.steps, trainer.seconds, machine()),
+        layout_name=environment.settings.layout,
+        training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
+        git_revision=git_revision(),
+        seed=spec.seed,
+        measured={EXPLORING: {"success": trainer.success}},
+        licence=spec.licence,
+    )
+
+
+def flat(progress: Progress) -> dict[str, float]:
+    """Its numbers by name, those of a table as ``table/name``."""
+    numbers: dict[str, float] = {}
+    for name, value in asdict(progress).items():
+        if isinstance(value, dict):
+            numbers |= {f"{name}/{key}": number for key, number in value.items()}
+        else:
+            numbers[name] = value
+    return numbers
