@@ -11,8 +11,7 @@ from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, invert, rotate, rotation_matrix, transform_points
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies.checkpoint.checkpoint_file import check_fits
-from fungrasp.policies.checkpoint.network import PolicyNetwork
+from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, check_fits
 from fungrasp.task import GraspPlan
 from fungrasp.task.features import POSITION_UNIT, flatten, layout
 
