@@ -14,7 +14,7 @@ BENCHMARKS = {
     "faults": "how drivers and the control computer react to faults of emulated devices",
     "fault_series": "faults of all kinds in every phase of deployments on twins and over emulated wires",
     "hands": "hands of other makers: what hands add makes of their descriptions, how well they grasp",
-    "identification": "fitted joint dynamics against known ones",
+    "identification": "fitted joint dynamics of twins against their truth",
     "paper": "the paper's tables of simulation",
     "cold_start": "a newcomer's first commands, from nothing",
     "extras": "each optional extra alone, from nothing",

@@ -9,20 +9,20 @@ import pytest
 REAL_TIME = (
     "cli",
     "deployment",
-    "core/jobs",
+    "core/test_jobs.py",
     "reliability",
     "robots",
     "ros2",
     "viewer",
-    "benchmarks/faults",
-    "benchmarks/wire",
+    "benchmarks/fault_series",
+    "benchmarks/test_wire.py",
 )
-"""Folders of tests in real time: emulated devices with watchdogs, processes that wait for each other."""
+"""Folders and files of tests in real time: devices with watchdogs, processes that wait for each other."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Two more tries for tests in real time: a computer that pauses for a second stops an arm, as it must."""
-    folders = tuple(str(Path(__file__).parent / name) + "/" for name in REAL_TIME)
+    here = Path(__file__).parent
     for item in items:
-        if str(item.path).startswith(folders):
+        if any(item.path.is_relative_to(here / name) for name in REAL_TIME):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=2))

@@ -2,15 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.builtin_objects import tools, vessels
 from benchmarks.builtin_objects.assembly import PartSolids, assemble
-from benchmarks.builtin_objects.catalogue import CONSTRUCTIONS
 from fungrasp.core.files import atomic_path
 from fungrasp.objects.builtin_objects import BUILTINS, FIELDS, MESHES
+
+CONSTRUCTIONS: Mapping[str, Callable[[], PartSolids]] = {
+    "mug": vessels.mug,
+    "wine_glass": vessels.wine_glass,
+    "pitcher": vessels.pitcher,
+    "teapot": vessels.teapot,
+    "pan": tools.pan,
+    "knife": tools.knife,
+    "bowl": tools.bowl,
+    "spatula": tools.spatula,
+    "brush": tools.brush,
+    "can": vessels.can,
+    "box": vessels.carton,
+    "bottle": vessels.bottle,
+    "spray_bottle": vessels.spray_bottle,
+    "hammer": tools.hammer,
+    "screwdriver": tools.screwdriver,
+    "drill": tools.drill,
+    "clamp": tools.clamp,
+    "flashlight": tools.flashlight,
+    "scissors": tools.scissors,
+    "marker": tools.marker,
+    "book": tools.book,
+    "tennis_ball": tools.ball,
+}
+"""What makes the convex solids of an object, by its name."""
 
 
 def write_builtin_objects(path: Path = MESHES) -> None:

@@ -13,7 +13,7 @@ import tyro
 
 from fungrasp.cli.console import table
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.checks import read_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.peers.comparison import PEERS, installed_peers
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.records import record_from_json
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.planning import MotionSettings
 from fungrasp.retargeting import METHODS, RetargetSettings

@@ -17,20 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fungrasp.core.formats import (
-    image_file,
-    json_file,
-    mesh_file,
-    mujoco_model,
-    numpy_files,
-    onnx_file,
-    pickle_file,
-    sandbox,
-    toml_file,
-    yaml_file,
-)
-from fungrasp.core.formats.file_bytes import DEEPEST, MOST_NODES
-from fungrasp.core.formats.xml_file import DEEPEST_ELEMENT
 from fungrasp.evaluation.result_files import ResultFile, read_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.task.use import load_use_motions, motion_of
@@ -181,59 +167,11 @@ def peers() -> Table:
     return Table(head, rows, ["peers"])
 
 
-def limits() -> Table:
-    """What is read of each format, from the constants that the readers use."""
-    plain = f"{MOST_NODES / 1e6:g} million values, {DEEPEST} levels, integers of 64 bits"
-    child = f"{sandbox.SECONDS:g} s and 1 s for each {sandbox.BYTES_PER_SECOND / 1e6:g} MB"
-    child += f"; {sandbox.MEMORY / 1e9:g} GB"
-    kept = f"{numpy_files.LARGEST >> 20} MB of arrays, {numpy_files.MOST_ARRAYS} arrays, "
-    kept += f"{numpy_files.MOST_AXES} axes"
-    rows = [
-        ("NumPy (`.npz`, `.npy`)", _megabytes(numpy_files.LARGEST), f"{kept}; numbers, flags, text", NONE),
-        ("JSON", _megabytes(json_file.LARGEST), plain, NONE),
-        ("TOML", _megabytes(toml_file.LARGEST), plain, NONE),
-        ("YAML", _megabytes(yaml_file.LARGEST), plain, NONE),
-        (
-            "pickle",
-            _megabytes(pickle_file.LARGEST),
-            f"{pickle_file.MOST_STEPS / 1e6:g} million steps; arrays",
-            NONE,
-        ),
-        (
-            f"images ({', '.join(image_file.FORMATS)})",
-            _megabytes(image_file.LARGEST),
-            f"{image_file.LARGEST_PIXELS / 1e6:g} million pixels",
-            NONE,
-        ),
-        ("meshes", _megabytes(mesh_file.LARGEST), f"{mesh_file.MOST_FACES / 1e6:g} million faces", child),
-        (
-            "MJCF, URDF",
-            _megabytes(mujoco_model.LARGEST),
-            f"{DEEPEST_ELEMENT} levels, no entities, declared sizes up to {mujoco_model.LARGEST_SIZE:,}",
-            child,
-        ),
-        (
-            "ONNX",
-            _megabytes(onnx_file.LARGEST),
-            f"{onnx_file.MOST_MESSAGES:,} nodes, attributes, tensors; {len(onnx_file.OPERATORS)} operators",
-            child,
-        ),
-    ]
-    return Table(
-        ("format", "largest file", "what it may hold", "processor time; memory to parse it"), rows, []
-    )
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:,.3g} MB"
-
-
 BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": hands,
     "policies": policies,
     "use_test": use_test,
     "peers": peers,
-    "limits": limits,
 }
 """By the name in a page."""
 

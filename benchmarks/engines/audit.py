@@ -18,7 +18,7 @@ from benchmarks.engines.replay import EpisodeWorld, Replayed, play_bundle
 from fungrasp.cli.console import Answer, progress_bar, write_json
 from fungrasp.cli.options import JsonOut, json_path
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.records import record_to_json
 from fungrasp.core.text_table import table
 from fungrasp.evaluation import Trajectory, replay
 from fungrasp.evaluation.statistics import wilson_interval

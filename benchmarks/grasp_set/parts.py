@@ -13,7 +13,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.grasps import HumanGraspSet, load_human_grasps, load_objects, save_human_grasps
 from fungrasp.objects import ObjectModel
 

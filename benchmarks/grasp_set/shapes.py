@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.builtin_objects import containers, desk, drinking, kitchen, tools
+from benchmarks.builtin_objects import tools, vessels
 from benchmarks.builtin_objects.assembly import PartSolids
 from benchmarks.builtin_objects.shapes import (
     Solid,
@@ -17,7 +17,7 @@ from benchmarks.builtin_objects.shapes import (
     ring,
     sweep,
 )
-from fungrasp.objects.plain_shapes import lathe
+from fungrasp.objects.builtin_objects import lathe
 
 CERAMIC, GLASS_FILLED, PAPER, WATER = 2300.0, 1150.0, 730.0, 1000.0
 """Densities [kg/m3]: stoneware; plastic with glass fibers; a book's pages; what bottles hold."""
@@ -55,7 +55,7 @@ def _plate(rng: np.random.Generator) -> DrawnShape:
 
 def _book(rng: np.random.Generator) -> DrawnShape:
     size = (rng.uniform(0.09, 0.16), rng.uniform(0.14, 0.23), rng.uniform(0.01, 0.04))
-    return DrawnShape(desk.Book(size).parts(), density=PAPER, tasks={"cover": "read"}, lies=True)
+    return DrawnShape(tools.book(size), density=PAPER, tasks={"cover": "read"}, lies=True)
 
 
 def _phone(rng: np.random.Generator) -> DrawnShape:
@@ -84,10 +84,10 @@ def _spoon(rng: np.random.Generator) -> DrawnShape:
 
 
 def _scissors(rng: np.random.Generator) -> DrawnShape:
-    shape = desk.Scissors(
-        blade=rng.uniform(0.07, 0.12), opening=rng.uniform(0.06, 0.25), bar=rng.uniform(0.004, 0.006)
+    shape = tools.scissors(
+        blade_length=rng.uniform(0.07, 0.12), opening=rng.uniform(0.06, 0.25), bar=rng.uniform(0.004, 0.006)
     )
-    return DrawnShape(shape.parts(), rng.uniform(0.05, 0.13), tasks={"loops": "cut", "blades": "hand over"})
+    return DrawnShape(shape, rng.uniform(0.05, 0.13), tasks={"loops": "cut", "blades": "hand over"})
 
 
 def _board(rng: np.random.Generator) -> DrawnShape:
@@ -109,15 +109,15 @@ def _block(rng: np.random.Generator) -> DrawnShape:
 
 
 def _full_bottle(rng: np.random.Generator) -> DrawnShape:
-    shape = containers.Bottle(radius=rng.uniform(0.03, 0.041), height=rng.uniform(0.19, 0.26))
+    shape = vessels.bottle(radius=rng.uniform(0.03, 0.041), height=rng.uniform(0.19, 0.26))
     tasks = {"body": "pour", "neck": "hand over", "cap": "open"}
-    return DrawnShape(shape.parts(), density=WATER, tasks=tasks, lies=True)
+    return DrawnShape(shape, density=WATER, tasks=tasks, lies=True)
 
 
 def _drill(rng: np.random.Generator) -> DrawnShape:
-    shape = tools.Drill(height=rng.uniform(0.19, 0.24), barrel=rng.uniform(0.025, 0.034))
+    shape = tools.drill(height=rng.uniform(0.19, 0.24), barrel=rng.uniform(0.025, 0.034))
     tasks = {"grip": "drill", "body": "hand over"}
-    return DrawnShape(shape.parts(), rng.uniform(0.8, 1.4), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.8, 1.4), tasks=tasks)
 
 
 def _canister(rng: np.random.Generator) -> DrawnShape:
@@ -138,28 +138,28 @@ def _dumbbell(rng: np.random.Generator) -> DrawnShape:
 
 
 def _pen(rng: np.random.Generator) -> DrawnShape:
-    shape = desk.Marker(radius=rng.uniform(0.0045, 0.0105), length=rng.uniform(0.11, 0.155))
+    shape = tools.marker(radius=rng.uniform(0.0045, 0.0105), length=rng.uniform(0.11, 0.155))
     tasks = {"barrel": "write", "cap": "open"}
-    return DrawnShape(shape.parts(), rng.uniform(0.006, 0.03), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.006, 0.03), tasks=tasks)
 
 
 def _knife(rng: np.random.Generator) -> DrawnShape:
-    shape = kitchen.Knife(
+    shape = tools.knife(
         blade=rng.uniform(0.1, 0.21),
         handle=rng.uniform(0.1, 0.135),
         width=rng.uniform(0.03, 0.047),
-        spine=rng.uniform(0.002, 0.003),
+        spine_thickness=rng.uniform(0.002, 0.003),
     )
     tasks = {"handle": "cut", "blade": "hand over"}
-    return DrawnShape(shape.parts(), rng.uniform(0.08, 0.22), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.08, 0.22), tasks=tasks)
 
 
 def _screwdriver(rng: np.random.Generator) -> DrawnShape:
-    shape = tools.Screwdriver(
-        handle=rng.uniform(0.09, 0.12), shaft=rng.uniform(0.07, 0.15), radius=rng.uniform(0.012, 0.018)
+    shape = tools.screwdriver(
+        handle=rng.uniform(0.09, 0.12), shaft_length=rng.uniform(0.07, 0.15), radius=rng.uniform(0.012, 0.018)
     )
     tasks = {"handle": "drive", "shaft": "hand over"}
-    return DrawnShape(shape.parts(), rng.uniform(0.05, 0.15), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.05, 0.15), tasks=tasks)
 
 
 def _stick(rng: np.random.Generator) -> DrawnShape:
@@ -178,15 +178,15 @@ def _stick(rng: np.random.Generator) -> DrawnShape:
 
 
 def _flashlight(rng: np.random.Generator) -> DrawnShape:
-    shape = tools.Flashlight(radius=rng.uniform(0.011, 0.018), length=rng.uniform(0.135, 0.17))
+    shape = tools.flashlight(radius=rng.uniform(0.011, 0.018), length=rng.uniform(0.135, 0.17))
     tasks = {"body": "light", "head": "hand over"}
-    return DrawnShape(shape.parts(), rng.uniform(0.08, 0.22), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.08, 0.22), tasks=tasks)
 
 
 def _ball(rng: np.random.Generator) -> DrawnShape:
     radius = rng.uniform(0.02, 0.043)
     mass = min(4.19 * radius**3 * rng.uniform(200, 1100), 0.4)
-    return DrawnShape(desk.Ball(radius).parts(), mass, tasks={"ball": "throw"})
+    return DrawnShape(tools.ball(radius), mass, tasks={"ball": "throw"})
 
 
 def _fruit(rng: np.random.Generator) -> DrawnShape:
@@ -201,18 +201,18 @@ def _fruit(rng: np.random.Generator) -> DrawnShape:
 
 
 def _lying_can(rng: np.random.Generator) -> DrawnShape:
-    shape = containers.Can(radius=rng.uniform(0.026, 0.043), height=rng.uniform(0.06, 0.15))
-    parts = {name: [along_x(s) for s in solids] for name, solids in shape.parts().items()}
+    shape = vessels.can(radius=rng.uniform(0.026, 0.043), height=rng.uniform(0.06, 0.15))
+    parts = {name: [along_x(s) for s in solids] for name, solids in shape.items()}
     tasks = {"body": "hand over"}
     return DrawnShape(parts, density=rng.uniform(300, 1050), tasks=tasks)
 
 
 def _bowl(rng: np.random.Generator) -> DrawnShape:
-    shape = kitchen.Bowl(
+    shape = tools.bowl(
         radius=rng.uniform(0.065, 0.09), height=rng.uniform(0.05, 0.075), wall=rng.uniform(0.0035, 0.0055)
     )
     tasks = {"rim": "eat", "body": "hand over"}
-    return DrawnShape(shape.parts(), density=rng.uniform(900, 2300), tasks=tasks)
+    return DrawnShape(shape, density=rng.uniform(900, 2300), tasks=tasks)
 
 
 def _jar(rng: np.random.Generator) -> DrawnShape:
@@ -227,36 +227,36 @@ def _jar(rng: np.random.Generator) -> DrawnShape:
 
 
 def _mug(rng: np.random.Generator) -> DrawnShape:
-    shape = drinking.Mug(
+    shape = vessels.mug(
         radius=rng.uniform(0.034, 0.046),
         height=rng.uniform(0.085, 0.12),
         wall=rng.uniform(0.0035, 0.006),
         reach=rng.uniform(0.028, 0.036),
     )
     tasks = {"handle": "drink", "rim": "place", "body": "hand over"}
-    return DrawnShape(shape.parts(), density=CERAMIC, tasks=tasks)
+    return DrawnShape(shape, density=CERAMIC, tasks=tasks)
 
 
 def _pan(rng: np.random.Generator) -> DrawnShape:
     bottom = rng.uniform(0.06, 0.09)
-    shape = kitchen.Pan(
+    shape = tools.pan(
         bottom, bottom + rng.uniform(0.028, 0.034), rng.uniform(0.035, 0.055), rng.uniform(0.14, 0.19)
     )
     tasks = {"handle": "cook", "body": "wash"}
-    return DrawnShape(shape.parts(), rng.uniform(0.35, 0.95), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.35, 0.95), tasks=tasks)
 
 
 def _pitcher(rng: np.random.Generator) -> DrawnShape:
     bottom = rng.uniform(0.045, 0.06)
-    shape = drinking.Pitcher(bottom, bottom + 0.01, rng.uniform(0.19, 0.24), rng.uniform(0.0035, 0.005))
+    shape = vessels.pitcher(bottom, bottom + 0.01, rng.uniform(0.19, 0.24), rng.uniform(0.0035, 0.005))
     tasks = {"handle": "pour", "body": "hand over"}
-    return DrawnShape(shape.parts(), rng.uniform(0.2, 0.6), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.2, 0.6), tasks=tasks)
 
 
 def _hammer(rng: np.random.Generator) -> DrawnShape:
-    shape = tools.Hammer(rng.uniform(0.26, 0.34), rng.uniform(0.11, 0.15), rng.uniform(0.012, 0.017))
+    shape = tools.hammer(rng.uniform(0.26, 0.34), rng.uniform(0.11, 0.15), rng.uniform(0.012, 0.017))
     tasks = {"grip": "hammer", "shaft": "hand over"}
-    return DrawnShape(shape.parts(), rng.uniform(0.35, 0.75), tasks=tasks)
+    return DrawnShape(shape, rng.uniform(0.35, 0.75), tasks=tasks)
 
 
 def _basket(rng: np.random.Generator) -> DrawnShape:

@@ -16,14 +16,14 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.provenance import run_record
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import preset
-from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.plan_library import Variety
 from fungrasp.training.settings import (
     CurveSettings,
     DistillSettings,
+    EnvironmentSettings,
     PpoSettings,
     StudentSpec,
     TrainSpec,
+    Variety,
     check_numbers,
 )
 

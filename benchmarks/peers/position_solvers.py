@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.peers.problem import HUMAN_ORDER, CpuClock, PeerProblem
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.hands.urdf_export import model_urdf
+from fungrasp.hands.export import model_urdf
 
 CALLS = 5
 """Calls for each grasp, each from the last one's result, as in a video that stands still; more change

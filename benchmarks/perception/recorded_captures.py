@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.objects import (
     ObjectModel,
     builtin_object,
@@ -31,9 +31,9 @@ from fungrasp.objects import (
     object_names,
     plain_shape,
 )
-from fungrasp.objects.held_object import colored_mesh
+from fungrasp.objects.resolved_object import colored_mesh
 from fungrasp.perception import Capture
-from fungrasp.perception.estimates import JOINTS
+from fungrasp.perception.io.estimates import JOINTS
 from fungrasp.perception.io.image_files import read_mask
 from fungrasp.perception.io.scene_folders import LENS_FILE, read_folder
 

@@ -1,8 +1,8 @@
 """fungrasp: a human grasp in, a robot grasp that lifts the object out.
 
-Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; what
-one returns, the next one takes. Five nouns are what they are about: ``HumanGrasp``, ``RobotGrasp``,
-``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
+Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; and
+``train`` makes policies. What one returns, the next one takes. Five nouns are what they are about:
+``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
 
 The names below are those of the rooms (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A room is
 imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type checkers read
@@ -15,7 +15,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from fungrasp.core.version import __version__ as __version__
+from fungrasp.core import __version__ as __version__
 
 _NAMES = {
     "deployment.deploy": "deploy",
@@ -78,7 +78,7 @@ def _tell_notebooks() -> None:
 
 
 def _notebook_html(value: Any) -> str | None:
-    return import_module("fungrasp.media.notebook").notebook_html(value)
+    return import_module("fungrasp.media.grasp_pages").notebook_html(value)
 
 
 _tell_notebooks()

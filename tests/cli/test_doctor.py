@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 
 from fungrasp.cli.main import main
-from fungrasp.core.diagnosis import diagnose
+from fungrasp.core.provenance import diagnose
 
 
 def test_it_says_what_is_there(capsys, tmp_path, monkeypatch):

@@ -24,7 +24,6 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--grasps", "none.npz"), "none.npz does not exist"),
         (("train", "--grasps", "builtin", "builtin"), "each once"),
         (("train", "--worlds", "realty"), "unknown preset of worlds 'realty'. Did you mean 'reality'?"),
-        (("train", "--initial", "nowhere"), "nowhere has no checkpoint yet"),
         (("train", "--environment.worlds", 0), "at least one world, not 0"),
         (("train", "--environment.early", 9, 4), "not 9 to 4"),
         (("train", "--environment.whole", 2), "from 0 to 1, not 2"),

@@ -1,9 +1,12 @@
-"""Records of arrays: rows, joins and files bring back what went in."""
+"""Records of arrays and their files; records of settings as JSON."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -11,12 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.records import BatchRecord
+from fungrasp.core.records import BatchRecord, record_from_json, record_to_json
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.planning.attempts import AttemptRecord
+from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.planning.withdrawal import Waypoints
-from fungrasp.sim2real import EpisodeSample
+from fungrasp.sim2real import PRESETS, EpisodeSample, Randomization
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged
 from fungrasp.task.attempt_judge import AttemptVerdict
 from fungrasp.task.use import UseOutcomes
@@ -202,3 +206,70 @@ def test_a_field_that_is_only_shared_is_not_a_row():
 def test_a_record_is_shown_in_a_line(kind: type[BatchRecord]):
     shown = repr(made_up(kind, 0, 3))
     assert shown.startswith(f"<{kind.__name__}: 3 rows of ") and len(shown) < 600
+
+
+@dataclass(frozen=True)
+class Inner:
+    pair: tuple[float, int] = (1.0, 2)
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str
+    kind: Literal["a", "b"] = "a"
+    rows: tuple[int, ...] = ()
+    inner: Inner = field(default_factory=Inner)
+    maybe: Inner | None = None
+    file: Path | None = None
+    factor: float = 1.0
+    by_name: Mapping[str, float] = field(default_factory=dict)
+    flag: bool = False
+
+
+def back(record):
+    return record_from_json(type(record), json.loads(json.dumps(record_to_json(record))), "record")
+
+
+def test_there_and_back():
+    one = Outer("x", "b", (1, 2), Inner((0.5, 3)), Inner(), Path("a/b"), 3, {"k": 2.5}, True)
+    assert back(one) == one
+    assert back(Outer("x")) == Outer("x")
+    assert record_from_json(Outer, {"name": "y"}, "record") == Outer("y")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_settings_there_and_back(name):
+    assert back(PRESETS[name]) == PRESETS[name]
+    assert back(SelectionSettings.for_protocol("reality")) == SelectionSettings.for_protocol("reality")
+    assert back(Randomization()) == Randomization()
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ([], "r: expected the fields of a Outer, not []"),
+        ({}, "r: missing 1 required positional argument: 'name'"),
+        ({"name": "x", "knd": "a"}, "r: there is no field 'knd'; did you mean 'kind'?"),
+        ({"name": 3}, "r: name: expected text, not 3"),
+        ({"name": "x", "kind": "c"}, "r: kind: expected 'a' or 'b', not 'c'"),
+        ({"name": "x", "rows": [1, 2.5]}, "r: rows[1]: expected a whole number, not 2.5"),
+        ({"name": "x", "rows": 1}, "r: rows: expected a list, not 1"),
+        ({"name": "x", "rows": [True]}, "r: rows[0]: expected a whole number, not True"),
+        ({"name": "x", "inner": {"pair": [1]}}, "r: inner: pair: expected a list of 2, not of 1"),
+        ({"name": "x", "maybe": 1}, "r: maybe: expected the fields of a Inner, not 1"),
+        ({"name": "x", "factor": "2"}, "r: factor: expected a number, not '2'"),
+        ({"name": "x", "by_name": {"k": None}}, "r: by_name.k: expected a number, not None"),
+        ({"name": "x", "flag": 1}, "r: flag: expected true or false, not 1"),
+    ],
+)
+def test_what_is_wrong_is_named(data, words):
+    with pytest.raises(FungraspError) as error:
+        record_from_json(Outer, data, "r")
+    assert str(error.value) == words
+
+
+def test_what_json_can_not_hold():
+    with pytest.raises(FungraspError, match="nan"):
+        record_to_json(Outer("x", factor=float("nan")))
+    with pytest.raises(FungraspError, match="a set can't be written"):
+        record_to_json({"a": {1}})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.records import record_from_json
 from fungrasp.evaluation import LiftTestSpec, evaluate, read_result
 from fungrasp.sim2real import REALITY, Randomization
 from fungrasp.task import LiftProtocol

@@ -9,7 +9,8 @@ import pytest
 from planned_grasps import grasps_and_objects
 from residual_policies import policy_file, predictor_file
 
-from fungrasp.core.jobs import PartStore, job
+from fungrasp.core import jobs
+from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
 from fungrasp.evaluation.lift_episodes import LiftTest
 from fungrasp.planning.selection import SelectionSettings
@@ -78,14 +79,14 @@ def test_other_settings_are_tried_anew(tried, runs, change):
 
 def test_another_version_of_mujoco_is_tried_anew(tried, runs, monkeypatch):
     tried()
-    monkeypatch.setattr(job, "VERSIONS", (job.VERSIONS[0], "0.0.0"))
+    monkeypatch.setattr(jobs, "VERSIONS", (jobs.VERSIONS[0], "0.0.0"))
     tried()
     assert runs == [0, 0]
 
 
 def test_another_version_of_fungrasp_is_tried_anew(tried, runs, monkeypatch):
     tried()
-    monkeypatch.setattr(job, "VERSIONS", ("0.0.0", job.VERSIONS[1]))
+    monkeypatch.setattr(jobs, "VERSIONS", ("0.0.0", jobs.VERSIONS[1]))
     tried()
     assert runs == [0, 0]
 

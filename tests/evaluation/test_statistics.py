@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fungrasp.core.formats.json_file import finite
+from fungrasp.core.formats.text_files import finite
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 
 

@@ -17,8 +17,7 @@ from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers import DexYCBOptions, import_dexycb
 from fungrasp.grasps.importers.contacts import link_contacts, surface_contacts
-from fungrasp.grasps.importers.dexycb import write_mirrored_meshes
-from fungrasp.grasps.importers.dexycb_folder import TO_OUR_JOINTS
+from fungrasp.grasps.importers.dexycb import TO_OUR_JOINTS, write_mirrored_meshes
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
 

@@ -10,10 +10,9 @@ import pytest
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_human_grasps, save_human_grasps
-from fungrasp.grasps.anatomy import grouped
 from fungrasp.grasps.conversion import converted, mend_below_table
-from fungrasp.grasps.diagnosis import hand_remarks, rows_in_words
-from fungrasp.grasps.joint_orders import ORDERS
+from fungrasp.grasps.diagnosis import grouped, hand_remarks, rows_in_words
+from fungrasp.grasps.human_hand import ORDERS
 
 FORTH = [0, 1, 2, 4, 5, 6, 3]
 """A wxyz pose written as xyzw."""

@@ -116,7 +116,7 @@ def write(path: Path, grasps: HumanGraspSet, **changes: object) -> Path:
         ({"hand_joints": None}, "field 'hand_joints' is missing; found: hand_qpos, link_contacts"),
         ({"object_mass": np.ones(2)}, r"field 'object_mass' has shape \(2,\), expected \(N,\) with N = 3"),
         ({"object_pose": np.zeros((3, 7))}, "field 'object_pose', row 0 has a quaternion"),
-        ({"task": np.array([None] * 3)}, "field 'task' holds object; only numbers"),
+        ({"task": np.array([None] * 3)}, "field 'task' holds Python objects; only numbers"),
         ({"version": 2}, "file version 2, this fungrasp reads versions up to 1"),
         ({"version": "x"}, "file version x"),
     ],

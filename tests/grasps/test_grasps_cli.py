@@ -58,7 +58,7 @@ def test_show_tells_the_numbers(tmp_path, capsys, human_grasps, robot_grasps):
         (("show", "none.npz"), "none.npz does not exist"),
         (("show", "h.npz", "--picture", "p.png"), "unknown object 'object 0'"),
         (("list", "--grasps", "text"), "not an .npz file"),
-        (("import", "dgrasp", "text", "--out", "o.npz"), "not a readable pickle"),
+        (("import", "dgrasp", "text", "--out", "o.npz"), "cannot read the pickle"),
         (("import", "dexycb", ".", "--out", "o.npz"), "holds no DexYCB sequence"),
         (("import", "dexycb", ".", "--out", "o.npz", "--displacement", 0), "must be greater than 0"),
         (("import", "other", "nobody", ".", "--out", "o.npz"), "no importer 'nobody'"),

@@ -109,7 +109,7 @@ def test_anything_else_is_refused_and_nothing_runs(tmp_path, number, protocol):
     target = tmp_path / "ran"
     path = tmp_path / "evil.pkl"
     path.write_bytes(pickle.dumps(harmful(str(target))[number], protocol=protocol))
-    with pytest.raises(FungraspError, match=r"evil\.pkl was not read: it (asks for|holds)") as caught:
+    with pytest.raises(FungraspError, match=r"cannot read .*evil\.pkl: it (asks for|holds)") as caught:
         load_arrays_pickle(path)
     assert not target.exists() and "\n" not in str(caught.value)
 
@@ -139,7 +139,7 @@ def test_forged_array_states_are_refused(tmp_path):
 def test_broken_pickles_are_named(tmp_path, content):
     path = tmp_path / "broken.pkl"
     path.write_bytes(content)
-    with pytest.raises(FungraspError, match=r"broken\.pkl is not a readable pickle"):
+    with pytest.raises(FungraspError, match=r"cannot read the pickle .*broken\.pkl: "):
         load_arrays_pickle(path)
     with pytest.raises(FungraspError, match=r"missing does not exist"):
         load_arrays_pickle(tmp_path / "missing")

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fungrasp.hands import Hand, hand_files, load_hand
-from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
+from fungrasp.hands.collisions import CollisionSpheres, collision_spheres
 
 HANDS = sorted(hand_files())
 TYPES = mujoco.mjtGeom

@@ -9,29 +9,19 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from odd_hands import odd_hand
+from odd_hands import added, odd_hand
 from scipy.spatial import KDTree
 
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand, load_hand
-from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings
-from fungrasp.hands.adding.visual_meshes import coarse
+from fungrasp.hands.adding.add_hand import parse_couplings
+from fungrasp.hands.adding.shape_fitting import coarse
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.objects import load_object
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.start_pose import StartPoses
-
-
-def added(folder: Path, text: str, suffix: str = ".xml", **answers) -> tuple[Hand, list[str]]:
-    """The hand, and what adding and the check said."""
-    (folder / f"odd{suffix}").write_text(text)
-    path, findings = add_hand(folder / f"odd{suffix}", folder / "out", answers=Answers(**answers), force=True)
-    findings = [*findings, *check_hand_files(path)]
-    assert not [finding.message for finding in findings if finding.severity == "error"]
-    return load_hand(path), [finding.message for finding in findings]
 
 
 def on_flange(text: str) -> str:

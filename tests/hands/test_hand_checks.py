@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fungrasp.hands import hand_files, load_hand
+from fungrasp.hands.checking.findings import finger_of
 from fungrasp.hands.checking.hand_checks import Finding, check_hand_files
-from fungrasp.hands.checking.named_parts import finger_of
 from fungrasp.hands.kinematics import HandKinematics
 
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
@@ -91,7 +91,9 @@ def write(folder: Path, mjcf: str = MJCF, toml: str = TOML) -> Path:
     return folder / "hand.toml"
 
 
-def said(findings: list[Finding], severity: str, pattern: str) -> bool:
+def said(findings: list[Finding], told: str) -> bool:
+    """Whether there is a finding like ``told``: its severity, and a pattern of its words."""
+    severity, _, pattern = told.partition(": ")
     return any(f.severity == severity and re.search(pattern, f.message) for f in findings)
 
 
@@ -130,7 +132,7 @@ def test_a_body_may_be_a_tip(tmp_path):
 
 def test_a_side_against_the_order_of_the_fingers_is_mentioned(tmp_path):
     findings = check_hand_files(write(tmp_path, toml='side = "right"\n' + TOML))
-    assert said(findings, "warning", "seen from the palm, this is a left hand")
+    assert said(findings, "warning: seen from the palm, this is a left hand")
 
 
 def test_a_sound_urdf_has_no_faults(tmp_path):
@@ -163,184 +165,148 @@ MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></co
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "severity", "pattern"),
+    ("old", "new", "told"),
     [
-        (JOINT, joint('range="1.5 0"'), "error", "'index_j1' has inverted limits"),
-        (JOINT, joint('range="1 1"'), "error", "'index_j1' has a zero range"),
-        (JOINT, joint('range="0 90"'), "error", "index_j1 .*degrees mistaken"),
-        (JOINT, joint('range="0 0"'), "error", "no limits.*'index_j1'"),
-        (JOINT, joint('limited="false"'), "error", "'index_j1'.*ignored"),
-        (JOINT, joint('type="ball" range="0 1"'), "error", "'index_j1' is a ball"),
-        (JOINT, joint('type="slide"'), "error", "'index_j1' slides"),
-        ('angle="radian"', 'angle="degree"', "error", "radians read as degrees"),
-        (JOINT, joint('pos="0.012 0.5 0"'), "warning", "'index_a' is 12.0 mm off"),
-        (
-            PALM,
-            '<geom name="base" fromto="0 0 -1 0 0 -0.9"/>' + PALM,
-            "error",
-            "palm is fused with the world",
-        ),
-        (
-            PALM,
-            '<body name="palm" pos="0 0 0.2" quat="0 1 0 0">',
-            "note",
-            "200.0 mm away and turned by 180.0",
-        ),
-        (PALM, PALM + '<joint name="wrist"/>', "error", "moves on the joint 'wrist'"),
-        (PALM, PALM + "<freejoint/>", "error", "is a free joint"),
+        (JOINT, joint('range="1.5 0"'), "error: 'index_j1' has inverted limits"),
+        (JOINT, joint('range="1 1"'), "error: 'index_j1' has a zero range"),
+        (JOINT, joint('range="0 90"'), "error: index_j1 .*degrees mistaken"),
+        (JOINT, joint('range="0 0"'), "error: no limits.*'index_j1'"),
+        (JOINT, joint('limited="false"'), "error: 'index_j1'.*ignored"),
+        (JOINT, joint('type="ball" range="0 1"'), "error: 'index_j1' is a ball"),
+        (JOINT, joint('type="slide"'), "error: 'index_j1' slides"),
+        ('angle="radian"', 'angle="degree"', "error: radians read as degrees"),
+        (JOINT, joint('pos="0.012 0.5 0"'), "warning: 'index_a' is 12.0 mm off"),
+        (PALM, '<geom name="base" fromto="0 0 -1 0 0 -0.9"/>' + PALM, "error: palm is fused with the world"),
+        (PALM, '<body name="palm" pos="0 0 0.2" quat="0 1 0 0">', "note: 200.0 mm away and turned by 180.0"),
+        (PALM, PALM + '<joint name="wrist"/>', "error: moves on the joint 'wrist'"),
+        (PALM, PALM + "<freejoint/>", "error: is a free joint"),
         (
             '<compiler angle="radian"/>',
             '<compiler angle="radian" fusestatic="true"/>',
-            "error",
-            "'palm' is fused",
+            "error: 'palm' is fused",
         ),
-        ("0 1 0 0 0", "0 1 0.5 0 0", "warning", "'index_j2' follows 'index_j1' by a curve"),
-        ("0 1 0 0 0", "0.1 2 0 0 0", "warning", r"'index_j2' from 0.100 to 3.100 rad, beyond"),
-        ("0 1 0 0 0", "0.1 0 0 0 0", "warning", "slope 0"),
-        (
-            "</equality>",
-            follows("index_j1", "index_j2"),
-            "error",
-            "'index_j1', 'index_j2' form a loop",
-        ),
-        (
-            "</equality>",
-            follows("index_j2", "thumb_j1"),
-            "error",
-            "'index_j2' is driven by 2",
-        ),
-        (
-            "</mujoco>",
-            TENDON + "</mujoco>",
-            "warning",
-            "tendon 't' couples the joint 'thumb_j1', 'thumb_j2'",
-        ),
-        (INDEX, INDEX + inertial("0", "0 0 0"), "error", "'index_a' has mass 0 kg"),
-        (INDEX, INDEX + inertial("1", "1e-5 1e-5 1e-4"), "error", "index_a.*sum of the other"),
-        (INDEX, INDEX + inertial("1", "0 1e-5 1e-5"), "error", "must be positive.*index_a"),
-        (INDEX, INDEX + inertial("0.1", "1 1 1"), "warning", "'index_a' has a radius of gyr"),
+        ("0 1 0 0 0", "0 1 0.5 0 0", "warning: 'index_j2' follows 'index_j1' by a curve"),
+        ("0 1 0 0 0", "0.1 2 0 0 0", r"warning: 'index_j2' from 0.100 to 3.100 rad, beyond"),
+        ("0 1 0 0 0", "0.1 0 0 0 0", "warning: slope 0"),
+        ("</equality>", follows("index_j1", "index_j2"), "error: 'index_j1', 'index_j2' form a loop"),
+        ("</equality>", follows("index_j2", "thumb_j1"), "error: 'index_j2' is driven by 2"),
+        ("</mujoco>", TENDON + "</mujoco>", "warning: tendon 't' couples the joint 'thumb_j1', 'thumb_j2'"),
+        (INDEX, INDEX + inertial("0", "0 0 0"), "error: 'index_a' has mass 0 kg"),
+        (INDEX, INDEX + inertial("1", "1e-5 1e-5 1e-4"), "error: index_a.*sum of the other"),
+        (INDEX, INDEX + inertial("1", "0 1e-5 1e-5"), "error: must be positive.*index_a"),
+        (INDEX, INDEX + inertial("0.1", "1 1 1"), "warning: 'index_a' has a radius of gyr"),
         (
             '<geom name="index_a" fromto="0 0 0.015 0 0 0.03"/>',
             "",
-            "error",
-            "no mass in the moving body 'index_a'",
+            "error: no mass in the moving body 'index_a'",
         ),
         (
             '<geom name="index_b" fromto="0 0 0.015 0 0 0.03"/>',
             '<geom name="index_b" fromto="0 0 0.015 0 0 0.03" contype="0" conaffinity="0"/>',
-            "error",
-            "no collision shape on the link 'index_b'",
+            "error: no collision shape on the link 'index_b'",
         ),
         (
             'size="0.01 0.04 0.04" pos="0 0 0.04"',
             'size="0.01 0.04 0.06" pos="0 0 0.06"',
-            "error",
-            "'palm' and 'index_a' .* at the zero pose",
+            "error: 'palm' and 'index_a' .* at the zero pose",
         ),
         (
             INDEX,
             '<body name="index_a" pos="0 0.03 0.1" quat="0 1 0 0">',
-            "error",
-            "'palm' and 'index_b'.* overlap",
+            "error: 'palm' and 'index_b'.* overlap",
         ),
-        (INDEX, '<body name="index_a" pos="0 0.03 1.1">', "warning", "in metres"),
+        (INDEX, '<body name="index_a" pos="0 0.03 1.1">', "warning: in metres"),
         (
             '<site name="index_tip" pos="0 0 0.03"/>',
             '<site name="index_tip"/>',
-            "error",
-            "'index_b' and 'index_tip' begin at the same point",
+            "error: 'index_b' and 'index_tip' begin at the same point",
         ),
     ],
 )
-def test_faults_of_an_mjcf(tmp_path, old, new, severity, pattern):
+def test_faults_of_an_mjcf(tmp_path, old, new, told):
     findings = check_hand_files(write(tmp_path, changed(MJCF, old, new)))
-    assert said(findings, severity, pattern), findings
+    assert said(findings, told), findings
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "severity", "pattern"),
+    ("old", "new", "told"),
     [
-        ('palm = "palm"', 'palm = "plam"', "error", "unknown body of small.xml 'plam'. Did you mean 'palm'"),
-        ('tip = "index_tip"', 'tip = "index_top"', "error", "unknown site or body of small.xml 'index_top'"),
+        ('palm = "palm"', 'palm = "plam"', "error: unknown body of small.xml 'plam'. Did you mean 'palm'"),
+        ('tip = "index_tip"', 'tip = "index_top"', "error: unknown site or body of small.xml 'index_top'"),
         (
             'tip = "index_tip"',
             'tip = "thumb_tip"',
-            "error",
-            "'thumb_tip' is on the body 'thumb_b', not on the last",
+            "error: 'thumb_tip' is on the body 'thumb_b', not on the last",
         ),
-        ('["index_a", "index_b"]', '["index_b", "index_a"]', "error", "list links from base to tip"),
-        ('["index_a", "index_b"]', '["index_a", "thumb_b"]', "error", "'thumb_b' does not hang on 'index_a'"),
-        ('["index_a", "index_b"]', "[]", "error", "finger 'index' needs 'links'"),
-        ("fingers.index", "fingers.indx", "error", "unknown finger 'indx'. Did you mean 'index'"),
+        ('["index_a", "index_b"]', '["index_b", "index_a"]', "error: list links from base to tip"),
+        ('["index_a", "index_b"]', '["index_a", "thumb_b"]', "error: 'thumb_b' does not hang on 'index_a'"),
+        ('["index_a", "index_b"]', "[]", "error: finger 'index' needs 'links'"),
+        ("fingers.index", "fingers.indx", "error: unknown finger 'indx'. Did you mean 'index'"),
         (
             'tip = "index_tip"',
             'tip = "index_tip"\njoints = ["index_a", "x"]',
-            "error",
-            "site or body of small.xml 'x'",
+            "error: site or body of small.xml 'x'",
         ),
-        ('tip = "index_tip"', 'tip = "index_tip"\njoints = ["index_a"]', "error", "2 links and 1 joints"),
-        ("[fingers.thumb]", "[fingers.pinky]", "error", "no thumb"),
-        ("force_limit = 0.5", "", "error", "actuators.force_limit for joint"),
-        ("normal = [1.0, 0.0, 0.0]", "normal = [-1.0, 0.0, 0.0]", "error", "out of the back of the hand"),
+        ('tip = "index_tip"', 'tip = "index_tip"\njoints = ["index_a"]', "error: 2 links and 1 joints"),
+        ("[fingers.thumb]", "[fingers.pinky]", "error: no thumb"),
+        ("force_limit = 0.5", "", "error: actuators.force_limit for joint"),
+        ("normal = [1.0, 0.0, 0.0]", "normal = [-1.0, 0.0, 0.0]", "error: out of the back of the hand"),
         (
             "fingers = [0.0, 0.0, 1.0]",
             "fingers = [0.0, 1.0, 0.0]",
-            "error",
-            "palm_frame.fingers is 90 degrees off",
+            "error: palm_frame.fingers is 90 degrees off",
         ),
-        ("fingers = [0.0, 0.0, 1.0]", "fingers = [1.0, 0.0, 0.0]", "warning", "perpendicular"),
-        ("normal = [1.0, 0.0, 0.0]", "normal = [2.0, 0.0, 0.0]", "error", "must be a unit vector"),
-        ('model = "small.xml"', 'model = "big.xml"', "error", "big.xml does not exist"),
-        ('palm = "palm"', "palm = 3", "error", "'palm' must be a text, not 3"),
-        ('model = "small.xml"', 'model = ["small.xml"]', "error", "'model' must be a text"),
+        ("fingers = [0.0, 0.0, 1.0]", "fingers = [1.0, 0.0, 0.0]", "warning: perpendicular"),
+        ("normal = [1.0, 0.0, 0.0]", "normal = [2.0, 0.0, 0.0]", "error: must be a unit vector"),
+        ('model = "small.xml"', 'model = "big.xml"', "error: big.xml does not exist"),
+        ('palm = "palm"', "palm = 3", "error: 'palm' must be a text, not 3"),
+        ('model = "small.xml"', 'model = ["small.xml"]', "error: 'model' must be a text"),
         (
             'name = "small"',
             'name = "small"\nactuators = 3\n[rest]',
-            "error",
-            "'actuators' must be a table|not valid",
+            "error: 'actuators' must be a table|not valid",
         ),
-        ('links = ["index_a", "index_b"]', "links = [1, [2]]", "error", "must be a text, not 1"),
-        ("[fingers.index]", "[index]", "error", "a hand needs a thumb and at least one more finger"),
-        ('name = "small"', "", "error", "the field 'name' is missing"),
-        ('name = "small"', "name = small", "error", "not valid TOML"),
+        ('links = ["index_a", "index_b"]', "links = [1, [2]]", "error: must be a text, not 1"),
+        ("[fingers.index]", "[index]", "error: a hand needs a thumb and at least one more finger"),
+        ('name = "small"', "", "error: the field 'name' is missing"),
+        ('name = "small"', "name = small", "error: not valid TOML"),
     ],
 )
-def test_faults_of_a_toml(tmp_path, old, new, severity, pattern):
+def test_faults_of_a_toml(tmp_path, old, new, told):
     findings = check_hand_files(write(tmp_path, toml=changed(TOML, old, new)))
-    assert said(findings, severity, pattern), findings
+    assert said(findings, told), findings
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "severity", "pattern"),
+    ("old", "new", "told"),
     [
-        ('<mujoco><compiler fusestatic="false"/></mujoco>', "", "error", "'palm' is fused with the world"),
-        ('<parent link="index_a"/>', '<parent link="indexa"/>', "error", "names a parent link 'indexa'"),
+        ('<mujoco><compiler fusestatic="false"/></mujoco>', "", "error: 'palm' is fused with the world"),
+        ('<parent link="index_a"/>', '<parent link="indexa"/>', "error: names a parent link 'indexa'"),
         (
             '<link name="thumb_a">',
             '<link name="lost"/><link name="thumb_a">',
-            "error",
-            "no parent joint: 'palm', 'lost'",
+            "error: no parent joint: 'palm', 'lost'",
         ),
-        ('index_a">' + INERTIAL, 'index_a">', "warning", "no <inertial> in the moving link 'index_a'"),
-        ('effort="1"', 'effort="0"', "warning", "'index_j1' has no force limit"),
-        ('lower="0" upper="1.5"', 'lower="1.5" upper="0"', "error", "'index_j1' has inverted limits"),
-        ('upper="1.5"', 'upper="90"', "error", "degrees mistaken"),
-        (LIMIT, "", "error", "no limits.*'index_j1'"),
-        (LIMIT, LIMIT + '<mimic joint="none"/>', "error", "mimics 'none', which does not exist"),
-        (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="0"/>', "warning", "multiplier 0"),
-        (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="3"/>', "warning", "beyond its limits"),
-        ('type="revolute"', 'type="floating"', "error", "'index_j1' is floating"),
-        (BOX, MESH, "error", "missing mesh 'package://x/a.stl'.*not resolved"),
-        ("thumb", "fifth", "warning", "no thumb"),
-        ("<robot", "<rabbit", "error", "not valid XML"),
-        ("</robot>", "<!-- ${radius} --></robot>", "error", "xacro"),
+        ('index_a">' + INERTIAL, 'index_a">', "warning: no <inertial> in the moving link 'index_a'"),
+        ('effort="1"', 'effort="0"', "warning: 'index_j1' has no force limit"),
+        ('lower="0" upper="1.5"', 'lower="1.5" upper="0"', "error: 'index_j1' has inverted limits"),
+        ('upper="1.5"', 'upper="90"', "error: degrees mistaken"),
+        (LIMIT, "", "error: no limits.*'index_j1'"),
+        (LIMIT, LIMIT + '<mimic joint="none"/>', "error: mimics 'none', which does not exist"),
+        (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="0"/>', "warning: multiplier 0"),
+        (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="3"/>', "warning: beyond its limits"),
+        ('type="revolute"', 'type="floating"', "error: 'index_j1' is floating"),
+        (BOX, MESH, "error: missing mesh 'package://x/a.stl'.*not resolved"),
+        ("thumb", "fifth", "warning: no thumb"),
+        ("<robot", "<rabbit", "error: not valid XML"),
+        ("</robot>", "<!-- ${radius} --></robot>", "error: xacro"),
     ],
 )
-def test_faults_of_a_urdf(tmp_path, old, new, severity, pattern):
+def test_faults_of_a_urdf(tmp_path, old, new, told):
     text = URDF.replace(old, new) if old == "thumb" else changed(URDF, old, new)
     (tmp_path / "small.urdf").write_text(text)
     findings = check_hand_files(tmp_path / "small.urdf")
-    assert said(findings, severity, pattern), findings
+    assert said(findings, told), findings
 
 
 def test_it_goes_on_after_a_missing_mesh(tmp_path):
@@ -348,9 +314,9 @@ def test_it_goes_on_after_a_missing_mesh(tmp_path):
     mesh = changed(mesh, '<geom name="index_a" fromto="0 0 0.015 0 0 0.03"/>', '<geom type="mesh" mesh="m"/>')
     mesh = changed(mesh, '<joint name="thumb_j1"/>', '<joint name="thumb_j1" range="2 1"/>')
     findings = check_hand_files(write(tmp_path, mesh))
-    assert said(findings, "error", r"missing mesh 'lost.obj'")
-    assert said(findings, "error", "'thumb_j1' has inverted limits")
-    assert not said(findings, "error", "no mass|no collision shape")
+    assert said(findings, r"error: missing mesh 'lost.obj'")
+    assert said(findings, "error: 'thumb_j1' has inverted limits")
+    assert not said(findings, "error: no mass|no collision shape")
 
 
 @pytest.mark.parametrize(
@@ -367,7 +333,7 @@ def test_files_that_are_no_hands(tmp_path, name, content, pattern):
     if content is not None:
         (tmp_path / name).write_text(content)
     findings = check_hand_files(tmp_path / name)
-    assert said(findings, "error", pattern), findings
+    assert said(findings, f"error: {pattern}"), findings
     assert not any("\n" in f.message for f in faults(findings))
 
 
@@ -383,7 +349,7 @@ def test_actuators_without_a_force_limit(tmp_path):
     (tmp_path / "small.xml").write_text(
         changed(MJCF, "</mujoco>", '<actuator><position name="push" joint="thumb_j1"/></actuator></mujoco>')
     )
-    assert said(check_hand_files(tmp_path / "small.xml"), "warning", "no force limit on the actuator 'push'")
+    assert said(check_hand_files(tmp_path / "small.xml"), "warning: no force limit on the actuator 'push'")
 
 
 @pytest.mark.parametrize(
@@ -412,5 +378,5 @@ def test_models_of_others_are_read_to_the_end(name):
     if not path.is_file():
         pytest.skip(f"{path} is not here")
     findings = check_hand_files(path)
-    assert said(findings, "error", "missing mesh")
-    assert said(findings, "note", "fungrasp hands add")
+    assert said(findings, "error: missing mesh")
+    assert said(findings, "note: fungrasp hands add")

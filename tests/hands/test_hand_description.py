@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from fungrasp.hands import hand_files, load_hand
+from fungrasp.hands.arm import export_hand
+from fungrasp.hands.export import self_contained_xml
 from fungrasp.hands.hand import Finger
 from fungrasp.hands.hand_description import contact_points, describe_hand, hand_mass
-from fungrasp.hands.hand_export import export_hand
-from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
 HANDS = sorted(hand_files())
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.hands import hand_files, load_hand
-from fungrasp.hands.collision_spheres import collision_spheres
+from fungrasp.hands.collisions import collision_spheres
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 
 HANDS = sorted(hand_files())

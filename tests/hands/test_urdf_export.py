@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fungrasp.hands import load_hand
-from fungrasp.hands.urdf_export import model_urdf
+from fungrasp.hands.export import model_urdf
 
 
 @pytest.mark.parametrize("name", ["inspire", "shadow"])

@@ -13,19 +13,19 @@ MODULES = {
     "fault_series": "series",
     "faults": "devices",
     "grasp_set": "commands",
-    "hands": "added_hands",
     "identification": "comparison",
     "paper": "tables",
-    "peers": "compare",
+    "peers": "comparison",
     "perception": "commands",
     "wire": "series",
 }
-"""Where the command of a benchmark is."""
+"""Where the command of a benchmark is that is a folder."""
 
 
 def run_benchmark(capsys: Any, name: str, *arguments: object) -> tuple[int, str, str]:
     """Status and output of ``python -m benchmarks.<name>``."""
-    command = importlib.import_module(f"benchmarks.{name}.{MODULES[name]}").COMMAND
+    place = f"{name}.{MODULES[name]}" if name in MODULES else name
+    command = importlib.import_module(f"benchmarks.{place}").COMMAND
     status = run_command(f"python -m benchmarks.{name}", command, [str(a) for a in arguments])
     captured = capsys.readouterr()
     return status, captured.out, captured.err

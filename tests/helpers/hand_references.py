@@ -1,30 +1,23 @@
 """What the makers' descriptions of real hands say: frames, joint axes, limits, masses and couplings.
 
-The numbers are in ``hand_references.json``, so that they can be compared anywhere. They were computed from
-the makers' URDF or MJCF texts, which are not part of this project; where those lie in ``FOLDER``,
-``python tests/helpers/hand_references.py`` makes the numbers anew, and a test compares both. To cover one
-more hand, add it to ``REFERENCES``.
+The numbers are in ``hand_references.json``, computed once from the makers' URDF or MJCF texts, which are not
+part of this project: each joint configuration's frames and axes by MuJoCo, the rest as the files have it.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 from fungrasp.geometry.poses import compose, invert, rotate
-from fungrasp.hands import Hand, load_hand
+from fungrasp.hands import Hand
 
 NUMBERS = Path(__file__).with_suffix(".json")
-DIGITS = 6
-"""Decimals that the numbers are kept with [m, rad]."""
 CONFIGURATIONS = 5
 """Joint configurations that frames and axes are compared in."""
 FOLDER = Path(__file__).resolve().parents[2] / ".." / "shared" / "reference" / "hands"
@@ -210,116 +203,3 @@ def reference_numbers(name: str, reference: Reference) -> ReferenceNumbers:
         kept[key] = {body: np.array(values) for body, values in kept[key].items()}
     kept["couplings"] = [tuple(coupling) for coupling in kept["couplings"]]
     return ReferenceNumbers(**kept)
-
-
-def computed_numbers(name: str, reference: Reference) -> dict[str, Any]:
-    """The same from the reference's file, as JSON holds it."""
-    hand, model = load_hand(name), reference_model(reference)
-    theirs = Posed(model, reference.palm)
-    joints = [reference.joints.get(joint, joint) for joint in hand.joint_names]
-    angles = np.round(random_angles(hand, CONFIGURATIONS), DIGITS)
-    bodies = [model.body(i).name for i in range(1, model.nbody)]
-    frames: dict[str, list[list[float]]] = {body: [] for body in bodies}
-    axes: dict[str, list[list[float]]] = {joint: [] for joint in joints}
-    for row in angles:
-        theirs.set(dict(zip(joints, row.tolist(), strict=True)))
-        for body in bodies:
-            frames[body].append(_rounded(theirs.body(body)))
-        for joint in joints:
-            axes[joint].append(_rounded(np.concatenate(theirs.joint(joint))))
-    return {
-        "sha256": hashlib.sha256((FOLDER / reference.file).read_bytes()).hexdigest(),
-        "angles": dict(zip(joints, angles.T.tolist(), strict=True)),
-        "bodies": frames,
-        "axes": axes,
-        "limits": {joint: _rounded(model.joint(joint).range) for joint in joints},
-        "masses": reference_masses(reference),
-        "couplings": reference_couplings(reference),
-    }
-
-
-def _rounded(values: np.ndarray) -> list[float]:
-    return (np.round(values, DIGITS) + 0.0).tolist()
-
-
-def reference_model(reference: Reference) -> mujoco.MjModel:
-    """The reference's kinematics: no shapes, no actuators, placeholder masses."""
-    root = _read(FOLDER / reference.file)
-    urdf = root.tag == "robot"
-    for parent in list(root.iter()):
-        parent.text = parent.tail = None
-        for child in list(parent):
-            if child.tag in _DROPPED:
-                parent.remove(child)
-    if urdf:
-        extension = ElementTree.SubElement(root, "mujoco")
-        ElementTree.SubElement(extension, "compiler", angle="radian", fusestatic="false")
-        for link in root.iter("link"):
-            inertial = ElementTree.SubElement(link, "inertial")
-            ElementTree.SubElement(inertial, "mass", value="1")
-            ElementTree.SubElement(inertial, "inertia", ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
-    else:
-        for body in root.iter("body"):
-            ElementTree.SubElement(body, "inertial", pos="0 0 0", mass="1", diaginertia="1 1 1")
-    return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-
-
-def reference_masses(reference: Reference) -> dict[str, float]:
-    """Mass of each body that has one in the file [kg]."""
-    root = _read(FOLDER / reference.file)
-    if root.tag == "robot":
-        inertials = ((link.get("name", ""), link.find("inertial/mass")) for link in root.iter("link"))
-        return {name: float(mass.get("value", "nan")) for name, mass in inertials if mass is not None}
-    inertials = ((body.get("name", ""), body.find("inertial")) for body in root.iter("body"))
-    return {name: float(inertial.get("mass", "nan")) for name, inertial in inertials if inertial is not None}
-
-
-def reference_couplings(reference: Reference) -> list[tuple[dict[str, float], float]]:
-    """Linear equations between joint angles: coefficients by their joint name, and the sum [rad]."""
-    root = _read(FOLDER / reference.file)
-    equations = []
-    for joint in root.iter("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            factor, offset = float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0"))
-            equations.append(({joint.get("name", ""): 1.0, mimic.get("joint", ""): -factor}, offset))
-    if root.find("default/tendon[@limited='true']") is not None:
-        for tendon in root.iter("fixed"):
-            terms = {j.get("joint", ""): float(j.get("coef", "nan")) for j in tendon.iter("joint")}
-            equations.append((terms, 0.0))
-    return equations
-
-
-_DROPPED = frozenset(
-    {"asset", "geom", "mesh", "visual", "collision", "inertial", "site"}
-    | {"option", "contact", "tendon", "sensor", "actuator"}
-)
-
-
-def _read(path: Path) -> ElementTree.Element:
-    """The XML file with what it includes put in place."""
-    root = ElementTree.parse(path).getroot()
-    for parent in list(root.iter()):
-        for include in parent.findall("include"):
-            at = list(parent).index(include)
-            parent[at : at + 1] = _read(path.parent / include.get("file", ""))
-    return root
-
-
-def _write_numbers() -> None:
-    numbers = {
-        f"{name}/{reference.file}": computed_numbers(name, reference)
-        for name, references in REFERENCES.items()
-        for reference in references
-    }
-    parts = [
-        f" {json.dumps(file)}: {{\n"
-        + ",\n".join(f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in part.items())
-        + "\n }"
-        for file, part in numbers.items()
-    ]
-    NUMBERS.write_text("{\n" + ",\n".join(parts) + "\n}\n")
-
-
-if __name__ == "__main__":
-    _write_numbers()

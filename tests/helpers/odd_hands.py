@@ -1,8 +1,26 @@
-"""Hands made for the tests of ``hands add``, with what foreign models lack or have too much of."""
+"""Hands made for the tests of ``hands add``, with what foreign models lack or have too much of; claws."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+
+from fungrasp.hands import Hand, load_hand
+from fungrasp.hands.adding.add_hand import Answers, add_hand
+from fungrasp.hands.checking.hand_checks import check_hand_files
+
+
+def added(folder: Path, text: str, suffix: str = ".xml", **answers: Any) -> tuple[Hand, list[str]]:
+    """The hand that becomes of a description, and what adding and the check said; no errors among it."""
+    folder.mkdir(exist_ok=True)
+    (folder / f"odd{suffix}").write_text(text)
+    path, findings = add_hand(folder / f"odd{suffix}", folder / "out", answers=Answers(**answers), force=True)
+    findings = [*findings, *check_hand_files(path)]
+    assert not [finding.message for finding in findings if finding.severity == "error"]
+    return load_hand(path), [finding.message for finding in findings]
+
 
 FINGERS = {
     "index": (0.035, 0.09),
@@ -98,3 +116,37 @@ def _finger(letter: str, place: str, collision: bool, ball: bool, limits: bool, 
         )
         text = f'<body name="{letter}{i + 1}" {at}>{joint}{weight}{shape}{text}</body>'
     return text
+
+
+RADIUS = 0.05
+"""Distance of the fingers' bases from the center [m]."""
+
+
+def claw(
+    count: int = 3, low: float = -1.5, high: float = 1.5, turns: str = "1 -1 1", degrees: bool = False
+) -> str:
+    """MJCF of ``count`` fingers of two links along z around the body "base".
+
+    Args:
+        count: of fingers.
+        low, high: limits of every joint [rad].
+        turns: sign of each finger's axis; 1 bends to the center with growing angles.
+        degrees: leave out the compiler's settings, so that angles count as degrees.
+    """
+    parts = []
+    for k, sign in enumerate(turns.split()[:count]):
+        angle = 2 * np.pi * k / count
+        outward = np.array([np.cos(angle), np.sin(angle)])
+        # About this axis a finger along z bends to the center.
+        axis = float(sign) * np.array([outward[1], -outward[0]])
+        hinge = f'axis="{axis[0]:.6f} {axis[1]:.6f} 0" range="{low} {high}"'
+        parts.append(
+            f"""<body name="f{k}a" pos="{RADIUS * outward[0]:.6f} {RADIUS * outward[1]:.6f} 0.02">
+            <joint name="f{k}a_j" {hinge}/><geom fromto="0 0 0 0 0 0.05" mass="0.03"/>
+            <body name="f{k}b" pos="0 0 0.05"><joint name="f{k}b_j" {hinge}/>
+            <geom fromto="0 0 0 0 0 0.04" mass="0.03"/></body></body>"""
+        )
+    compiler = "" if degrees else '<compiler angle="radian"/>'
+    return f"""<mujoco>{compiler}<default><geom type="capsule" size="0.009"/></default><worldbody>
+      <body name="base"><geom type="box" size="0.04 0.04 0.01" mass="0.3"/>{"".join(parts)}</body>
+      </worldbody></mujoco>"""

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.grasps import load_human_grasps
-from fungrasp.grasps.joint_orders import MANO, OPENPOSE
+from fungrasp.grasps.human_hand import MANO, OPENPOSE
 from fungrasp.perception import Capture, Intrinsics
 
 CAMERA = Intrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)

@@ -14,13 +14,20 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.policies.checkpoint.card import PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.retargeting import retarget
-from fungrasp.simulation import Device
+from fungrasp.simulation import Device, SceneSettings
 from fungrasp.training.distill import train_student
-from fungrasp.training.environment import EnvironmentSettings, TrainingEnvironment
-from fungrasp.training.plan_library import PlanLibrary, Variety, build_plan_library
-from fungrasp.training.settings import CurveSettings, DistillSettings, PpoSettings, StudentSpec, TrainSpec
+from fungrasp.training.environment import TrainingEnvironment
+from fungrasp.training.settings import (
+    CurveSettings,
+    DistillSettings,
+    EnvironmentSettings,
+    PpoSettings,
+    StudentSpec,
+    TrainSpec,
+    Variety,
+)
 from fungrasp.training.train import train
-from fungrasp.training.training_sets import TrainingSet
+from fungrasp.training.training_sets import PlanLibrary, TrainingSet, build_plan_library
 
 WORLDS = 8
 PPO = PpoSettings(hidden=(32, 16), steps=6, epochs=2, minibatches=2, warm_up=2)
@@ -44,12 +51,15 @@ def training_set() -> TrainingSet:
 @cache
 def library() -> PlanLibrary:
     one = training_set()
-    return build_plan_library(one.grasps, one.objects, hand(), Variety(copies=2), threads=1)
+    return build_plan_library(
+        one.grasps, one.objects, hand(), TrainSpec(threads=1, variety=Variety(copies=2))
+    )
 
 
 def environment(seed: int = 0, device: Device = "cpu", **settings: Any) -> TrainingEnvironment:
     chosen = EnvironmentSettings(**({"worlds": WORLDS} | settings))
-    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, 1, device)
+    physics = SceneSettings(device=device)
+    return TrainingEnvironment(library(), training_set().objects, hand(), chosen, seed, 1, physics)
 
 
 def run_spec(steps: float = BATCH, curve: CurveSettings | None = None, **ppo: Any) -> TrainSpec:

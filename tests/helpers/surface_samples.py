@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps import RobotGrasp
 from fungrasp.hands import Hand
-from fungrasp.hands.hand_export import export_hand
+from fungrasp.hands.arm import export_hand
 from fungrasp.objects import ObjectModel
 
 POINTS = 3000

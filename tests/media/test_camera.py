@@ -29,25 +29,11 @@ def test_axes_are_those_of_opencv():
     assert np.linalg.det(camera.rotation) == pytest.approx(1.0)
 
 
-def test_intrinsics_project_camera_points():
-    camera = Camera((0.3, -0.5, 0.4), (0, 0, 0.1), fov_y=50, width=64, height=48)
-    point = np.array([0.05, 0.02, 0.12])
-    image = camera.intrinsics @ (camera.rotation.T @ (point - camera.position))
-    np.testing.assert_allclose(camera.project(point)[0], image[:2] / image[2])
-
-
 @given(angles, heights, st.integers(0, 2**31))
-def test_fitted_camera_sees_all_spheres(azimuth, elevation, seed):
-    rng = np.random.default_rng(seed)
-    centers, radii = rng.uniform(-0.2, 0.2, (5, 3)), rng.uniform(0, 0.05, 5)
-    camera = fit_camera(centers, radii, azimuth, elevation, width=80, height=60)
-    directions = rng.normal(size=(200, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    surface = (centers[:, None] + radii[:, None, None] * directions).reshape(-1, 3)
-    pixels, depth = camera.project(surface)
-    assert (depth > 0).all()
-    assert (pixels > -0.5).all()
-    assert (pixels < [79.5, 59.5]).all()
+def test_fitted_camera_sees_all_points(azimuth, elevation, seed):
+    points = np.random.default_rng(seed).uniform(-0.2, 0.2, (20, 3))
+    pixels, depth = fit_camera(points, azimuth, elevation, width=80, height=60).project(points)
+    assert (depth > 0).all() and (pixels > -0.5).all() and (pixels < [79.5, 59.5]).all()
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import load_hand
 from fungrasp.media import episode_film as module
-from fungrasp.media.episode_film import VERDICT_TIME, episode_film, episode_phases, film_frames
+from fungrasp.media import orbit_camera
+from fungrasp.media.episode_film import (
+    VERDICT_TIME,
+    FilmSettings,
+    episode_film,
+    episode_phases,
+    film_frames,
+    frame_times,
+    interpolate,
+)
 from fungrasp.objects import builtin_object
 
 HAND = load_hand("allegro")
 BALL = builtin_object("tennis_ball")
 FPS, WIDTH, HEIGHT = 5.0, 96, 72
+SMALL = FilmSettings(FPS, 1.0, WIDTH, HEIGHT)
 
 
 @pytest.fixture
@@ -56,6 +69,20 @@ def test_without_touch_there_is_no_closing(trajectory: Trajectory) -> None:
     assert [name for _, name in episode_phases(never)] == ["approach", "lift", "hold"]
 
 
+def leave_blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing be drawn, which takes long."""
+
+    class Blank:
+        def __init__(self, model: mujoco.MjModel, threads: int = 0) -> None: ...
+
+        def stream(self, qpos: np.ndarray, *_: object, **__: object) -> Iterator[np.ndarray]:
+            return iter(np.zeros((len(qpos), HEIGHT, WIDTH, 3), np.uint8))
+
+    still = orbit_camera((0.0, 0.0, 0.1), 0.5, 30.0, 30.0, width=WIDTH, height=HEIGHT)
+    monkeypatch.setattr(module, "Renderer", Blank)
+    monkeypatch.setattr(module, "look_at_grasp", lambda *_, **__: still)
+
+
 def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[str]:
     words: list[str] = []
 
@@ -63,10 +90,9 @@ def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[st
         words.append(left)
         return image
 
+    leave_blank(monkeypatch)
     monkeypatch.setattr(module, "captioned", captioned)
-    frames = list(
-        episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, title="Ball", width=WIDTH, height=HEIGHT)
-    )
+    frames = list(episode_film(trajectory, HAND, BALL, SMALL, title="Ball"))
     assert all(frame.shape == (HEIGHT, WIDTH, 3) for frame in frames)
     return words
 
@@ -104,10 +130,8 @@ def test_a_diverged_simulation_is_shown_until_then(
 def test_an_object_that_gets_away_does_not_shrink_the_picture(trajectory: Trajectory) -> None:
     pose = trajectory.object_pose.copy()
     pose[25:, 0] = np.linspace(0.0, 5.0, 26)
-    first = next(episode_film(trajectory, HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT))
-    other = next(
-        episode_film(replace(trajectory, object_pose=pose), HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT)
-    )
+    first = next(episode_film(trajectory, HAND, BALL, SMALL))
+    other = next(episode_film(replace(trajectory, object_pose=pose), HAND, BALL, SMALL))
     dark = [int((frame[:60].max(axis=-1) < 70).sum()) for frame in (first, other)]
     assert dark[1] > 0.3 * dark[0] > 0, "the hand is much smaller"
 
@@ -122,14 +146,37 @@ def test_still_frames_are_drawn_once(trajectory: Trajectory, monkeypatch: pytest
             return super().stream(qpos, camera, **others)
 
     monkeypatch.setattr(module, "Renderer", Counting)
-    count = len(list(episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, width=WIDTH, height=HEIGHT)))
+    count = len(list(episode_film(trajectory, HAND, BALL, SMALL)))
     assert count == 26 + round(VERDICT_TIME * FPS)
     assert drawn <= 13, "the hand is still from 1 s to 2 s and from 3 s on"
 
 
-def test_the_number_of_frames_is_known_before(trajectory: Trajectory) -> None:
+def test_the_number_of_frames_is_known_before(
+    trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    leave_blank(monkeypatch)
     diverged = replace(trajectory, object_pose=trajectory.object_pose.copy())
     diverged.object_pose[30:] = np.nan
     for each in (trajectory, diverged):
-        frames = episode_film(each, HAND, BALL, fps=FPS, speed=1.7, width=WIDTH, height=HEIGHT)
-        assert len(list(frames)) == film_frames(each, FPS, 1.7)
+        faster = replace(SMALL, speed=1.7)
+        assert len(list(episode_film(each, HAND, BALL, faster))) == film_frames(each, faster)
+
+
+def test_states_in_between_lie_on_the_shortest_motion() -> None:
+    xml = "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    model, times = mujoco.MjModel.from_xml_string(xml), np.array([1.0, 1.5, 2.0])
+    qpos, angle = np.zeros((3, 7)), (times - 1.0) * np.pi / 2
+    qpos[:, 0], qpos[:, 3], qpos[:, 6] = 0.2 * (times - 1.0), np.cos(angle / 2), np.sin(angle / 2)
+    middle = interpolate(model, qpos, times, np.array([1.25]))[0]
+    eighth = 0.125 * np.pi / 2
+    np.testing.assert_allclose(middle, [0.05, 0, 0, np.cos(eighth), 0, 0, np.sin(eighth)], atol=1e-12)
+    np.testing.assert_allclose(interpolate(model, qpos, times, times), qpos, atol=1e-12)
+
+
+def test_frame_times_cover_the_motion() -> None:
+    times = np.array([1.0, 2.0])
+    np.testing.assert_allclose(frame_times(times, 4), [1, 1.25, 1.5, 1.75, 2.0])
+    assert len(frame_times(times, 4, speed=0.5)) == 9
+    assert len(frame_times(times[:1], 25)) == 1
+    with pytest.raises(FungraspError, match="frames per second"):
+        frame_times(times, 0)

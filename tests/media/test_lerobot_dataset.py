@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -118,55 +118,6 @@ def test_lerobots_own_loader_takes_it(tmp_path, monkeypatch):
     for row, index, number in ((2, 3, 2), (9, 4, 2), (11, 4, 4)):
         picture = dataset[row]["observation.images.front"].numpy()
         assert picture.shape == (3, 32, 48) and abs(255 * picture.mean() - 20 * number - index) < 6
-
-
-@pytest.mark.slow
-def test_a_policy_of_lerobots_learns_from_it(tmp_path, monkeypatch):
-    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    loader = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="LeRobot is not installed")
-    import torch
-    from lerobot.configs.types import FeatureType
-    from lerobot.datasets.utils import dataset_to_policy_features
-    from lerobot.policies.act.configuration_act import ACTConfig
-    from lerobot.policies.act.modeling_act import ACTPolicy
-    from lerobot.policies.factory import make_pre_post_processors
-
-    draw = partial(episode_pictures, hand=HAND, thing=THING, size=(96, 64))
-    cameras = {name: partial(draw, camera=name) for name in ("front", "wrist")}
-    root = write_lerobot_dataset([rising(3, 12), rising(5, 12)], tmp_path / "set", cameras)
-    features = dataset_to_policy_features(loader.LeRobotDatasetMetadata("lift", root=root).features)
-    kinds = (FeatureType.STATE, FeatureType.ENV, FeatureType.VISUAL)
-    seen = {name: feature for name, feature in features.items() if feature.type in kinds}
-    seen.pop("observation.contacts", None)
-    assert {"observation.images.front", "observation.images.wrist"} < set(seen)
-    config = ACTConfig(
-        input_features=seen,
-        output_features={"action": features["action"]},
-        chunk_size=4,
-        n_action_steps=4,
-        dim_model=64,
-        n_heads=4,
-        dim_feedforward=64,
-        n_encoder_layers=1,
-        latent_dim=8,
-        pretrained_backbone_weights=None,
-        device="cpu",
-    )
-    times = {"action": [step / 50 for step in range(4)]}
-    dataset = loader.LeRobotDataset("lift", root=root, delta_timestamps=times)
-    torch.manual_seed(0)
-    policy = ACTPolicy(config)
-    prepare, _ = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
-    optimizer = torch.optim.AdamW(policy.parameters(), lr=1e-3)
-    losses = []
-    for _ in range(5):
-        for batch in torch.utils.data.DataLoader(dataset, batch_size=8, shuffle=True):
-            loss, _ = policy.forward(prepare(batch))
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            losses.append(loss.item())
-    assert np.mean(losses[-3:]) < 0.7 * np.mean(losses[:3])
 
 
 def test_what_can_not_be_exported_is_said(tmp_path, capsys):

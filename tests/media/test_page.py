@@ -53,8 +53,6 @@ def _grasp(**changes):
     return GraspReport(
         **{
             "title": "Mug, to drink",
-            "task": "drink",
-            "object_name": "mug",
             "object_mass": 0.25,
             "success": True,
             "outcome": "Lifted 15 cm.",
@@ -79,6 +77,7 @@ def test_a_page_says_everything(tmp_path):
         "Grasps", [_grasp()], "Allegro", "An introduction.", {"seed": "0", "command": "fungrasp demo"}
     )
     path = write_page(tmp_path / "page.html", page)
+    assert path.read_text(encoding="utf-8").count('class="number over"') == 1
     checker = _check(path.read_text(encoding="utf-8"))
     wanted = ("Grasps", "Allegro", "An introduction.", "Mug, to drink", "250 g", "Lifted 15 cm.", "6.23")
     results = ("Lifted and held", "1 of 2 wanted contacts reached", "index distal", "At most 5 mm.")
@@ -89,7 +88,7 @@ def test_a_page_says_everything(tmp_path):
 
 def test_a_page_needs_nothing_from_outside(tmp_path):
     film = write_video(tmp_path / "film.mp4", [_picture(), _picture(50)], 10)
-    html = page_html(Page("Grasps", [_grasp(film=film), _grasp(film=film.read_bytes())]))
+    html = page_html(Page("Grasps", [_grasp(film=film), _grasp(film=film)]))
     checker = _check(html)
     assert len(checker.sources) == 4 + 2 + 2
     assert all(source.startswith(("data:", "#")) for source in checker.sources)
@@ -108,17 +107,14 @@ def test_pictures_and_films_are_inside_unchanged(tmp_path):
 def test_every_text_is_escaped():
     grasp = _grasp(
         title=NASTY,
-        task=NASTY,
-        object_name=NASTY,
         outcome=NASTY,
-        contacts=[Contact(NASTY, True)],
+        contacts=[Contact(NASTY, True, True)],
         quality=[Quantity(NASTY, NASTY, NASTY, NASTY)],
-        film=b"film",
     )
     html = page_html(Page(NASTY, [grasp, grasp], NASTY, NASTY, {NASTY: NASTY}))
     assert "<script" not in html
     checker = _check(html)
-    assert checker.text.count("<script>alert('x')</script>") >= 20
+    assert checker.text.count("<script>alert('x')</script>") >= 16
 
 
 def test_what_is_missing_is_left_out():
@@ -133,18 +129,15 @@ def test_a_failure_is_called_one():
     assert "1 of 2 lifted and held" in checker.text
 
 
-def test_use_is_judged_by_itself():
-    html = page_html(Page("Grasps", [_grasp(use_success=False, use_outcome="It slipped.", use_film=b"film")]))
+def test_use_is_judged_by_itself(tmp_path):
+    (tmp_path / "use.mp4").write_bytes(b"film")
+    failed = _grasp(use_success=False, use_outcome="It slipped.", use_film=tmp_path / "use.mp4")
+    html = page_html(Page("Grasps", [failed]))
     text = _check(html).text
     assert "✓ Lifted and held" in text and "✗ Use failed" in text and "It slipped." in text
     assert html.count("<video") == 1
     html = page_html(Page("Grasps", [_grasp(use_success=True), _grasp(use_success=False), _grasp()]))
     assert "1 of 2 used" in _check(html).text and html.count("✓ Used") == 1
-
-
-def test_numbers_over_their_limit_stand_out():
-    html = page_html(Page("Grasps", [_grasp()]))
-    assert html.count('class="number over"') == 1
 
 
 def test_animated_pictures_are_shown_as_pictures(tmp_path):

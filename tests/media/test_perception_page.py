@@ -25,20 +25,15 @@ from fungrasp.media.perception_pictures import (
     FINGER_COLORS,
     REJECTED_LINE,
     SHAPE,
-    close_up,
-    drawn_over,
-    false_colors,
-    pose_over,
-    whole_image,
+    CloseUp,
 )
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception.builtin_image import builtin_truth
-from fungrasp.perception.estimates import PerceptionWarning
+from fungrasp.perception.acceptance import Acceptance, Meter
+from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
-from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.io.scene_folders import builtin_truth, read_folder
 from fungrasp.perception.perceived import Perceived, PerceptionQuality
-from fungrasp.perception.verdict import Meter, PerceptionVerdict
 
 CAPTURE = read_folder(FOLDER)
 TRUTH = builtin_truth()
@@ -86,7 +81,7 @@ def perceived(**changes) -> Perceived:
             "table_found": True,
             "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.003),
             "warnings": (),
-            "verdict": PerceptionVerdict(True, 0.95, 0.9, METERS, ()),
+            "acceptance": Acceptance(True, 0.95, 0.9, METERS, ()),
             **changes,
         }
     )
@@ -97,8 +92,8 @@ def no_pictures(monkeypatch):
     """Pictures take a second; not every test looks at them."""
     picture = np.zeros((3, 4, 3), np.uint8)
     monkeypatch.setattr(perception_page, "grasp_from_four_sides", lambda *_: [picture] * 4)
-    for name in ("drawn_over", "false_colors", "whole_image"):
-        monkeypatch.setattr(perception_page, name, lambda *_: picture)
+    for name in ("found", "depth", "whole_image"):
+        monkeypatch.setattr(CloseUp, name, lambda *_: picture)
 
 
 def page(tmp_path, seen: Perceived) -> str:
@@ -123,12 +118,10 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     assert said.index("✓ Sure: 86 % that all is right") < said.index("In the image")
     assert "Not sure" not in said and "What would help" not in said
     assert "seen in one image" in said
-    several = replace(perceived().verdict, looks=3)
-    assert "seen in the surest of 3 images" in words(page(tmp_path, perceived(verdict=several)))
     warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
     thing = replace(perceived().object, score=0.3, accepted=False)
-    verdict = PerceptionVerdict(False, 0.3, 0.5, METERS, ("a click at the object",))
-    html = page(tmp_path, perceived(object=thing, verdict=verdict, warnings=warnings))
+    verdict = Acceptance(False, 0.3, 0.5, METERS, ("a click at the object",))
+    html = page(tmp_path, perceived(object=thing, acceptance=verdict, warnings=warnings))
     said = words(html)
     assert "✓" not in said
     assert (
@@ -159,7 +152,7 @@ def test_a_page_holds_its_pictures_and_needs_nothing_from_outside(tmp_path):
 def test_page_and_terminal_show_the_same_evidence(tmp_path, no_pictures):
     seen = perceived()
     said = words(page(tmp_path, seen))
-    for row in seen.verdict.rows():
+    for row in seen.acceptance.rows():
         assert all(cell in said for cell in row), row
     assert "not known" in said
     assert "poor" not in said
@@ -230,15 +223,15 @@ def test_another_pose_that_fits_as_well_is_told():
 def test_the_skeleton_is_drawn_where_the_joints_are():
     seen = perceived()
     pose = TRUTH.pose_camera_object
-    picture = drawn_over(CAPTURE, seen.hand, MODEL, pose, True)
+    picture = CloseUp(CAPTURE, seen.hand, MODEL, pose).found(True)
     assert picture.shape == (SHAPE[1], SHAPE[0], 3)
-    view = close_up(CAPTURE, seen.hand, MODEL, pose)
+    view = CloseUp(CAPTURE, seen.hand, MODEL, pose)
     columns, rows = np.round(view.place(seen.hand.pixels)).astype(int).T
     nearest = np.argmin(TRUTH.joints_camera[:, 2])
     for joint, finger in ((4, "index"), (12, "ring"), (20, "thumb"), (18, "thumb")):
         np.testing.assert_allclose(picture[rows[joint], columns[joint]], FINGER_COLORS[finger], atol=12)
     hollow = replace(seen.hand, confidence=np.zeros(21))
-    drawn = drawn_over(CAPTURE, hollow, MODEL, pose, True)
+    drawn = CloseUp(CAPTURE, hollow, MODEL, pose).found(True)
     assert drawn[rows[nearest], columns[nearest]].max() < 60
 
 
@@ -247,7 +240,7 @@ def test_the_close_up_shows_the_image_where_it_says():
     marked = CAPTURE.color.copy()
     marked[200:203, 300:303] = (0, 255, 0)
     seen = perceived()
-    view = close_up(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
+    view = CloseUp(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
     picture = view.cut(Image.fromarray(marked)).astype(float)
     green = np.argwhere((picture[..., 1] > 200) & (picture[..., 0] < 60))
     np.testing.assert_allclose(green.mean(axis=0)[::-1], view.place(np.array([301, 201])), atol=0.3)
@@ -257,8 +250,8 @@ def test_the_outline_is_that_of_the_object():
     """Between the last pixels that show the object and the first that don't, where no hand is before it."""
     seen = perceived()
     pose = TRUTH.pose_camera_object
-    view = close_up(CAPTURE, seen.hand, MODEL, pose)
-    picture = pose_over(CAPTURE, seen.hand, MODEL, pose, pose)
+    view = CloseUp(CAPTURE, seen.hand, MODEL, pose)
+    picture = CloseUp(CAPTURE, seen.hand, MODEL, pose).another_pose(pose)
     red = np.argwhere(np.abs(picture.astype(int) - REJECTED_LINE).max(axis=-1) < 30)[:, ::-1]
     assert len(red) > 1000
     corners = view.place(CAPTURE.intrinsics.project(transform_points(pose, MODEL.vertices)))
@@ -271,26 +264,19 @@ def test_an_object_out_of_the_image_is_not_drawn():
     away = TRUTH.pose_camera_object + np.array([5.0, 0, 0, 0, 0, 0, 0])
     behind = TRUTH.pose_camera_object * np.array([1.0, 1, -1, 1, 1, 1, 1])
     for pose in (away, behind):
-        picture = drawn_over(CAPTURE, seen.hand, MODEL, pose, False)
+        picture = CloseUp(CAPTURE, seen.hand, MODEL, pose).found(False)
         assert not np.any(np.abs(picture.astype(int) - REJECTED_LINE).max(axis=-1) < 10)
 
 
 def test_depth_has_colors_and_holes_are_black():
     seen = perceived()
-    picture = false_colors(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object, True)
-    view = close_up(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
+    picture = CloseUp(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object).depth(True)
+    view = CloseUp(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
     depth = view.cut(Image.fromarray(CAPTURE.depth))
     part = np.s_[:300]
     dark = picture[part].max(axis=-1) < 30
     assert dark[depth[part] == 0].mean() > 0.9
     assert dark[depth[part] > 0].mean() < 0.1
-
-
-def test_a_wide_image_is_made_smaller():
-    seen = perceived()
-    view = close_up(CAPTURE, seen.hand, MODEL, TRUTH.pose_camera_object)
-    assert whole_image(CAPTURE, view).shape == (480, 640, 3)
-    assert whole_image(CAPTURE, view, width=320).shape == (240, 320, 3)
 
 
 def test_joints_that_are_no_hand_still_make_a_page(tmp_path):

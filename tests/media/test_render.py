@@ -6,7 +6,7 @@ import pytest
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.media import Camera, Look, Renderer, orbit_camera, render
-from fungrasp.media.ray_tracing import NOTHING, TABLE, RayTracer, sun_direction
+from fungrasp.media.ray_tracing import NOTHING, TABLE, sun_direction
 from fungrasp.media.surfaces import linear
 
 SCENE = """
@@ -43,7 +43,7 @@ def _geom(model, name):
 
 def test_silhouette_and_depth_of_a_sphere(model):
     camera = Camera((0.0, -0.6, 0.25), (0.0, 0.0, 0.05), fov_y=20, width=160, height=120)
-    views = Renderer(model).views(np.zeros(2), camera, color=False)
+    views = Renderer(model).views(np.zeros(2), camera)
     seen = views.segmentation[0] == _geom(model, "ball")
     v, u = np.mgrid[:120, :160]
     rays = camera.directions(np.stack([u, v], -1).astype(float))
@@ -72,7 +72,7 @@ def test_primitives_have_their_shape(shape, size, heights):
     world = f'<worldbody><geom type="{shape}" size="{size}"/></worldbody>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{world}</mujoco>")
     above = Camera((0, 0, 4.0), (0, 0, 0), up=(0, 1, 0), fov_y=2, width=141, height=141)
-    views = Renderer(model, ground=False).views(np.zeros(0), above, color=False)
+    views = Renderer(model).views(np.zeros(0), above)
     for x, height in zip((0.0, 0.012), heights, strict=True):
         u, v = np.round(above.project(np.array([x, 0.0, height]))[0]).astype(int)
         assert views.depth[0, v, u] == pytest.approx(4.0 - height, abs=4e-4)
@@ -82,7 +82,7 @@ def test_primitives_have_their_shape(shape, size, heights):
 
 
 def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
-    views = Renderer(model).views(np.zeros(2), camera, color=False)
+    views = Renderer(model).views(np.zeros(2), camera)
     v, u = np.argwhere(views.segmentation[0] == TABLE)[-1]
     direction = camera.directions(np.array([u, v], float))
     point = np.asarray(camera.position) + direction * views.depth[0, v, u] / (
@@ -91,24 +91,12 @@ def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
     assert abs(point[2]) < 1e-6
 
 
-def test_sky_has_no_depth(model):
+def test_sky_has_no_depth_and_what_collides_is_not_drawn(model):
     camera = Camera((0, -0.6, 0.1), (0, 0, 0.2), width=20, height=16)
-    views = Renderer(model).views(np.zeros(2), camera, color=False)
+    views = Renderer(model).views(np.zeros(2), camera)
     sky = views.segmentation == NOTHING
-    assert sky.any()
-    assert (views.depth[sky] == 0).all()
-    assert (views.depth[~sky] > 0).all()
-
-
-def test_collision_groups_and_planes_are_not_drawn(model, camera):
-    seen = Renderer(model).views(np.zeros(2), camera, color=False).segmentation
-    assert set(np.unique(seen)) <= {NOTHING, TABLE, _geom(model, "ball"), _geom(model, "post")}
-
-
-def test_without_ground_the_models_plane_is_drawn(model, camera):
-    seen = Renderer(model, ground=False).views(np.zeros(2), camera, color=False).segmentation
-    assert (seen == _geom(model, "floor")).any()
-    assert not (seen == TABLE).any()
+    assert sky.any() and (views.depth[sky] == 0).all() and (views.depth[~sky] > 0).all()
+    assert set(np.unique(views.segmentation)) <= {NOTHING, TABLE, _geom(model, "ball"), _geom(model, "post")}
 
 
 def test_shadow_falls_on_the_table_opposite_to_the_light(model):
@@ -146,14 +134,8 @@ def test_same_bytes_on_any_number_of_threads_and_in_any_company(model, camera):
     np.testing.assert_array_equal(together[7], render(model, states[7], camera, look=replace(look))[0])
 
 
-def test_light_rays_left_out_do_not_change_the_picture(model, camera, monkeypatch):
-    quick = render(model, np.zeros(2), camera)
-    monkeypatch.setattr(RayTracer, "_table_may_be_shaded", lambda self, points, rays: points.surface == TABLE)
-    np.testing.assert_array_equal(quick, render(model, np.zeros(2), camera))
-
-
 def test_antialiasing_comes_closer_to_a_large_picture(model, camera):
-    large = render(model, np.zeros(2), camera.sized(640, 480), shadows=False, antialias=1)[0]
+    large = render(model, np.zeros(2), replace(camera, width=640, height=480), shadows=False, antialias=1)[0]
     truth = linear(large / 255).reshape(60, 8, 80, 8, 3).mean((1, 3))
     pictures = [render(model, np.zeros(2), camera, shadows=False, antialias=n)[0] for n in (1, 3)]
     rough, fine = (np.abs(linear(picture / 255) - truth).max() for picture in pictures)
@@ -172,13 +154,8 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
     assert np.argmax(views.color[0][ball[0]].mean(0)) == 2
     assert np.argmax(views.color[1][ball[1]].mean(0)) == 1
     look = Look(light=tuple(sun_direction(Look(), camera.rotation)))
-    alone = render(model, np.zeros(2), other, geom_rgba=colors[1], look=look)[0]
+    alone = next(Renderer(model, look=look).stream(np.zeros(2), other, geom_rgba=colors[1]))
     assert np.abs(views.color[1].astype(int) - alone).max() <= 1
-
-
-def test_frames_come_one_by_one(model, camera):
-    stream = Renderer(model).stream(np.zeros((1000, 2)), camera.sized(16, 12))
-    assert next(stream).shape == (12, 16, 3)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +163,6 @@ def test_frames_come_one_by_one(model, camera):
     [
         ({"qpos": np.zeros((2, 3))}, "qpos"),
         ({"qpos": np.full(2, np.nan)}, "finite"),
-        ({"geom_rgba": np.ones((2, 4))}, "geom_rgba"),
         ({"camera": []}, "cameras"),
         ({"antialias": 0}, "antialias"),
         ({"threads": -1}, "threads"),
@@ -195,6 +171,8 @@ def test_frames_come_one_by_one(model, camera):
 def test_wrong_arguments_are_named(model, camera, arguments, words):
     with pytest.raises(FungraspError, match=words):
         render(model, **{"qpos": np.zeros(2), "camera": camera, **arguments})
+    with pytest.raises(FungraspError, match="geom_rgba"):
+        Renderer(model).stream(np.zeros(2), camera, geom_rgba=np.ones((2, 4)))
 
 
 def test_looks_are_checked():

@@ -96,8 +96,3 @@ def test_mistakes_get_one_line(arguments, message, capsys):
     error = capsys.readouterr().err.strip()
     assert message in error
     assert "\n" not in error
-
-
-def test_zero_mass_of_a_file(capsys, brick):
-    assert main(["objects", "show", str(brick), "--mass", "0"]) == 2
-    assert "the mass must be positive" in capsys.readouterr().err

@@ -165,7 +165,7 @@ KINDS = {
 def weights(path: Path) -> bytes:
     """The graph of a policy file; its card holds times."""
     data = path.read_bytes()
-    return b"".join(data[f.start : f.end] for f in message_fields(data) if f.number == 7)
+    return b"".join(data[f.start : f.end] for f in message_fields(data, 0, len(data)) if f.number == 7)
 
 
 def progress(folder: Path) -> list[Any]:

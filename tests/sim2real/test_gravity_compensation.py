@@ -67,23 +67,6 @@ def test_a_hand_hanging_sideways_does_not_sag() -> None:
     assert sag[True] < 1e-4
 
 
-def test_the_torque_of_one_joint_by_hand() -> None:
-    """A finger that points sideways: mass times distance times gravity on the joint that carries it."""
-    hand = load_hand("allegro")
-    model = hand.spec().compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    tip = model.body("ff_distal").id
-    rotation = quaternion_from_rotation_vector(np.array([0.0, np.pi / 2, 0.0]))
-    torques = GravityCompensation(hand).torques(rotation, np.zeros(16))
-    # World z is -x of the palm after a quarter turn about y: gravity pulls along +x there.
-    joint = model.joint("ffj3")
-    axis, anchor = data.xaxis[joint.id], data.xanchor[joint.id]
-    weight = model.body_subtreemass[tip] * 9.81 * np.array([1.0, 0.0, 0.0])
-    lever = data.subtree_com[tip] - anchor
-    assert torques[3] == pytest.approx(-float(axis @ np.cross(lever, weight)), abs=1e-9)
-
-
 def test_a_tick_is_cheap() -> None:
     gravity, joints = GravityCompensation(load_hand("allegro")), np.zeros(16)
     fastest = np.inf

@@ -120,32 +120,24 @@ def test_the_same_seed_draws_the_same_sample():
 
 def test_the_reality_protocol_draws_what_its_page_says():
     sample, degree = drawn(REALITY), np.deg2rad(1)
-    for name, low, high in (("servo_stiffness", 0.85, 1.15), ("servo_damping", 0.7, 1.3), ("mass", 0.5, 2.0)):
+    ranges = {"servo_stiffness": (0.85, 1.15), "mass": (0.5, 2.0), "friction": (0.5, 1.1)}
+    ranges |= {"joint_friction": (0.0, 0.04), "encoder_bias": (-0.01, 0.01), "wrist_lag": (0.02, 0.06)}
+    ranges |= {"action_delay": (0.03, 0.1), "tracker_delay": (0.06, 0.12), "table_height": (-0.01, 0.01)}
+    for name, (low, high) in ranges.items():
         assert_fills(getattr(sample, name), low, high)
-    assert np.median(sample.mass) == pytest.approx(1.0, rel=0.05), "half is as likely as double"
-    assert_fills(sample.friction, 0.5, 1.1)
-    assert_fills(sample.table_height, -0.01, 0.01)
     assert_fills(np.linalg.norm(sample.table_tilt, axis=1), 0.0, degree)
-    assert_fills(sample.joint_friction, 0.0, 0.04)
-    assert_fills(sample.encoder_bias, -0.01, 0.01)
+    assert_fills(sample.center_of_mass_shift, -0.15, 0.15)
     np.testing.assert_array_equal(sample.backlash, 0.01)
     np.testing.assert_allclose(np.linalg.norm(sample.wrist_offset[:, :3], axis=1), 0.003)
     np.testing.assert_allclose(np.linalg.norm(sample.wrist_offset[:, 3:], axis=1), degree)
-    assert_fills(sample.wrist_lag, 0.02, 0.06)
-    assert_fills(sample.action_delay, 0.03, 0.1)
-    assert_fills(sample.tracker_delay, 0.06, 0.12)
     assert sample.tracker_freezes.mean() == pytest.approx(0.3, abs=0.03)
-    assert_fills(sample.center_of_mass_shift, -0.15, 0.15)
     sizes, counts = np.unique(sample.object_scale, return_counts=True)
     np.testing.assert_allclose(sizes, [0.99, 0.995, 1.0, 1.005, 1.01])
     assert counts.min() > 0.17 * COUNT
     moved = np.linalg.norm(sample.object_shift[:, :2], axis=1)
-    assert (moved > 0).mean() == pytest.approx(0.3, abs=0.03)
+    assert (moved > 0).mean() == pytest.approx(0.3, abs=0.03), "the others stay where they are"
     assert_fills(moved[moved > 0], 0.01, 0.02)
     assert sample.push_weights.shape == (COUNT, 3) and (sample.push_weights == 0.5).all()
-    assert REALITY.tracker_dropout == 0.05 and REALITY.push_duration == 0.2
-    assert REALITY.object_position_error.jitter == 0.002
-    assert REALITY.object_rotation_error.jitter == degree
 
 
 def test_a_pose_error_has_the_covariance_that_a_planner_is_told():
@@ -160,14 +152,6 @@ def test_a_pose_error_has_the_covariance_that_a_planner_is_told():
     # Half of the normal distribution lies within 0.674 standard deviations.
     assert np.median(angle) == pytest.approx(0.674 * np.deg2rad(3), rel=0.06)
     assert not NOMINAL.object_pose_covariance.any()
-
-
-def test_a_moved_object_is_neither_shifted_nor_turned_where_it_is_not_moved():
-    r = Randomization(object_shift=(0.01, 0.02), object_turn=0.5, shift_probability=0.5)
-    shift = drawn(r).object_shift
-    still = (shift == 0.0).all(axis=1)
-    assert still.mean() == pytest.approx(0.5, abs=0.04)
-    assert (shift[~still] != 0).all()
 
 
 def test_what_an_episode_gets_depends_on_seed_and_number_alone():
@@ -223,32 +207,17 @@ def test_samples_with_and_without_friction_do_not_mix():
     [
         ({"mass": (0.0, 2.0)}, "mass must be positive"),
         ({"mass": (float("nan"), 1.0)}, "mass must be finite"),
-        ({"joint_damping": (-1.0, 2.0)}, "joint damping must be positive"),
         ({"friction": (0.0, 1.0)}, "friction must be positive"),
         ({"servo_stiffness": (2.0, 1.0)}, "servo stiffness must rise from low to high"),
-        ({"wrist_stiffness": (0.0, 1.0)}, "wrist stiffness must be positive"),
-        ({"table_height": (0.0, float("inf"))}, "table height must be finite"),
         ({"table_height": (-3.0, 0.0)}, "table height must be within 0.2 m"),
         ({"joint_error": MeasurementError(0.1, float("nan"))}, "joint error must be finite"),
         ({"object_position_error": MeasurementError(-0.1)}, "object position error must not be negative"),
-        ({"object_rotation_error": MeasurementError(offset=np.inf)}, "object rotation error must be finite"),
-        ({"action_delay": (-0.1, 0.1)}, "action delay must not be negative"),
         ({"action_delay": (0.0, 0.11)}, "action delay must be 0 to 0.1 s"),
-        ({"action_delay": (0.0, float("nan"))}, "action delay must be finite"),
-        ({"tracker_delay": (0.2, 0.1)}, "tracker delay must rise"),
         ({"tracker_dropout": 1.5}, "tracker dropout is a probability"),
-        ({"tracker_dropout": -0.5}, "tracker dropout must not be negative"),
-        ({"tracker_freeze": 1.1}, "tracker freeze is a probability"),
-        ({"shift_probability": 2.0}, "shift probability is a probability"),
-        ({"object_scale": (0.0, 1.0)}, "object scale must be positive"),
-        ({"joint_friction": (-0.1, 0.0)}, "joint friction must not be negative"),
         ({"center_of_mass_shift": 0.6}, "center of mass shift must be within half of the extent"),
         ({"table_tilt": (0.0, 0.7)}, "table tilt must be at most"),
         ({"push_times": ((0.0, 1.0), (2.0, 1.5))}, "push times must rise"),
-        ({"push_force": (-1.0, 1.0)}, "push force must not be negative"),
-        ({"push_weights": (-1.0, 1.0)}, "push weights must not be negative"),
         ({"push_duration": 0.0}, "push duration must be positive"),
-        ({"object_shift": (0.0, float("nan"))}, "object shift must be finite"),
         ({"object_turn": -0.1}, "object turn must not be negative"),
     ],
 )
@@ -259,46 +228,33 @@ def test_impossible_ranges_are_named(change, message):
 
 RANDOM: list[dict] = [
     {"mass": (0.5, 2.0)},
-    {"mass": (1, 2)},
     {"friction": (0.5, 0.9)},
-    {"tracker_delay": (0.0, 0.1)},
     {"tracker_dropout": 0.1},
     {"joint_error": MeasurementError(jitter=0.1)},
-    {"object_position_error": MeasurementError(offset=0.01)},
     {"object_shift": (0.02, 0.02)},
     {"object_turn": 0.1},
     {"table_tilt": (0.01, 0.01)},
     {"wrist_position_offset": 0.003},
     {"encoder_bias": 0.01},
     {"center_of_mass_shift": 0.1},
-    {"object_scale": (0.99, 1.01)},
-    {"tracker_freeze": 0.3},
     {"push_times": ((1.0, 1.0),), "push_weights": (1.0, 1.0)},
 ]
 FIXED: list[dict] = [
     {},
-    {"mass": (2.0, 2.0)},
-    {"friction": (0.6, 0.6)},
-    {"table_height": (0.02, 0.02)},
-    {"action_delay": (0.05, 0.05)},
-    {"tracker_delay": (0.05, 0.05)},
+    {"mass": (2.0, 2.0), "friction": (0.6, 0.6), "table_height": (0.02, 0.02), "action_delay": (0.05, 0.05)},
     {"push_times": ((0.0, 3.0), (1.0, 2.0))},
     {"push_force": (0.0, 1.0)},
-    {"object_scale": (1.01, 1.01)},
-    {"backlash": (0.01, 0.01)},
+    {"backlash": (0.01, 0.01), "object_scale": (1.01, 1.01)},
     {"shift_probability": 0.3},
 ]
 
 
-@pytest.mark.parametrize("change", RANDOM)
-def test_what_depends_on_the_seed_is_random(change):
-    assert Randomization(**change).is_random
-
-
-@pytest.mark.parametrize("change", FIXED)
-def test_what_does_not_depend_on_the_seed_is_not(change):
+def test_what_depends_on_the_seed_is_random_and_nothing_else():
     """Pushes without force push nothing, and a force without pushes does nothing."""
-    assert not Randomization(**change).is_random
+    for change in RANDOM:
+        assert Randomization(**change).is_random, change
+    for change in FIXED:
+        assert not Randomization(**change).is_random, change
 
 
 def test_each_preset_is_wider_than_the_one_before():
@@ -318,17 +274,6 @@ def test_the_robustness_protocol_changes_one_kind_of_thing_at_a_time_and_nothing
         {f.name for f in fields(Randomization) if getattr(r, f.name) != getattr(NOMINAL, f.name)}
         for r in ROBUSTNESS.values()
     ]
-    assert set().union(*changed) == {
-        "mass",
-        "friction",
-        "table_height",
-        "object_position_error",
-        "object_rotation_error",
-        "action_delay",
-        "push_times",
-        "push_weights",
-        "object_shift",
-    }
     pairs = {"object_position_error": "object_rotation_error", "push_times": "push_weights"}
     for names in changed[1:]:
         assert len(names - set(pairs.values())) == 1, "one kind each"

@@ -114,10 +114,13 @@ class EngineContract:
         )
         return engine
 
-    def collide(self, engine: Engine, seeds: np.ndarray, calls: int = 30) -> np.ndarray:
-        """The hand comes down on the objects while its fingers move at random; positions along the way."""
+    def collide(
+        self, engine: Engine, seeds: np.ndarray, calls: int = 30, stood: np.ndarray | None = None
+    ) -> np.ndarray:
+        """The hand comes down on the objects while its fingers move at random; positions along the way.
+        stood: where the objects stand, if they are not those of the contract's scene."""
         count = len(engine)
-        raised = standing(engine.object_index)
+        raised = standing(engine.object_index) if stood is None else stood.copy()
         raised[:, 2] += 0.02
         start = pose(count, 0.0, 0.0, 0.12, turn=UPSIDE_DOWN)
         engine.reset()
@@ -301,23 +304,8 @@ class EngineContract:
             name = OBJECTS[kind]
             engine = self.make(build_scene(load_hand("allegro"), {name: contract_objects()[name]}), 1)
             engine.set_parameters(object_mass=mass[[world]], friction=friction[[world]])
-            self_standing = standing(np.array([kind]))
-            assert np.isfinite(self_standing).all()
-            one = self._collide_alone(engine, self_standing, world)
+            one = self.collide(engine, np.array([world]), stood=standing(np.array([kind])))
             np.testing.assert_allclose(path[:, world], one[:, 0], rtol=0, atol=self.alone, err_msg=name)
-
-    def _collide_alone(self, engine: Engine, stood: np.ndarray, seed: int) -> np.ndarray:
-        """As ``collide``, of the only object of a scene."""
-        raised = stood + np.array([0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
-        start, rng, path = pose(1, 0.0, 0.0, 0.12, turn=UPSIDE_DOWN), np.random.default_rng(seed), []
-        engine.reset()
-        engine.set_state(object_pose=raised, wrist_frame=start, joint_positions=np.zeros((1, 16)))
-        for i in range(30):
-            goal = start.copy()
-            goal[:, 2] -= 0.004 * (i + 1)
-            engine.step(engine.controls(goal, np.zeros((1, 3)), rng.uniform(0.0, 1.2, (1, 16))), 5)
-            path.append(engine.positions)
-        return np.array(path)
 
     def test_threads_do_not_matter(self):
         one, other = (self.collide(self.ready(range(6), n), np.arange(6), 12) for n in (1, 3))
@@ -472,7 +460,7 @@ class EngineContract:
         scaled.set_parameters(object_mass=np.array([0.7]))
         own = self.make(build_scene(hand, {"mug": heavy}), 1)
         stood = standing(np.array([MUG]))
-        one, other = (self._collide_alone(engine, stood, 0) for engine in (scaled, own))
+        one, other = (self.collide(engine, np.arange(1), stood=stood) for engine in (scaled, own))
         np.testing.assert_allclose(one[20], other[20], rtol=0, atol=self.alike)
 
     def test_a_world_that_is_given_another_object_moves_as_a_fresh_one(self):
@@ -643,14 +631,6 @@ class EngineContract:
         engine.set_state(joint_positions=start)
         engine.step(still(engine, 0.5), 20)
         np.testing.assert_allclose(engine.joint_positions[1], engine.joint_positions[0], atol=1e-3)
-
-    def test_rows_of_parameters_are_of_the_worlds_that_are_given(self):
-        engine = self.ready([CAN] * 3, height=0.8)
-        engine.set_parameters(np.array([0, 2]), table_height=np.array([-0.05, 0.05]))
-        engine.set_state(object_pose=pose(3, 0.0, 0.0, 0.15))
-        engine.step(still(engine), 300)
-        height = engine.object_pose[:, 2]
-        np.testing.assert_allclose(height - height[1], [-0.05, 0.0, 0.05], atol=1e-3)
 
     def test_parameters_of_some_worlds_leave_the_others(self):
         plain, mixed = self.ready([CAN] * 4), self.ready([CAN] * 4)

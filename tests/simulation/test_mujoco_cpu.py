@@ -9,35 +9,11 @@ from engine_contract import CAN, OBJECTS, EngineContract, contract_scene, pose, 
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.simulation import MujocoCpuEngine, Scene, build_scene
-from fungrasp.simulation.world_parameters import INERTIAL
 
 
 class TestMujocoCpuEngine(EngineContract):
     def make(self, scene: Scene, count: int, threads: int = 1) -> MujocoCpuEngine:
         return MujocoCpuEngine(scene, count, threads)
-
-
-def test_inertial_fields_of_a_mass_are_those_that_mujoco_compiles():
-    light, heavy = builtin_object("mug", 0.2), builtin_object("mug", 0.7)
-    scaled = MujocoCpuEngine(build_scene(load_hand("allegro"), {"mug": light}), 1)
-    scaled.set_parameters(object_mass=np.array([0.7]))
-    own = MujocoCpuEngine(build_scene(load_hand("allegro"), {"mug": heavy}), 1)
-    for name in INERTIAL:
-        values = scaled.batch.expand(name)[0]
-        np.testing.assert_allclose(values, getattr(own.batch.get_model(0), name), rtol=1e-9, err_msg=name)
-
-
-def test_objects_have_their_own_inertial_fields_again_when_no_mass_is_given():
-    alone = build_scene(load_hand("allegro"), {"can": builtin_object("can")})
-    for scene, last in ((contract_scene(), len(OBJECTS) - 1), (alone, 0)):
-        used, own = MujocoCpuEngine(scene, 2), MujocoCpuEngine(scene, 2)
-        used.set_parameters(object_mass=np.array([1.7, 1.7]))
-        used.set_parameters(np.array([1]), object_index=np.array([last]))
-        own.set_parameters(object_index=np.array([0, last]))
-        for name in INERTIAL:
-            ours, theirs = used.batch.expand(name), own.batch.expand(name)
-            np.testing.assert_array_equal(ours[1], theirs[1], err_msg=name)
-        assert np.abs(used.batch.expand("body_mass")[0] - own.batch.expand("body_mass")[0]).max() > 1.0
 
 
 def test_settled_objects_weigh_what_they_weigh():

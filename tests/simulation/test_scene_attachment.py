@@ -10,9 +10,10 @@ import pytest
 from lifted_grasps import allegro_hand, grasped_objects, human_grasps
 from scipy.spatial.transform import Rotation
 
-from fungrasp.evaluation import LiftTestResult, evaluate
+from fungrasp.evaluation import evaluate
 from fungrasp.hands import Hand, load_hand
 from fungrasp.retargeting import retarget
+from fungrasp.task.outcome import Outcomes
 
 
 def moved_hand(folder: Path, seed: int, stand: bool) -> Hand:
@@ -39,15 +40,22 @@ def moved_hand(folder: Path, seed: int, stand: bool) -> Hand:
     return load_hand(folder)
 
 
-def lifted(hand: Hand) -> LiftTestResult:
-    return evaluate(retarget(human_grasps(), grasped_objects(), hand), grasped_objects())
+def lifted(hand: Hand) -> Outcomes:
+    grasps = human_grasps().select(slice(0, None, 2))
+    return evaluate(retarget(grasps, grasped_objects(), hand), grasped_objects()).outcomes
+
+
+@pytest.fixture(scope="module")
+def expected() -> Outcomes:
+    return lifted(allegro_hand())
 
 
 @pytest.mark.filterwarnings("ignore:Attaching a spec")
-@pytest.mark.parametrize(("seed", "stand"), [(0, False), (1, False), (2, True)])
-def test_episodes_do_not_depend_on_the_palms_place_in_the_file(tmp_path: Path, seed: int, stand: bool):
-    hand = moved_hand(tmp_path / "moved", seed, stand)
-    expected, result = lifted(allegro_hand()).outcomes, lifted(hand).outcomes
+@pytest.mark.parametrize(("seed", "stand"), [(0, False), (2, True)])
+def test_episodes_do_not_depend_on_the_palms_place_in_the_file(
+    tmp_path: Path, seed: int, stand: bool, expected: Outcomes
+):
+    result = lifted(moved_hand(tmp_path / "moved", seed, stand))
     assert expected.success.any()
     np.testing.assert_array_equal(result.success, expected.success)
     np.testing.assert_allclose(result.lifted_height_m, expected.lifted_height_m, atol=1e-6)

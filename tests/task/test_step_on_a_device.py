@@ -14,8 +14,7 @@ from tensor_engine import TensorEngine, meta
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.hands import load_hand
-from fungrasp.hands.array_kinematics import ArrayKinematics
-from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics
 from fungrasp.objects import builtin_object
 from fungrasp.policies.plan_tracking import TrackingState, link_directions_of, moved_towards
 from fungrasp.policies.residual_action import ResidualSettings, add_residual, smoothed

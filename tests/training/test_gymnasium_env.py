@@ -9,8 +9,8 @@ from gymnasium.utils.env_match import check_environments_match
 from fungrasp import builtin_grasps
 from fungrasp.core.errors import FungraspError
 from fungrasp.task.features import INPUT_LIMIT
-from fungrasp.training.environment import EnvironmentSettings
 from fungrasp.training.gymnasium_env import ID, LiftVectorEnv
+from fungrasp.training.settings import EnvironmentSettings
 
 FEW: dict[str, Any] = {
     "grasps": builtin_grasps().select(np.array([0, 3])),

@@ -196,7 +196,7 @@ def test_the_student_file_does_what_torch_does(tmp_path, layout):
     student.eval()
     path = tmp_path / "student.onnx"
     card = make_card(
-        "s", "student", hand(), worlds.student_layout, (), worlds.settings.residual, 10.0, Budget(0, 0, "")
+        "s", "student", hand(), worlds.student_layout, (), worlds.settings.residual, Budget(0, 0, "")
     )
     export_policy(student, path, card)
     network, graph = load_policy(path), StudentGraph(student)

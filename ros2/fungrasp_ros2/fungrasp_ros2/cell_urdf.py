@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.arm import FLANGE_SITE, PALM_SITE, mount
-from fungrasp.hands.urdf_export import model_urdf
+from fungrasp.hands.export import model_urdf
 from fungrasp.robots.cell import RobotCell, load_cell
 
 

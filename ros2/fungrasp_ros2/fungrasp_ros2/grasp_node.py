@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.version import __version__
 from fungrasp.deployment.deploy import deploy_on_robot
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.deployment_task import deployment_task
@@ -29,9 +29,8 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.assembly import is_twin
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
-from fungrasp.robots.device import JointState
+from fungrasp.robots.device import JointState, RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_ros2.conversions import diagnostic_fields, fill, joint_state_fields
 from fungrasp_ros2.ros_side import ros_module

@@ -279,9 +279,9 @@ class BringUpLog:
         Raises:
             FungraspError: the file is no log, or one of another cell.
         """
+        from fungrasp.core import __version__
         from fungrasp.core.errors import FungraspError
-        from fungrasp.core.formats.file_bytes import read_bytes
-        from fungrasp.core.version import __version__
+        from fungrasp.core.formats.checks import read_bytes
 
         self._path, self._digest, title = path, digest, f"{TITLE}{cell}"
         self._text = (
@@ -314,7 +314,7 @@ class BringUpLog:
             FungraspError: the file can't be written.
         """
         from fungrasp.core.files import atomic_path
-        from fungrasp.core.formats.file_bytes import one_line
+        from fungrasp.core.formats.checks import one_line
 
         listed = "".join(f"- {one_line(line, 400)}\n" for line in lines)
         when = strftime("%Y-%m-%d %H:%M")

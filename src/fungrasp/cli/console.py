@@ -61,7 +61,7 @@ class Answer:
             FungraspError: there is a fault.
             SystemExit: the status is not 0.
         """
-        from fungrasp.core.formats.json_file import finite
+        from fungrasp.core.formats.text_files import finite
 
         if as_json:
             print(json.dumps(finite(self.value), indent=2, allow_nan=False))
@@ -193,8 +193,7 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> Answer:
         FungraspError: it can't be written.
     """
     from fungrasp.grasps import save_human_grasps
-    from fungrasp.grasps.anatomy import check_anatomy, grouped
-    from fungrasp.grasps.diagnosis import table_remarks
+    from fungrasp.grasps.diagnosis import check_anatomy, grouped, table_remarks
 
     save_human_grasps(path, grasps)
     objects, unusual = sorted(set(grasps.object_name.tolist())), grouped(check_anatomy(grasps))

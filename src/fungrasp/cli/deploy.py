@@ -31,7 +31,7 @@ class Deploy(Answering):
     """The grasp."""
     picture: Path | None = None
     """Before anything moves, rehearse the whole way there and back, so that the safety filter sees every
-    setpoint, and draw it to this file (.png), with a film (.mp4) beside it."""
+    setpoint, and draw it to this file (.png)."""
     yes: bool = False
     """Do not ask before each phase of a real robot."""
     log: Path | None = None
@@ -65,13 +65,13 @@ class Deploy(Answering):
 
             def draw(robot: Robot, prepared: PreparedGrasp) -> None:
                 from fungrasp.deployment.rehearsal import rehearse
-                from fungrasp.media.plan_pictures import write_plan_pictures
+                from fungrasp.media.plan_picture import write_plan_picture
 
                 assert picture is not None
                 motion = rehearse(robot, grasp, prepared)
                 thing = objects[str(grasp.object_name[0])]
-                files = write_plan_pictures(picture, motion, cell, hand, thing, choice.threads)
-                print("\n".join(f"look at: {file}" for file in files), flush=True)
+                write_plan_picture(picture, motion, cell, hand, thing, choice.threads)
+                print(f"look at: {picture}", flush=True)
 
             terminal = _terminal(switch, asks, None if picture is None else draw)
             result = deploy(grasp, objects, spec=spec, log=log, observer=terminal, switch=switch)

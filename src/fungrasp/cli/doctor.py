@@ -15,7 +15,7 @@ class DoctorCommand(Answering):
     large. Nothing is asked of a network, and no device is opened."""
 
     def run(self) -> Answer:
-        from fungrasp.core.diagnosis import diagnose
+        from fungrasp.core.provenance import diagnose
 
         found = diagnose()
         extras = [

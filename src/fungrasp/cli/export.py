@@ -69,9 +69,9 @@ class Export(Answering):
         whole = len(self.cameras) * sum(len(episode.times) for episode in lifts)
 
         def see(camera: Literal["front", "wrist"], episode: Trajectory) -> Iterator[np.ndarray]:
-            thing = load_object(episode.object_name, episode.object_mass, self.objects)
+            obj = load_object(episode.object_name, episode.object_mass, self.objects)
             hand = load_hand(episode.hand)
-            for picture in episode_pictures(episode, hand, thing, camera, self.size, self.threads):
+            for picture in episode_pictures(episode, hand, obj, camera, self.size, self.threads):
                 advance()
                 yield picture
 

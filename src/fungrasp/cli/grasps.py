@@ -185,8 +185,13 @@ class CheckGrasps(Answering):
     """Folder of meshes <name>.obj; built-in objects need none."""
 
     def run(self) -> Answer:
-        from fungrasp.grasps.anatomy import check_anatomy, grouped
-        from fungrasp.grasps.diagnosis import hand_remarks, pose_remarks, table_remarks
+        from fungrasp.grasps.diagnosis import (
+            check_anatomy,
+            grouped,
+            hand_remarks,
+            pose_remarks,
+            table_remarks,
+        )
         from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
 
         fields = read_grasp_fields(self.file)
@@ -464,8 +469,8 @@ def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> N
     from fungrasp.grasps import HumanGrasp
     from fungrasp.hands import load_hand
     from fungrasp.media import grasp_scene
+    from fungrasp.media.grasp_scenes import look_at_grasp
     from fungrasp.media.render import render
-    from fungrasp.media.viewpoints import look_at_grasp
     from fungrasp.objects import load_object
 
     thing = load_object(grasp.object_name, float(grasp.object_mass), objects)

@@ -149,7 +149,7 @@ class ExportHand(Answering):
     def run(self) -> Answer:
         from fungrasp.core.files import atomic_path
         from fungrasp.hands import load_hand
-        from fungrasp.hands.hand_export import export_hand
+        from fungrasp.hands.arm import export_hand
 
         text = export_hand(load_hand(self.name), self.arm)
         with atomic_path(self.out) as temporary:

@@ -43,12 +43,12 @@ class Retarget(Answering):
     def run(self) -> Answer:
         from time import perf_counter
 
-        from fungrasp.core.formats.json_file import finite
+        from fungrasp.core.formats.text_files import finite
         from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation.grasp_quality import static_quality, with_quality
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
-        from fungrasp.hands.self_contacts import self_contact_words
+        from fungrasp.hands.collisions import self_contact_words
         from fungrasp.media.pictures import draw_grasps
         from fungrasp.retargeting import RetargetSettings, retarget
 

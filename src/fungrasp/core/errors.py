@@ -17,8 +17,6 @@ class UnknownNameError(FungraspError):
         """
         Args:
             kind: what was looked up, singular ("hand", "object", ...).
-            given: the name that was asked for.
-            known: the names that exist.
         """
         names = sorted(known)
         near = difflib.get_close_matches(given.lower(), names, n=1, cutoff=0.5)

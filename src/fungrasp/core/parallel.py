@@ -21,7 +21,6 @@ def in_chunks(
 
     Args:
         work: given row numbers, shape [<= chunk]; mostly NumPy or MuJoCo, which let other threads run.
-        count: number of rows.
         threads: 0 means all processors.
         chunk: rows worked on together.
 

@@ -72,8 +72,6 @@ def panels_svg(panels: Sequence[PlotPanel], columns: int = 1, width: float = 9.0
     """Panels below and beside each other.
 
     Args:
-        panels: row by row.
-        columns: number of them beside each other.
         width: of it all [inches of 96 pixels].
         height: of a panel [inches of 96 pixels].
 

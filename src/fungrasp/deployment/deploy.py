@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.core.version import __version__
+from fungrasp.core import __version__
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.deployment_task import DeploymentTask, deployment_task

@@ -21,7 +21,7 @@ Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
 
 @dataclass(frozen=True)
 class DeploymentSpec:
-    """What is asked of a deployment, as JSON by ``fungrasp.core.formats.record_json``."""
+    """What is asked of a deployment, as JSON by ``fungrasp.core.records``."""
 
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
     """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
@@ -93,7 +93,7 @@ class GraspChoice:
         if self.image is not None:
             return self._of_image(self.image, seed)
         from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.grasps.picks import picked_rows
+        from fungrasp.grasps.grasp_selection import picked_rows
 
         everything = load_human_grasps(self.grasps)
         human = everything.select(picked_rows(everything, (self.grasp,)))
@@ -109,7 +109,7 @@ class GraspChoice:
 
     def _of_image(self, folder: str, seed: int) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
         from fungrasp.core.errors import FungraspError
-        from fungrasp.perception.builtin_image import perceive_folder
+        from fungrasp.perception.pipeline import perceive_folder
 
         seen = perceive_folder(folder, self.mesh, self.mass, seed=seed)
         why = why_not_tried(seen)
@@ -126,5 +126,5 @@ def why_not_tried(perceived: Perceived) -> str:
         # A left hand's grasp is one of a right hand on the object's mirror image, which is not on the table.
         return "it shows a left hand, and robots have right ones"
     if not perceived.confident:
-        return "; ".join((perceived.verdict.words, *map(str, perceived.warnings)))
+        return "; ".join((perceived.acceptance.summary(), *map(str, perceived.warnings)))
     return ""

@@ -15,7 +15,7 @@ from fungrasp.geometry.poses import compose, inverse_transform_points, invert, t
 from fungrasp.geometry.signed_distance import nearest_on_mesh
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand, as_hand
-from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres, self_collision_depth
+from fungrasp.hands.collisions import CollisionSpheres, collision_spheres, self_collision_depth
 from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel, check_objects

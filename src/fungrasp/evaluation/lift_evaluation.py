@@ -46,7 +46,7 @@ LOSS = 8
 def evaluate(
     robot: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
-    policy: str | Policy | PrivilegedPolicy | None = None,
+    policy: str | Path | Policy | PrivilegedPolicy | None = None,
     protocol: ProtocolName | None = None,
     *,
     spec: LiftTestSpec | None = None,
@@ -88,6 +88,7 @@ def evaluate(
             f"expected robot grasps, not a {type(robot).__name__}: retarget them first (fungrasp.retarget)"
         )
     spec = spec or LiftTestSpec()
+    policy = str(policy) if isinstance(policy, Path) else policy
     own = policy if policy is not None and not isinstance(policy, str) else None
     if policy is not None:
         spec = replace(spec, policy=policy if isinstance(policy, str) else type(policy).__name__)

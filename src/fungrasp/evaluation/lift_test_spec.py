@@ -9,7 +9,7 @@ from math import radians
 from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.record_json import record_from_json
+from fungrasp.core.records import record_from_json
 from fungrasp.planning.attempts import check_attempts
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import (
@@ -68,7 +68,7 @@ class WorldDifferences:
 
 @dataclass(frozen=True)
 class LiftTestSpec:
-    """What is asked of a lift test. ``fungrasp.core.formats.record_json`` makes it JSON and reads it back."""
+    """What is asked of a lift test. ``fungrasp.core.records`` makes it JSON and reads it back."""
 
     policy: str = "reference"
     """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the

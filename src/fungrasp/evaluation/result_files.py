@@ -19,8 +19,8 @@ from typing import Any
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import one_line, read_bytes
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.checks import one_line, read_bytes
+from fungrasp.core.formats.text_files import read_json
 
 ROW_LISTS = ("trials", "each")
 """Keys of a single JSON file under which its rows are."""

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import finite
-from fungrasp.core.formats.record_json import record_to_json
+from fungrasp.core.formats.text_files import finite
 from fungrasp.core.provenance import run_record
+from fungrasp.core.records import record_to_json
 from fungrasp.core.text_table import table
-from fungrasp.core.version import __version__
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import StaticQuality
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec

@@ -16,7 +16,7 @@ from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS, HUMAN_FINGER_LINKS, correspond
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.part_lookup import nearest_parts
+from fungrasp.objects.object_model import nearest_parts
 from fungrasp.task import DIVERGED, LiftEnvironment
 from fungrasp.task.use import UseMotion, UseOutcomes, load_use_motions, motion_of, play_use
 

@@ -3,8 +3,28 @@ loops on the processor."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
 from fungrasp.geometry.poses import Array, array_namespace, norm, side_by_side
-from fungrasp.geometry.signed_distance import GridArrays
+
+
+class GridArrays(NamedTuple):
+    """Several grids one behind the other, for compiled loops; O grids."""
+
+    values: np.ndarray
+    """All corners, shape [sum X Y Z], float32."""
+    start: np.ndarray
+    """First corner of each grid, shape [O]."""
+    stride: np.ndarray
+    """Corners between neighbors along each axis, shape [O, 3]."""
+    last: np.ndarray
+    """Just less than the last corner's index along each axis, shape [O, 3]."""
+    origin: np.ndarray
+    """First corner's place [m], shape [O, 3]."""
+    spacing: np.ndarray
+    """Edge of a cell [m], shape [O]."""
 
 
 def array_distances(grids: GridArrays, grid: Array, points: Array) -> tuple[Array, Array]:

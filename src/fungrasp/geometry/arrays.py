@@ -38,12 +38,7 @@ def constant(array: Array, values: np.ndarray) -> Array:
 
 
 def rows_like(array: Array, values: Any) -> Array:
-    """Values as a new array of the library, number type and device of another; flags stay flags.
-
-    Args:
-        array: the other.
-        values: a NumPy array.
-    """
+    """Values as a new array of the library, number type and device of another; flags stay flags."""
     given = np.asarray(values)
     if is_numpy(array):
         return given.copy()
@@ -56,7 +51,6 @@ def moved_to(array: Array, values: Any) -> Array:
     NumPy's.
 
     Args:
-        array: the other.
         values: an array of that library, or NumPy's.
     """
     stays = is_numpy(array) or not is_numpy(values) or values.dtype.kind in "US"

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part
-from fungrasp.geometry.signed_distance import GridArrays
 
 
 @compiled_part

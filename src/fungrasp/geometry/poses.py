@@ -93,7 +93,6 @@ def constant_on(library: Any, device: Any, dtype: Any, values: np.ndarray) -> Ar
         library: namespace of the array API.
         device: of the library's.
         dtype: number type of the library's; that of the values if None.
-        values: not many.
     """
     key = library.__name__, str(device), str(dtype), values.dtype.str, values.shape, values.tobytes()
     if key not in _CONSTANTS:

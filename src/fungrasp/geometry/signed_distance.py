@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import ndimage
@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.numpy_files import read_npz
+from fungrasp.geometry.array_distances import GridArrays, array_distances
 from fungrasp.geometry.arrays import is_numpy, rows_like
 from fungrasp.geometry.poses import Array
 from fungrasp.geometry.triangle_mesh import triangle_mesh
@@ -102,23 +103,6 @@ class SignedDistanceGrid:
         return cls(data["origin"], float(data["spacing"]), data["values"])
 
 
-class GridArrays(NamedTuple):
-    """Several grids one behind the other, for compiled loops; O grids."""
-
-    values: np.ndarray
-    """All corners, shape [sum X Y Z], float32."""
-    start: np.ndarray
-    """First corner of each grid, shape [O]."""
-    stride: np.ndarray
-    """Corners between neighbors along each axis, shape [O, 3]."""
-    last: np.ndarray
-    """Just less than the last corner's index along each axis, shape [O, 3]."""
-    origin: np.ndarray
-    """First corner's place [m], shape [O, 3]."""
-    spacing: np.ndarray
-    """Edge of a cell [m], shape [O]."""
-
-
 class SignedDistanceBank:
     """The grids of several objects, looked up together: each row of a batch may ask another object."""
 
@@ -153,8 +137,6 @@ class SignedDistanceBank:
             distance [m], shape [N, P]; gradient, shape [N, P, 3].
         """
         if not is_numpy(points):
-            from fungrasp.geometry.array_distances import array_distances
-
             return array_distances(self._on(points), grid, points)
         # Importing Numba takes half a second: not before something is asked.
         from fungrasp.geometry.distance_queries import signed_distances

@@ -1,5 +1,6 @@
 """Human and robot grasps: the types, the files they are exchanged in, and importers of data sets."""
 
+from fungrasp.grasps.conversion import mirrored_grasps
 from fungrasp.grasps.grasp_files import (
     builtin_grasps,
     load_grasps,
@@ -8,7 +9,7 @@ from fungrasp.grasps.grasp_files import (
     save_human_grasps,
     save_robot_grasps,
 )
-from fungrasp.grasps.grasp_objects import load_objects
+from fungrasp.grasps.grasp_selection import load_objects
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import (
@@ -19,7 +20,6 @@ from fungrasp.grasps.human_hand import (
     finger_link_directions,
     hand_sides,
 )
-from fungrasp.grasps.mirroring import mirrored_grasps
 from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Human grasps in other conventions made ours, and hands that reach below the table mended."""
+"""Human grasps in other conventions made ours, hands below the table mended, and grasps in a mirror."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 
 from fungrasp.grasps.diagnosis import BELOW_TABLE, UNITS
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.grasps.joint_orders import joint_order
-from fungrasp.objects.mirroring import MIRRORED
+from fungrasp.grasps.human_hand import joint_order, mirror_points, mirror_pose
+from fungrasp.objects.object_variants import MIRRORED, mirrored_name
 
 POSES = ("object_pose", "object_rest_pose")
 
@@ -63,3 +62,20 @@ def mend_below_table(grasps: HumanGraspSet, how: Literal["keep", "lift", "drop"]
     if qpos is not None:
         qpos = np.concatenate([qpos[:, :3] + up, qpos[:, 3:]], axis=1)
     return replace(grasps, object_pose=pose, hand_joints=grasps.hand_joints + up[:, None], hand_qpos=qpos)
+
+
+def mirrored_grasps(grasps: HumanGraspSet) -> HumanGraspSet:
+    """The scenes reflected in the world's plane y = 0.
+
+    The objects are reflected too: an object ``mug`` becomes ``mug_mirrored``, which
+    ``fungrasp.objects.load_object`` knows, and back. ``hand_qpos`` is left out, as the angles of a left hand
+    mean other rotations.
+    """
+    return replace(
+        grasps,
+        object_name=np.array([mirrored_name(str(name)) for name in grasps.object_name]),
+        object_pose=mirror_pose(grasps.object_pose),
+        object_rest_pose=mirror_pose(grasps.object_rest_pose),
+        hand_joints=mirror_points(grasps.hand_joints),
+        hand_qpos=None,
+    )

@@ -11,8 +11,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import one_line
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
 from fungrasp.grasps.diagnosis import hand_remarks, refuse_or_list, table_remarks
 from fungrasp.grasps.grasp_set import GraspSet

@@ -1,16 +1,136 @@
-"""What human and robot grasp sets have in common: checked arrays with one row per grasp."""
+"""What human and robot grasp sets have in common: checked arrays, one row for each grasp."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Generic, Self, TypeVar, overload
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import digest
-from fungrasp.grasps.field_checks import ArrayField, checked_array
+
+QUATERNION_TOLERANCE = 1e-3
+"""How far the norm of a quaternion may be from 1: within, it is normalised; beyond, it is an error."""
+
+UNIT_NORM_TOLERANCE = 1e-12
+"""A quaternion this close to unit norm is kept as it is, so that reading what was written changes nothing."""
+
+
+@dataclass(frozen=True)
+class ArrayField:
+    """What one array of a grasp set must look like."""
+
+    kind: Literal["name", "text", "number", "positive", "pose", "flag"]
+    """Type of the values. ``name``: text, not empty, no path; ``pose``: numbers of which the last four are a
+    unit quaternion."""
+    shape: tuple[str | int, ...]
+    """Sizes, or letters ("N", "M", ...) for sizes that fields of one set share."""
+    optional: bool = False
+    """Whether a set or a file may lack the field."""
+
+
+def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int]) -> np.ndarray:
+    """The value of a field as an array of str, bool or float64, with unit quaternions.
+
+    Args:
+        field: what it must look like.
+        value: an array or what becomes one.
+        sizes: sizes already known by letter; letters met here for the first time are added.
+
+    Raises:
+        FungraspError: wrong type or shape, not finite, not positive, or no unit quaternion; names field, row.
+    """
+    array = np.asarray(value)
+    wanted = {"name": "US", "text": "US", "flag": "b"}.get(field.kind, "fiu")
+    if array.dtype.kind not in wanted and array.size:
+        words = {"US": "text", "b": "true/false values (bool)", "fiu": "numbers"}[wanted]
+        raise FungraspError(f"field '{name}' holds {array.dtype}, expected {words}")
+    _check_shape(name, field.shape, array.shape, sizes)
+    if wanted == "US":
+        array = array.astype(str)
+        if field.kind == "name":
+            _check_names(name, array)
+        return array
+    if wanted == "b":
+        return array.astype(bool)
+    array = array.astype(np.float64)
+    check_rows(name, np.isfinite(array), "is not finite (NaN or infinite)")
+    if field.kind == "positive":
+        check_rows(name, array > 0, "must be greater than 0", array)
+    if field.kind == "pose":
+        norm = np.linalg.norm(array[..., 3:], axis=-1)
+        check_rows(
+            name,
+            np.abs(norm - 1) <= QUATERNION_TOLERANCE,
+            "has a quaternion (wxyz) that is not of length 1",
+            norm,
+        )
+        scale = np.where(np.abs(norm - 1) <= UNIT_NORM_TOLERANCE, 1.0, norm)
+        array[..., 3:] /= scale[..., None]
+    return array
+
+
+def check_rows(name: str, good: np.ndarray, complaint: str, values: np.ndarray | None = None) -> None:
+    """Complain about the first row of a field that is not good.
+
+    Args:
+        good: shape [N, ...]; a row is good if all of it is.
+        complaint: what is wrong with a row, without a subject.
+        values: shape [N], shown in the message.
+
+    Raises:
+        FungraspError: a row is not good.
+    """
+    bad = np.flatnonzero(~good.all(axis=tuple(range(1, good.ndim))))
+    if len(bad):
+        row = int(bad[0])
+        shown = "" if values is None else f": {float(values[row]):.6g}"
+        more = "" if len(bad) == 1 else f" (and {len(bad) - 1} more rows)"
+        raise FungraspError(f"field '{name}', row {row} {complaint}{shown}{more}")
+
+
+def checked_extra(extra: Mapping[str, Any], count: int) -> dict[str, np.ndarray]:
+    """Further numbers per grasp, by name. Unlike the fields they may be NaN, which means not measured.
+
+    Args:
+        extra: numbers or flags, each of shape [N, ...].
+
+    Raises:
+        FungraspError: not numbers, or not N rows.
+    """
+    checked = {}
+    for name, value in extra.items():
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            raise FungraspError(f"field 'extra/{name}' holds {array.dtype}, expected numbers")
+        if array.ndim == 0 or len(array) != count:
+            raise FungraspError(f"field 'extra/{name}' has shape {array.shape}, expected ({count}, ...)")
+        checked[name] = array.astype(np.float64) if array.dtype.kind == "f" else array
+    return checked
+
+
+def _check_shape(
+    name: str, wanted: tuple[str | int, ...], found: tuple[int, ...], sizes: dict[str, int]
+) -> None:
+    fits = len(wanted) == len(found)
+    for size, actual in zip(wanted, found, strict=False):
+        fits = fits and (sizes.get(size, actual) if isinstance(size, str) else size) == actual
+    if not fits:
+        expected = ", ".join(str(size) for size in wanted) + ("," if len(wanted) == 1 else "")
+        known = [f"{size} = {sizes[size]}" for size in wanted if isinstance(size, str) and size in sizes]
+        where = f" with {', '.join(known)}" if known else ""
+        raise FungraspError(f"field '{name}' has shape {found}, expected ({expected}){where}")
+    sizes.update((size, actual) for size, actual in zip(wanted, found, strict=True) if isinstance(size, str))
+
+
+def _check_names(name: str, array: np.ndarray) -> None:
+    for row, text in enumerate(array.ravel()):
+        if not text or "/" in text or "\\" in text or text in (".", ".."):
+            raise FungraspError(f"field '{name}', row {row} must be a plain name, not {str(text)!r}")
+
 
 Grasp = TypeVar("Grasp")
 

@@ -9,8 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.field_checks import ArrayField, check_rows
-from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows
 from fungrasp.grasps.human_hand import bone_lengths
 
 MAX_HAND_DISTANCE = 1.0

@@ -1,8 +1,10 @@
-"""The human hand of the grasp sets: names of its joints and links, bones, directions, mirroring."""
+"""The 21 joints and 16 links of a human hand: orders, mirrors, bones, how joints bend, how thick it is."""
 
 from __future__ import annotations
 
 import numpy as np
+
+from fungrasp.core.errors import UnknownNameError
 
 HUMAN_FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Order of the fingers in joints and links."""
@@ -92,3 +94,119 @@ def mirror_pose(pose: np.ndarray) -> np.ndarray:
         Shape [..., 7].
     """
     return pose * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+
+
+OPENPOSE = np.array([0, *range(5, 21), *range(1, 5)])
+"""Wrist, then thumb, index, middle, ring, little finger, each from its base to its tip: OpenPose, HaMeR,
+WiLoR, FreiHAND, MediaPipe."""
+
+MANO = np.array([0, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20, 13, 14, 15, 16])
+"""MANO's 16 joints (wrist, index, middle, little finger, ring, thumb, three each), then the tips of thumb,
+index, middle, ring and little finger."""
+
+ORDERS = {"openpose": OPENPOSE, "mano": MANO, "fungrasp": np.arange(21)}
+"""Index, by order, of each of ``HUMAN_JOINTS``."""
+
+
+def joint_order(name: str) -> np.ndarray:
+    """Where each of ``HUMAN_JOINTS`` is in an order, shape [21].
+
+    Raises:
+        FungraspError: no such order.
+    """
+    if name not in ORDERS:
+        raise UnknownNameError("order of joints", name, ORDERS)
+    return ORDERS[name]
+
+
+ADULT_BONES = np.array(
+    [
+        [(68.1, 90.6), (33.0, 39.8), (22.2, 22.4), (15.8, 23.6)],
+        [(64.6, 94.7), (31.7, 44.6), (23.3, 26.3), (17.4, 31.7)],
+        [(58.0, 86.1), (28.8, 41.4), (24.8, 25.7), (17.3, 30.5)],
+        [(53.7, 81.8), (21.1, 32.7), (18.1, 18.9), (16.0, 22.8)],
+        [(38.6, 38.6), (30.8, 46.2), (27.1, 31.6), (21.7, 38.2)],
+    ]
+)
+"""Mean lengths of adults' bones [mm], shape [5, 4, 2]: finger, bone from the wrist out, lower and upper of
+two sources: radiographs (Buryanov and Kotiuk, "Proportions of hand segments", 2010) and the hand of the
+tracked grasps in D-Grasp's labels. They differ as the second counts the first bone from the wrist and the
+last to the skin."""
+
+BONE_VARIATION = 0.3
+"""Fraction by which a bone may be shorter or longer than the means: three standard deviations of the
+radiographs."""
+
+HAND_SIZE_SPREAD = 0.11
+"""Standard deviation of the logarithm of adults' hand sizes, errors of an estimated shape included."""
+
+FLEXION_RANGE = np.radians([[(-45, 90), (0, 100), (0, 80)]] * 4 + [[(-180, 180), (-10, 55), (-15, 80)]])
+"""Normal range of active motion [rad], shape [5, 3, 2] (Electronic Textbook of Hand Surgery, eatonhand.com):
+MCP, PIP, DIP; the thumb's CMC (no limit), MCP, IP."""
+
+DEVIATION_LIMIT = np.radians([20.0, 0.0, 0.0])
+"""Motion to either side of a finger's MCP, PIP, DIP [rad]."""
+
+JOINT_RANGE_SLACK = np.radians(25.0)
+"""Allowed beyond the ranges [rad]: joint centers lie off the bones' lines, and objects bend fingers further
+than the hand alone does."""
+
+
+def bone_ratios(hand_joints: np.ndarray) -> np.ndarray:
+    """Length of each of ``BONES`` over an adult's, shape [..., 20]. hand_joints: [m], shape [..., 21, 3]."""
+    return bone_lengths(hand_joints) / (ADULT_BONES.mean(axis=-1).ravel() * 1e-3)
+
+
+def hand_size(joints: np.ndarray) -> float:
+    """Size as a part of an adult's hand: median over the bones. joints: [m], shape [21, 3]."""
+    return float(np.median(bone_ratios(joints)))
+
+
+def joint_bends(hand_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far each finger joint is bent.
+
+    A finger bends about the line from the little finger's base to the index finger's, made perpendicular to
+    the bone before the joint; flexion is positive. The thumb's axes can't be told from the joints: its bends
+    are the unsigned angles between bones.
+
+    Args:
+        hand_joints: of right hands [m], shape [..., 21, 3], any frame.
+
+    Returns:
+        flexion: [rad], shape [..., 5, 3]: finger, joint (MCP, PIP, DIP; thumb CMC, MCP, IP).
+        deviation: to the side of the index finger [rad], same shape; zero for the thumb.
+    """
+    base = hand_joints[..., 1::4, :] - hand_joints[..., :1, :]
+    base = base / np.linalg.norm(base, axis=-1, keepdims=True)
+    links = finger_link_directions(hand_joints)
+    before = np.concatenate([base[..., None, :], links[..., :-1, :]], axis=-2)
+    across = (hand_joints[..., 1, :] - hand_joints[..., 13, :])[..., None, None, :]
+    axis = across - np.sum(across * before, axis=-1, keepdims=True) * before
+    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    turn, straight = np.cross(before, links), np.sum(before * links, axis=-1)
+    flexion = np.arctan2(np.sum(turn * axis, axis=-1), straight)
+    deviation = np.arcsin(np.clip(np.sum(links * axis, axis=-1), -1.0, 1.0))
+    flexion[..., 4, :] = np.arctan2(np.linalg.norm(turn[..., 4, :, :], axis=-1), straight[..., 4, :])
+    deviation[..., 4, :] = 0.0
+    return flexion, deviation
+
+
+FINGER_RADII = np.array([[10.5, 9.5, 8.5, 7.8]] * 4 + [[17.0, 12.5, 10.5, 9.0]]) * 1e-3
+"""At the four joints of each finger [m], shape [5, 4], in the order of ``FINGERS``; the thumb's first lies in
+its ball."""
+
+WRIST_RADIUS = 0.022
+"""At the wrist [m]."""
+
+PALM_RADIUS = 0.014
+"""In the middle of the palm [m]."""
+
+PALM_BALL_RADIUS = 0.0165
+"""Of the palm with its balls, at the wrist's end [m]."""
+
+LINK_RADII = np.array([0.012] + [0.010, 0.009, 0.008] * 4 + [0.012, 0.011, 0.010])
+"""In the middle of each link [m], in the order of ``HUMAN_LINKS``, for those who look at links and not at
+joints."""
+
+FOREARM_RADII = np.array([0.018, 0.028])
+"""Of the bare forearm at the wrist and 0.25 m from it [m]."""

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps.field_checks import ArrayField, check_rows, checked_extra
-from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows, checked_extra
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""A hand mounted on the flange of a robot arm."""
+"""A hand mounted on the flange of a robot arm, and written as one file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose
+from fungrasp.hands.export import self_contained_xml
 from fungrasp.hands.hand import Hand
-from fungrasp.hands.self_contained_mjcf import self_contained_xml
 
 FLANGE_SITE = "tool0"
 """Site of an arm's model where a hand is mounted; z points out of the flange."""
@@ -86,7 +86,6 @@ def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:
     """Pose of the palm body on a flange whose z axis points out of it.
 
     Args:
-        hand: whose palm.
         mount: of the hand on the flange.
 
     Returns:
@@ -157,3 +156,17 @@ def _palm_bounds(hand: Hand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not np.isfinite(lower).all():
         return np.zeros(3), np.zeros(3)
     return lower, upper
+
+
+def export_hand(hand: Hand, arm: str | None = None) -> str:
+    """MJCF of the hand with one position actuator per independent joint; it needs no other file.
+
+    Args:
+        hand: what to write; its palm is fixed at the world's origin.
+        arm: name of an arm to mount the hand on; then the arm's base is at the world's origin.
+
+    Raises:
+        UnknownNameError: no such arm.
+        FungraspError: the model can't be written as one file.
+    """
+    return self_contained_xml(hand.spec() if arm is None else mount(hand, arm))

@@ -13,12 +13,25 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.mujoco_model import read_model
-from fungrasp.core.formats.toml_file import read_toml, type_faults
+from fungrasp.core.formats.text_files import Schema, read_toml, type_faults
 from fungrasp.geometry.arrays import constant
 from fungrasp.geometry.poses import Array, invert
-from fungrasp.hands.hand_toml_schema import HAND_TOML
+
+_SERVO = {"kp": float, "kd": float, "force_limit": float}
+
+HAND_TOML: Schema = {
+    "name": str,
+    "title": str,
+    "model": str,
+    "palm": str,
+    "source": str,
+    "palm_frame": {"fingers": [float], "normal": [float]},
+    "fingers": {"*": {"links": [str], "joints": [str], "tip": str}},
+    "actuators": {**_SERVO, "source": str, "joints": {"*": _SERVO}},
+}
+
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
@@ -231,9 +244,6 @@ class Hand:
 def read_hand_toml(path: Path) -> Hand:
     """Read a hand's TOML and check that all it names exists in the model.
 
-    Args:
-        path: the TOML file.
-
     Raises:
         FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which
             and why.
@@ -311,8 +321,6 @@ def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], acr
     where there is one finger the thumb farther than it, along the cross product of fingers and normal.
 
     Args:
-        model: the hand.
-        palm: the palm body.
         fingers: by name, in the order of ``FINGERS``.
         across: that cross product, palm frame, shape [3].
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -51,14 +51,6 @@ class Camera:
         return 0.5 * self.height / float(np.tan(0.5 * np.radians(self.fov_y)))
 
     @property
-    def intrinsics(self) -> np.ndarray:
-        """Matrix from camera-frame points to homogeneous pixel coordinates, shape [3, 3]."""
-        f = self.focal
-        return np.array(
-            [[f, 0.0, 0.5 * (self.width - 1)], [0.0, f, 0.5 * (self.height - 1)], [0.0, 0.0, 1.0]]
-        )
-
-    @property
     def rotation(self) -> np.ndarray:
         """Camera axes (right, down, forward) as columns, world frame, shape [3, 3]."""
         forward = np.subtract(self.target, self.position).astype(float)
@@ -100,10 +92,6 @@ class Camera:
         center = 0.5 * np.array([self.width - 1, self.height - 1])
         return local[..., :2] / safe[..., None] * self.focal + center, depth
 
-    def sized(self, width: int, height: int) -> Camera:
-        """The same view with another number of pixels."""
-        return replace(self, width=width, height=height)
-
 
 @lru_cache(maxsize=4)
 def _rays(camera: Camera) -> PixelRays:
@@ -138,8 +126,7 @@ def orbit_camera(
 
 
 def fit_camera(
-    centers: np.ndarray,
-    radii: np.ndarray,
+    points: np.ndarray,
     azimuth: float,
     elevation: float,
     *,
@@ -148,25 +135,20 @@ def fit_camera(
     height: int = 480,
     margin: float = 1.12,
 ) -> Camera:
-    """The nearest orbit camera that sees all of some spheres, and has them in the middle.
+    """The nearest orbit camera that sees some points, and has them in the middle.
 
     Args:
-        centers: [m], world frame, shape [S, 3].
-        radii: [m], shape [S].
+        points: [m], world frame, shape [P, 3].
         azimuth: as ``orbit_camera`` [degrees].
         elevation: as ``orbit_camera`` [degrees].
-        margin: how much larger than the spheres the picture is.
+        margin: how much larger than what is seen the picture is.
     """
     probe = orbit_camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation, fov_y=fov_y, width=width, height=height)
     axes = probe.rotation
-    local = np.asarray(centers, dtype=float) @ axes
-    radii = np.asarray(radii, dtype=float)
-    low, high = (local - radii[:, None]).min(0), (local + radii[:, None]).max(0)
-    middle = 0.5 * (low + high)
+    local = np.asarray(points, dtype=float) @ axes
+    middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
     tangent = np.tan(0.5 * np.radians(fov_y)) / margin * np.array([width / height, 1.0])
-    secant = np.sqrt(1.0 + tangent**2)
-    offset = np.abs(local[:, :2] - middle[:2])
-    reach = (offset + radii[:, None] * secant) / tangent - (local[:, 2:] - middle[2])
+    reach = np.abs(local[:, :2] - middle[:2]) / tangent - (local[:, 2:] - middle[2])
     return orbit_camera(
         axes @ middle, float(reach.max()), azimuth, elevation, fov_y=fov_y, width=width, height=height
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import mujoco
@@ -13,10 +13,16 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
 from fungrasp.hands import Hand
 from fungrasp.media.camera import Camera
-from fungrasp.media.grasp_scenes import robot_grasp_scene, robot_scene_colors, robot_scene_states
+from fungrasp.media.grasp_scenes import (
+    frame_geoms,
+    look_at_grasp,
+    robot_grasp_scene,
+    robot_scene_colors,
+    robot_scene_states,
+    view_angles,
+)
 from fungrasp.media.pictures import captioned
 from fungrasp.media.render import Renderer
-from fungrasp.media.viewpoints import frame_geoms, look_at_grasp, view_angles
 from fungrasp.objects import ObjectModel
 
 CAPTION_MARGIN = 1.18
@@ -38,15 +44,26 @@ STEADY = 0.1
 """Half of the time over which contacts are averaged, so that links don't flicker [s]."""
 
 
+@dataclass(frozen=True)
+class FilmSettings:
+    """How a film is made."""
+
+    fps: float = 15.0
+    """Frames per second."""
+    speed: float = 1.5
+    """Seconds of the episode in a second of the film."""
+    width: int = 432
+    """[pixels]"""
+    height: int = 324
+    """[pixels]"""
+
+
 def episode_film(
     trajectory: Trajectory,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
+    settings: FilmSettings | None = None,
     *,
-    fps: float = 15.0,
-    speed: float = 1.5,
-    width: int = 432,
-    height: int = 324,
     title: str = "",
     inset: np.ndarray | None = None,
     threads: int = 0,
@@ -57,11 +74,8 @@ def episode_film(
     drawn once. An episode whose simulation diverged is shown until then.
 
     Args:
-        trajectory: of ``hand`` and ``thing``.
-        fps: frames per second.
-        speed: seconds of the episode in a second of the film.
-        width: [pixels].
-        height: [pixels].
+        trajectory: of ``hand`` and ``obj``.
+        settings: the usual ones if None.
         title: words before the phase.
         inset: picture in the upper left corner, as of the person's grasp: sRGB, shape [h, w, 3] uint8.
         threads: 0 means all CPUs; the film does not depend on it.
@@ -69,16 +83,16 @@ def episode_film(
     Yields:
         sRGB, shape [height, width, 3] uint8.
     """
-    trajectory = _finite_part(trajectory)
-    wrist, joints, things = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
-    recorded = robot_scene_states(model, hand, wrist, joints, things)
+    trajectory, settings = _finite_part(trajectory), settings or FilmSettings()
+    wrist, joints, object_poses = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])
+    recorded = robot_scene_states(model, hand, wrist, joints, object_poses)
     times = trajectory.times.astype(float)
-    at = frame_times(times, fps, speed)
+    at = frame_times(times, settings.fps, settings.speed)
     states = interpolate(model, recorded, times, at)
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
-    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0], holding)
-    cameras = _cameras(judged, recorded, trajectory, at, width, height)
+    judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0], holding)
+    cameras = _cameras(judged, recorded, trajectory, at, settings)
     colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
     drawn[1:] |= [a != b for a, b in pairwise(cameras)]
@@ -95,7 +109,7 @@ def episode_film(
         yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, phase))), clock)
     done = "used" if trajectory.is_use_test else "lifted and held"
     verdict = done if trajectory.success else f"failed: {trajectory.reason}"
-    for _ in range(round(VERDICT_TIME * fps)):
+    for _ in range(round(VERDICT_TIME * settings.fps)):
         yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, verdict))), clock)
 
 
@@ -110,10 +124,10 @@ def _with_inset(picture: np.ndarray, inset: np.ndarray | None) -> np.ndarray:
     return whole
 
 
-def film_frames(trajectory: Trajectory, fps: float = 15.0, speed: float = 1.5) -> int:
+def film_frames(trajectory: Trajectory, settings: FilmSettings) -> int:
     """Number of frames of ``episode_film``."""
     times = _finite_part(trajectory).times.astype(float)
-    return len(frame_times(times, fps, speed)) + round(VERDICT_TIME * fps)
+    return len(frame_times(times, settings.fps, settings.speed)) + round(VERDICT_TIME * settings.fps)
 
 
 def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
@@ -125,7 +139,7 @@ def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
 
 
 def _cameras(
-    model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
+    model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, settings: FilmSettings
 ) -> list[Camera]:
     """Cameras of the frames: one that sees all of the motion, and one that sees it from the first touch on.
     An object that gets away is not followed. The model's links that touch during the hold are colored, to be
@@ -134,7 +148,7 @@ def _cameras(
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST
     close[touch] = True
-    size = {"width": width, "height": height, "margin": CAPTION_MARGIN}
+    size = {"width": settings.width, "height": settings.height, "margin": CAPTION_MARGIN}
     near = look_at_grasp(model, states[touch:][close[touch:]], **size)
     wide = frame_geoms(model, states[close], *view_angles(near), **size)
     return [wide if time < trajectory.times[touch] else near for time in at]
@@ -174,41 +188,6 @@ def _finite_part(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, **{name: getattr(trajectory, name)[:count] for name in names})
 
 
-def film(
-    model: mujoco.MjModel,
-    qpos: np.ndarray,
-    times: np.ndarray,
-    fps: float,
-    camera: Camera,
-    *,
-    speed: float = 1.0,
-    phases: Sequence[tuple[float, str]] = (),
-    title: str = "",
-    threads: int = 0,
-) -> Iterator[np.ndarray]:
-    """Frames of a recorded trajectory, states between the recorded ones interpolated.
-
-    Args:
-        qpos: joint positions, shape [T, nq].
-        times: of the states, increasing [s], shape [T].
-        fps: frames per second.
-        camera: that stands still.
-        speed: seconds of the trajectory in a second of the film.
-        phases: start [s] and name of each phase of the motion, for the bar of words.
-        title: words before the phase.
-        threads: 0 means all CPUs.
-
-    Yields:
-        sRGB, shape [H, W, 3] uint8.
-    """
-    at = frame_times(times, fps, speed)
-    frames = Renderer(model, threads=threads).stream(interpolate(model, qpos, times, at), camera)
-    return (
-        captioned(frame, _words(title, phases, t), f"{t - times[0]:.1f} s")
-        for frame, t in zip(frames, at, strict=True)
-    )
-
-
 def frame_times(times: np.ndarray, fps: float, speed: float = 1.0) -> np.ndarray:
     """Times of a film's frames [s]: the first state, and from there on as long as there are states."""
     if not fps > 0 or not speed > 0:
@@ -238,8 +217,3 @@ def interpolate(model: mujoco.MjModel, qpos: np.ndarray, times: np.ndarray, at: 
             mujoco.mj_differentiatePos(model, velocity, step, qpos[k], qpos[k + 1])
             mujoco.mj_integratePos(model, result[i], velocity, min(t - times[k], step))
     return result
-
-
-def _words(title: str, phases: Sequence[tuple[float, str]], time: float) -> str:
-    current = [name for start, name in phases if start <= time + 1e-9]
-    return " · ".join(part for part in (title, current[-1] if current else "") if part)

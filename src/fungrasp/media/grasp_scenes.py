@@ -1,4 +1,4 @@
-"""Models of a grasp to be rendered: a human or a robot hand and an object, links in contact colored."""
+"""Grasps to be rendered: models of hand and object, links in contact colored; cameras that show them well."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from fungrasp.geometry.poses import compose, inverse_transform_points, invert
 from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.grasps import HumanGrasp, RobotGrasp
 from fungrasp.hands import Hand
+from fungrasp.media.camera import Camera, fit_camera
 from fungrasp.media.hand_mesh import human_hand_mesh
 from fungrasp.media.materials import painted_parts
-from fungrasp.media.surfaces import model_materials
+from fungrasp.media.render import Renderer, Views
+from fungrasp.media.surfaces import VISIBLE_GROUPS, model_materials
 from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel
 
@@ -33,18 +35,24 @@ HAND_BODY = "hand"
 PALM_TINT = 0.75
 """How much of ``CONTACT`` goes into the color of a robot's palm in contact: it is large."""
 
+FRAMED = 0.6
+"""Geoms of a larger radius are not framed by a camera [m]: they are surroundings."""
+
+BEST_ELEVATION = 26.0
+"""From where a person looks at something on a table [degrees]."""
+
 _PALETTE = 64
 _PREFIX = "robot/"
 
 
 def human_grasp_scene(
-    joints: np.ndarray, thing: ObjectModel, object_pose: np.ndarray, link_contacts: np.ndarray
+    joints: np.ndarray, obj: ObjectModel, object_pose: np.ndarray, link_contacts: np.ndarray
 ) -> mujoco.MjModel:
     """A human hand, its links in contact colored, holding an object. The model has no joints.
 
     Args:
         joints: [m], world frame, shape [21, 3].
-        thing: the object.
+        obj: the object.
         object_pose: world frame, shape [7].
         link_contacts: shape [16] bool.
 
@@ -64,7 +72,7 @@ def human_grasp_scene(
     material = spec.add_material(name="skin", rgba=[1, 1, 1, 1], specular=0.25, shininess=0.15)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "skin"
     local = inverse_transform_points(pose, hand.vertices)
-    apart = SignedDistanceBank([thing.signed_distance]).query(np.zeros(1, dtype=int), local[None])[0][0]
+    apart = SignedDistanceBank([obj.signed_distance]).query(np.zeros(1, dtype=int), local[None])[0][0]
     near = np.clip((0.030 - np.abs(apart)) / 0.020, 0.0, 1.0)
     touching = hand.links @ contacts.astype(float)
     touching -= hand.links[:, 0] * contacts[0] * (1.0 - near)
@@ -73,7 +81,7 @@ def human_grasp_scene(
     mesh.usertexcoord = np.stack([place, np.full_like(place, 0.5)], axis=-1).ravel()
     body = spec.worldbody.add_body(name=HAND_BODY)
     _add_mesh_geom(body, HAND_BODY, [1, 1, 1, 1]).material = "skin"
-    held = add_object(spec, thing)
+    held = add_object(spec, obj)
     held.pos, held.quat = pose[:3], pose[3:]
     return _compiled(spec)
 
@@ -82,7 +90,7 @@ def robot_grasp_scene(
     hand: Hand,
     wrist_pose: np.ndarray,
     joint_positions: np.ndarray,
-    thing: ObjectModel,
+    obj: ObjectModel,
     object_pose: np.ndarray,
     link_contacts: np.ndarray | None = None,
 ) -> tuple[mujoco.MjModel, np.ndarray]:
@@ -91,7 +99,7 @@ def robot_grasp_scene(
     Args:
         wrist_pose: of the palm body, world frame, shape [7].
         joint_positions: in the order of ``hand.joint_names`` [rad], shape [M].
-        thing: the object.
+        obj: the object.
         object_pose: world frame, shape [7].
         link_contacts: in the order of ``hand.links``, shape [L] bool; None for none.
 
@@ -106,7 +114,7 @@ def robot_grasp_scene(
     body.explicitinertial = True
     body.add_freejoint(name=HAND_BODY)
     spec.attach(dressed_spec(hand), prefix=_PREFIX, frame=body.add_frame())
-    add_object(spec, thing).add_freejoint(name=OBJECT_BODY)
+    add_object(spec, obj).add_freejoint(name=OBJECT_BODY)
     model = _compiled(spec)
     if link_contacts is not None:
         colors = robot_scene_colors(model, hand, np.asarray(link_contacts)[None])[0]
@@ -120,21 +128,21 @@ def robot_grasp_scene(
 
 
 def grasp_scene(
-    grasp: HumanGrasp | RobotGrasp, thing: ObjectModel, hand: Hand | None = None
+    grasp: HumanGrasp | RobotGrasp, obj: ObjectModel, hand: Hand | None = None
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """The scene of a grasp as it is, and its qpos, shape [nq].
 
     Args:
         grasp: of a person or a robot.
-        thing: its object.
+        obj: its object.
         hand: that of a robot's grasp.
     """
     if isinstance(grasp, HumanGrasp):
-        model = human_grasp_scene(grasp.hand_joints, thing, grasp.object_pose, grasp.link_contacts)
+        model = human_grasp_scene(grasp.hand_joints, obj, grasp.object_pose, grasp.link_contacts)
         return model, model.qpos0
     assert hand is not None
     return robot_grasp_scene(
-        hand, grasp.wrist_pose, grasp.joint_positions, thing, grasp.object_pose, grasp.link_contacts
+        hand, grasp.wrist_pose, grasp.joint_positions, obj, grasp.object_pose, grasp.link_contacts
     )
 
 
@@ -162,7 +170,7 @@ def robot_scene_states(
     count = len(wrist_poses)
     wrist = _finite("wrist_pose", wrist_poses, (count, 7))
     joints = _finite("joint_positions", joint_positions, (count, len(hand.joint_names)))
-    things = _finite("object_pose", object_poses, (count, 7))
+    object_poses = _finite("object_pose", object_poses, (count, 7))
     data = mujoco.MjData(hand.model)
     mujoco.mj_kinematics(hand.model, data)
     palm = data.body(hand.palm)
@@ -173,7 +181,7 @@ def robot_scene_states(
         states[:, start : start + values.shape[1]] = values
 
     put(HAND_BODY, compose(wrist, invert(np.concatenate([palm.xpos, palm.xquat]))))
-    put(OBJECT_BODY, things)
+    put(OBJECT_BODY, object_poses)
     for i, name in enumerate(hand.joint_names):
         put(_PREFIX + name, joints[:, i : i + 1])
     return states
@@ -205,15 +213,15 @@ def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndar
     return colors
 
 
-def add_object(spec: mujoco.MjSpec, thing: ObjectModel) -> mujoco.MjsBody:
+def add_object(spec: mujoco.MjSpec, obj: ObjectModel) -> mujoco.MjsBody:
     """Add a body ``OBJECT_BODY`` that looks like an object; for the eye alone."""
     body = spec.worldbody.add_body(name=OBJECT_BODY)
-    for number, (look, mask) in enumerate(painted_parts(thing)):
+    for number, (look, mask) in enumerate(painted_parts(obj)):
         name = f"{OBJECT_BODY}{number or ''}"
         material = spec.add_material(name=name, rgba=[*look.color, 1.0])
         material.specular, material.shininess = look.specular, look.shininess
-        used, faces = np.unique(thing.faces[mask], return_inverse=True)
-        _add_mesh(spec, name, thing.vertices[used], faces.reshape(-1, 3))
+        used, faces = np.unique(obj.faces[mask], return_inverse=True)
+        _add_mesh(spec, name, obj.vertices[used], faces.reshape(-1, 3))
         _add_mesh_geom(body, name, [0.5, 0.5, 0.5, 1.0]).material = name
     return body
 
@@ -251,3 +259,105 @@ def _finite(name: str, values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
     if array.shape != shape or not np.isfinite(array).all():
         raise FungraspError(f"{name} must be finite and of shape {shape}, not of shape {array.shape}")
     return array
+
+
+def look_at_grasp(
+    model: mujoco.MjModel,
+    qpos: np.ndarray | None = None,
+    *,
+    width: int = 640,
+    height: int = 480,
+    margin: float = 1.12,
+    elevations: Sequence[float] = (14.0, 30.0, 48.0),
+    azimuths: int = 12,
+) -> Camera:
+    """A camera above the table that frames hand and object, and from which most of the contact can be seen.
+
+    Of all views tried, it has the largest weighted sum of shares: of the colored links, of the object, and
+    of each geom of the hand, each compared with the view that shows most of it.
+
+    Args:
+        model: made by ``human_grasp_scene`` or ``robot_grasp_scene``, or any with a body named
+            ``OBJECT_BODY``.
+        qpos: shape [nq], or [T, nq] for a motion: it is all framed, and judged by its last state; None for
+            the model's reference.
+        margin: how much larger than its contents the picture is; a bar of words needs about 1.3.
+        elevations: of the views that are tried [degrees].
+        azimuths: number of directions that are tried.
+    """
+    states = np.atleast_2d(model.qpos0 if qpos is None else np.asarray(qpos, dtype=float))
+    small = (48 * width // max(width, height) + 1, 48 * height // max(width, height) + 1)
+    views = [(e, a) for e in elevations for a in np.arange(azimuths) * 360.0 / azimuths]
+    cameras = [frame_geoms(model, states, a, e, width=small[0], height=small[1]) for e, a in views]
+    renderer = Renderer(model, antialias=1, shadows=False)
+    seen = renderer.views(states[-1:].repeat(len(views), 0), cameras)
+    of_object = [g for g in range(model.ngeom) if model.body(int(model.geom_bodyid[g])).name == OBJECT_BODY]
+    of_hand = np.setdiff1d(np.unique(seen.segmentation[seen.segmentation >= 0]), of_object)
+    score = 0.4 * _shares(np.isin(seen.segmentation, of_object))
+    score += 0.5 * np.mean([_shares(seen.segmentation == g) for g in of_hand] or [0.0 * score], axis=0)
+    score += 0.8 * _shares(_touching(model, seen) & ~np.isin(seen.segmentation, of_object))
+    score -= 0.004 * np.abs(np.array([e for e, _ in views]) - BEST_ELEVATION)
+    elevation, azimuth = views[int(np.argmax(score))]
+    return frame_geoms(model, states, azimuth, elevation, width=width, height=height, margin=margin)
+
+
+def frame_geoms(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    azimuth: float,
+    elevation: float,
+    *,
+    width: int = 640,
+    height: int = 480,
+    margin: float = 1.12,
+) -> Camera:
+    """A camera that frames all drawn geoms but planes and huge ones, tightly.
+
+    Args:
+        qpos: shape [nq], or [T, nq] for a motion of which all is framed.
+        azimuth: of the camera, from the world's x towards y [degrees].
+        elevation: above the horizontal [degrees].
+        margin: how much larger than its contents the picture is.
+
+    Raises:
+        FungraspError: there is no such geom.
+    """
+    chosen = (
+        np.isin(model.geom_group, VISIBLE_GROUPS) & (model.geom_rbound > 0) & (model.geom_rbound < FRAMED)
+    )
+    chosen &= model_materials(model).colors[:, 3] > 0
+    if not chosen.any():
+        raise FungraspError("there is nothing to look at: the model has no visible geom of a size to frame")
+    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(8, 3)
+    boxes = model.geom_aabb[chosen]
+    local = boxes[:, None, :3] + corners * boxes[:, None, 3:]
+    states = np.atleast_2d(np.asarray(qpos, dtype=float))
+    step = max(1, len(states) // 24)
+    points = []
+    data = mujoco.MjData(model)
+    for i in [*range(0, len(states), step), len(states) - 1]:
+        data.qpos[:] = states[i]
+        mujoco.mj_kinematics(model, data)
+        rotation = data.geom_xmat[chosen].reshape(-1, 3, 3)
+        points.append(data.geom_xpos[chosen][:, None] + np.einsum("gij,gpj->gpi", rotation, local))
+    everything = np.concatenate(points).reshape(-1, 3)
+    return fit_camera(everything, azimuth, elevation, width=width, height=height, margin=margin)
+
+
+def view_angles(camera: Camera) -> tuple[float, float]:
+    """Azimuth and elevation of a camera, seen from its target [degrees]."""
+    x, y, z = np.subtract(camera.position, camera.target)
+    return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
+
+
+def _shares(mask: np.ndarray) -> np.ndarray:
+    """How much of a thing each view shows, compared with the best one; mask: shape [views, H, W] bool."""
+    pixels = mask.sum((1, 2))
+    return np.sqrt(pixels / max(pixels.max(), 1))
+
+
+def _touching(model: mujoco.MjModel, seen: Views) -> np.ndarray:
+    whole = np.flatnonzero(np.all(np.abs(model.geom_rgba[:, :3] - np.asarray(CONTACT)) < 1e-3, axis=1))
+    textured = np.flatnonzero(model.geom_matid >= 0)
+    orange = seen.color[..., 2] < 0.5 * seen.color[..., 0]
+    return np.isin(seen.segmentation, whole) | (np.isin(seen.segmentation, textured) & orange)

@@ -305,12 +305,12 @@ def _stats(values: np.ndarray) -> dict[str, Any]:
 def episode_pictures(
     episode: Trajectory,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
     camera: CameraName,
     size: tuple[int, int] = (320, 240),
     threads: int = 0,
 ) -> Iterator[np.ndarray]:
-    """A picture of each state of an episode of ``hand`` and ``thing``.
+    """A picture of each state of an episode of ``hand`` and ``obj``.
 
     Args:
         camera: from where.
@@ -323,12 +323,12 @@ def episode_pictures(
     Raises:
         FungraspError: a state is not finite (the simulation diverged), or there is no such camera.
     """
-    wrist, joints, things = episode.palm_pose, episode.joint_positions, episode.object_pose
-    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], thing, things[0])
-    states = robot_scene_states(model, hand, wrist, joints, things)
+    wrist, joints, object_poses = episode.palm_pose, episode.joint_positions, episode.object_pose
+    model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])
+    states = robot_scene_states(model, hand, wrist, joints, object_poses)
     width, height = size
     if camera == "front":
-        foot = np.array([*things[0, :2], 0.0], dtype=float)
+        foot = np.array([*object_poses[0, :2], 0.0], dtype=float)
         at, target = foot + FRONT, foot + np.array([0.0, 0.0, FRONT_ABOVE])
         views = Camera(_three(at), _three(target), width=width, height=height)
     elif camera == "wrist":

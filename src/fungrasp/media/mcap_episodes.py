@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.version import __version__
 from fungrasp.evaluation.trajectory import Trajectory
 
 TOPIC = "/state"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
@@ -15,10 +13,10 @@ from fungrasp.grasps.human_hand import BONES, HUMAN_FINGERS, mirror_points
 from fungrasp.media.grasp_scenes import grasp_scene
 from fungrasp.media.pictures import four_views
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.mirroring import mirrored_object
+from fungrasp.objects.object_variants import mirrored_object
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
-from fungrasp.perception.hand.joint_confidence import SURE
-from fungrasp.perception.object_pose.known_object import MeshRays
+from fungrasp.perception.acceptance import SURE_JOINT
+from fungrasp.perception.object_pose.object_template import MeshRays
 
 FINGER_COLORS = {
     "index": (255, 205, 40),
@@ -35,7 +33,7 @@ ACCEPTED_LINE, REJECTED_LINE = (255, 255, 255), (255, 90, 60)
 DEPTH_COLORS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
 """Colors from far to near: dark violet to yellow, brightness rising evenly; sRGB."""
 
-NO_DEPTH = (25, 25, 28)
+NO_DEPTH = np.array((25, 25, 28), np.uint8)
 """Where the camera measured nothing; sRGB."""
 
 SHAPE = (960, 720)
@@ -46,25 +44,42 @@ _FINE = 2
 _DARK = (20, 22, 26)
 
 
-@dataclass(frozen=True)
 class CloseUp:
-    """The part of an image that shows hand and object, and how it is enlarged."""
+    """The part of an image that shows the hand and, as far as it is in the image, the object, enlarged; with
+    what was found drawn over it. Pictures are sRGB, shape [720, 960, 3] uint8."""
 
-    left: float
-    """Left edge of the view [pixels of the image]."""
-    top: float
-    """Top edge of the view [pixels of the image]."""
-    scale: float
-    """Pixels of the picture per pixel of the image."""
+    def __init__(self, capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray):
+        """
+        Args:
+            capture: the image.
+            hand: camera frame.
+            model: the object.
+            pose: of the object in the camera frame, shape [7].
+        """
+        self._capture, self._hand, self._model, self._pose = capture, hand, model, pose
+        lens = capture.intrinsics
+        size = np.array([lens.width, lens.height], dtype=float)
+        outline = lens.project(transform_points(pose, model.vertices))
+        outline = outline[np.all((outline >= 0) & (outline < size), axis=1)]
+        points = np.concatenate([hand.pixels, lens.project(hand.joints_camera), outline])
+        points = np.clip(points[np.isfinite(points).all(axis=1)], 0, size - 1)
+        low, high = points.min(axis=0), points.max(axis=0)
+        whole = float(np.max(size / SHAPE))
+        step = float(np.clip((1 + 2 * _MARGIN) * np.max((high - low) / SHAPE), whole / _LARGEST, whole))
+        room = size - step * np.array(SHAPE)
+        middle = 0.5 * (low + high - step * np.array(SHAPE))
+        corner = np.where(room > 0, np.clip(middle, 0, np.maximum(room, 0)), 0.5 * room)
+        self._corner, self.scale = corner, 1 / step
+        """Left upper corner [pixels of the image]; pixels of the picture per pixel of the image."""
 
     def place(self, pixels: np.ndarray) -> np.ndarray:
         """Pixels of the image, shape [..., 2], in the picture's coordinates."""
-        return (np.asarray(pixels, dtype=float) - [self.left, self.top]) * self.scale
+        return (np.asarray(pixels, dtype=float) - self._corner) * self.scale
 
     def directions(self, lens: Intrinsics, columns: slice, rows: slice) -> np.ndarray:
         """Directions with z = 1, camera frame, through the picture's pixels, shape [rows, columns, 3]."""
         across, down = np.meshgrid(np.arange(SHAPE[0])[columns], np.arange(SHAPE[1])[rows])
-        pixels = np.stack([across, down], axis=-1) / self.scale + [self.left, self.top]
+        pixels = np.stack([across, down], axis=-1) / self.scale + self._corner
         return lens.deproject(pixels, np.ones(pixels.shape[:2]))
 
     def cut(self, image: Image.Image) -> np.ndarray:
@@ -72,104 +87,75 @@ class CloseUp:
         how = Image.Resampling.NEAREST if image.mode == "F" else Image.Resampling.BICUBIC
         # Pillow's coordinates are those of pixels' corners, ours those of their centers.
         step = 1 / self.scale
-        left, top = (edge + 0.5 - 0.5 * step for edge in (self.left, self.top))
+        left, top = (float(edge + 0.5 - 0.5 * step) for edge in self._corner)
         return np.array(
             image.transform(SHAPE, Image.Transform.AFFINE, (step, 0, left, 0, step, top), resample=how)
         )
 
+    def found(self, accepted: bool) -> np.ndarray:
+        """The hand's skeleton and the object's outline.
 
-def close_up(capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray) -> CloseUp:
-    """The part of the image with the hand and, as far as it is in the image, the object.
+        Each finger has its color. The disc round a joint says how far off it may be (one standard deviation);
+        joints that are not trusted are hollow. accepted: whether the object's pose is.
+        """
+        picture = self._outlined(self._color(), self._pose, ACCEPTED_LINE if accepted else REJECTED_LINE)
+        return _with_skeleton(picture, self, self._capture.intrinsics, self._hand)
 
-    pose: of the object in the camera frame, shape [7].
-    """
-    lens = capture.intrinsics
-    size = np.array([lens.width, lens.height], dtype=float)
-    thing = lens.project(transform_points(pose, model.vertices))
-    thing = thing[np.all((thing >= 0) & (thing < size), axis=1)]
-    points = np.concatenate([hand.pixels, lens.project(hand.joints_camera), thing])
-    points = np.clip(points[np.isfinite(points).all(axis=1)], 0, size - 1)
-    low, high = points.min(axis=0), points.max(axis=0)
-    whole = float(np.max(size / SHAPE))
-    step = float(np.clip((1 + 2 * _MARGIN) * np.max((high - low) / SHAPE), whole / _LARGEST, whole))
-    shown = step * np.array(SHAPE)
-    room = size - shown
-    left, top = np.where(room > 0, np.clip(0.5 * (low + high - shown), 0, np.maximum(room, 0)), 0.5 * room)
-    return CloseUp(float(left), float(top), 1 / step)
+    def another_pose(self, pose: np.ndarray) -> np.ndarray:
+        """The outline of the object in another pose. pose: camera frame, shape [7]."""
+        return self._outlined(self._color(), pose, REJECTED_LINE)
 
+    def depth(self, accepted: bool) -> np.ndarray:
+        """The depth, near is yellow, far violet, not measured black; and the object's outline."""
+        depth = self.cut(Image.fromarray(self._capture.depth))
+        vertices = transform_points(self._pose, self._model.vertices)
+        shown = np.concatenate([self._hand.joints_camera, vertices])[:, 2]
+        near, far = max(float(shown.min()) - 0.03, 0.0), float(shown.max()) + 0.1
+        picture = _false_colors((len(DEPTH_COLORS) - 1) * np.clip((far - depth) / (far - near), 0, 1))
+        picture = np.where(depth[..., None] > 0, picture, NO_DEPTH)
+        picture = self._outlined(picture, self._pose, ACCEPTED_LINE if accepted else REJECTED_LINE)
+        return _with_scale(picture, near, far)
 
-def drawn_over(
-    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, accepted: bool
-) -> np.ndarray:
-    """The part of the color image with hand and object, the hand's skeleton and the object's outline on it.
+    def whole_image(self, width: int = 960) -> np.ndarray:
+        """The color image, smaller if it is wide, with a frame round the part that is enlarged."""
+        image = Image.fromarray(self._capture.color)
+        share = min(1.0, width / image.width)
+        if share < 1:
+            image = image.resize((width, round(share * image.height)), Image.Resampling.LANCZOS)
+        corners = np.concatenate([self._corner, np.array(SHAPE) / self.scale + self._corner])
+        box = np.clip(corners * share, 1, np.array([*image.size, *image.size]) - 2)
+        draw = ImageDraw.Draw(image)
+        for color, line in ((_DARK, 4), (ACCEPTED_LINE, 2)):
+            draw.rectangle([float(edge) for edge in box], outline=color, width=line)
+        return np.asarray(image)
 
-    Each finger has its color. The disc round a joint says how far off it may be (one standard deviation);
-    joints that are not trusted are hollow.
+    def _color(self) -> np.ndarray:
+        return self.cut(Image.fromarray(self._capture.color))
 
-    Args:
-        capture: the image.
-        hand: camera frame.
-        model: the object.
-        pose: of the object in the camera frame, shape [7].
-        accepted: whether the pose is accepted.
-
-    Returns:
-        sRGB, shape [720, 960, 3] uint8.
-    """
-    view = close_up(capture, hand, model, pose)
-    picture = view.cut(Image.fromarray(capture.color))
-    picture = _outlined(
-        picture, view, capture.intrinsics, model, pose, ACCEPTED_LINE if accepted else REJECTED_LINE
-    )
-    return _with_skeleton(picture, view, capture.intrinsics, hand)
-
-
-def pose_over(
-    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, other: np.ndarray
-) -> np.ndarray:
-    """The part of the color image that ``drawn_over`` shows, with the outline of the object in another pose.
-
-    pose, other: camera frame, shape [7]. Returns sRGB, shape [720, 960, 3] uint8.
-    """
-    view = close_up(capture, hand, model, pose)
-    return _outlined(
-        view.cut(Image.fromarray(capture.color)), view, capture.intrinsics, model, other, REJECTED_LINE
-    )
-
-
-def false_colors(
-    capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray, accepted: bool
-) -> np.ndarray:
-    """The depth of the part that ``drawn_over`` shows: near is yellow, far violet, not measured black.
-
-    Arguments and result as those of ``drawn_over``.
-    """
-    view = close_up(capture, hand, model, pose)
-    depth = view.cut(Image.fromarray(capture.depth))
-    things = np.concatenate([hand.joints_camera, transform_points(pose, model.vertices)])[:, 2]
-    near, far = max(float(things.min()) - 0.03, 0.0), float(things.max()) + 0.1
-    level = (len(DEPTH_COLORS) - 1) * np.clip((far - depth) / (far - near), 0, 1)
-    steps = np.arange(len(DEPTH_COLORS))
-    picture = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLORS.T], axis=-1)
-    picture = np.where(depth[..., None] > 0, picture, NO_DEPTH).round().astype(np.uint8)
-    picture = _outlined(
-        picture, view, capture.intrinsics, model, pose, ACCEPTED_LINE if accepted else REJECTED_LINE
-    )
-    return _with_scale(picture, near, far)
-
-
-def whole_image(capture: Capture, view: CloseUp, width: int = 960) -> np.ndarray:
-    """The color image, smaller if it is wide, with a frame round the part that ``view`` enlarges."""
-    image = Image.fromarray(capture.color)
-    share = min(1.0, width / image.width)
-    if share < 1:
-        image = image.resize((width, round(share * image.height)), Image.Resampling.LANCZOS)
-    corners = np.array([view.left, view.top, *(np.array(SHAPE) / view.scale + [view.left, view.top])])
-    box = np.clip(corners * share, 1, np.array([*image.size, *image.size]) - 2)
-    draw = ImageDraw.Draw(image)
-    for color, line in ((_DARK, 4), (ACCEPTED_LINE, 2)):
-        draw.rectangle([float(edge) for edge in box], outline=color, width=line)
-    return np.asarray(image)
+    def _outlined(self, picture: np.ndarray, pose: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+        """The picture with the outline of the mesh, on a darker line that shows it on every ground."""
+        lens, model = self._capture.intrinsics, self._model
+        corners = self.place(lens.project(transform_points(pose, model.vertices)))
+        if not np.isfinite(corners).all():
+            return picture
+        low, high = (np.clip(corners.min(axis=0) - 2, 0, SHAPE), np.clip(corners.max(axis=0) + 3, 0, SHAPE))
+        columns, rows = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+        rays = self.directions(lens, columns, rows)
+        if not rays.size:
+            return picture
+        hit = np.zeros(picture.shape[:2])
+        depth = MeshRays(model.vertices, model.faces).cast(pose[None], rays.reshape(-1, 3))
+        hit[rows, columns] = np.isfinite(depth).reshape(rays.shape[:2])
+        inside = np.asarray(ndimage.gaussian_filter(hit, 1.5, mode="nearest")) > 0.5
+        if not inside.any() or inside.all():
+            return picture
+        away = np.asarray(ndimage.distance_transform_edt(inside)) - 0.5
+        away += np.asarray(ndimage.distance_transform_edt(~inside))
+        drawn = picture.astype(float)
+        for shade, half in ((_DARK, 3.2), (color, 1.6)):
+            part = np.clip(half + 0.5 - away, 0, 1)[..., None]
+            drawn += part * (np.array(shade) - drawn)
+        return drawn.round().astype(np.uint8)
 
 
 def grasp_from_four_sides(
@@ -194,38 +180,6 @@ def grasp_from_four_sides(
         return four_views(scene, azimuth=float(np.degrees(np.arctan2(towards[1], towards[0]))))
     except FungraspError:
         return []
-
-
-def _outlined(
-    picture: np.ndarray,
-    view: CloseUp,
-    lens: Intrinsics,
-    model: ObjectModel,
-    pose: np.ndarray,
-    color: tuple[int, int, int],
-) -> np.ndarray:
-    """The picture with the outline of the mesh, on a darker line that shows it on every ground."""
-    corners = view.place(lens.project(transform_points(pose, model.vertices)))
-    if not np.isfinite(corners).all():
-        return picture
-    low, high = (np.clip(corners.min(axis=0) - 2, 0, SHAPE), np.clip(corners.max(axis=0) + 3, 0, SHAPE))
-    columns, rows = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    rays = view.directions(lens, columns, rows)
-    if not rays.size:
-        return picture
-    hit = np.zeros(picture.shape[:2])
-    depth = MeshRays(model.vertices, model.faces).cast(pose[None], rays.reshape(-1, 3))
-    hit[rows, columns] = np.isfinite(depth).reshape(rays.shape[:2])
-    inside = np.asarray(ndimage.gaussian_filter(hit, 1.5, mode="nearest")) > 0.5
-    if not inside.any() or inside.all():
-        return picture
-    away = np.asarray(ndimage.distance_transform_edt(inside)) - 0.5
-    away += np.asarray(ndimage.distance_transform_edt(~inside))
-    drawn = picture.astype(float)
-    for shade, half in ((_DARK, 3.2), (color, 1.6)):
-        part = np.clip(half + 0.5 - away, 0, 1)[..., None]
-        drawn += part * (np.array(shade) - drawn)
-    return drawn.round().astype(np.uint8)
 
 
 def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: HandEstimate) -> np.ndarray:
@@ -255,9 +209,16 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
         if shown[joint]:
             disc(joint, 13, _DARK)
             disc(joint, 10, colors[joint])
-            if hand.confidence[joint] < SURE:
+            if hand.confidence[joint] < SURE_JOINT:
                 disc(joint, 5.5, _DARK)
     return np.asarray(sheet.reduce(_FINE))
+
+
+def _false_colors(level: np.ndarray) -> np.ndarray:
+    """sRGB, shape [..., 3] uint8. level: place among ``DEPTH_COLORS``, shape [...]."""
+    steps = np.arange(len(DEPTH_COLORS))
+    colors = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLORS.T], axis=-1)
+    return colors.round().astype(np.uint8)
 
 
 def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
@@ -266,9 +227,7 @@ def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(22)
     width, height = image.size
     draw.rectangle([0, height - 44, width, height], fill=_DARK)
-    bar = np.linspace(0, len(DEPTH_COLORS) - 1, width // 2)
-    colors = np.stack([np.interp(bar, np.arange(len(DEPTH_COLORS)), c) for c in DEPTH_COLORS.T], axis=-1)
-    strip = np.tile(colors.round().astype(np.uint8), (18, 1, 1))
+    strip = np.tile(_false_colors(np.linspace(0, len(DEPTH_COLORS) - 1, width // 2)), (18, 1, 1))
     image.paste(Image.fromarray(strip), (width // 4, height - 31))
     for words, x, anchor in (
         (f"{far:.2f} m", width / 4 - 12, "rm"),

@@ -12,10 +12,9 @@ from PIL import Image, ImageDraw, ImageFont
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.media.grasp_scenes import grasp_scene
+from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp
 from fungrasp.media.ray_tracing import Look
 from fungrasp.media.render import Renderer, render
-from fungrasp.media.viewpoints import frame_geoms, look_at_grasp
 from fungrasp.objects import ObjectModel
 
 INK = (38, 42, 48)

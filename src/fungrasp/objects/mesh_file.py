@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import check_file
+from fungrasp.core.formats.checks import check_file
 from fungrasp.core.formats.mesh_file import LARGEST, read_mesh
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.objects.disk_cache import cached_on_disk

@@ -127,7 +127,6 @@ def rebuild(
     """A closed surface around any triangles, its cavities filled.
 
     Args:
-        mesh: any triangles.
         thickness: of the shell around them [m], at least.
 
     Returns:

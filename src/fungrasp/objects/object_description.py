@@ -53,7 +53,6 @@ def piece_fidelity(model: ObjectModel, samples: int = 4000) -> Fidelity:
     """Compare the pieces with the mesh.
 
     Args:
-        model: the object.
         samples: points on the mesh, and on all pieces together; the pieces' corners are added.
     """
     shapes = [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in model.pieces]

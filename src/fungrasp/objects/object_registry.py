@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -9,11 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.objects.builtin_objects import BUILTINS, load_builtin
+from fungrasp.objects.builtin_objects import BUILTINS, is_plain_shape, load_builtin, plain_shape
 from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
-from fungrasp.objects.mirroring import MIRRORED, mirrored_object
 from fungrasp.objects.object_model import ObjectModel
-from fungrasp.objects.plain_shapes import is_plain_shape, plain_shape
+from fungrasp.objects.object_variants import MIRRORED, mirrored_object
 
 
 def object_names() -> tuple[str, ...]:
@@ -120,3 +120,26 @@ def _packaged_meshes() -> dict[str, Path]:
     for entry in entry_points(group="fungrasp.objects"):
         files |= _meshes_in(Path(entry.load()()))
     return files
+
+
+def check_objects(names: Iterable[str], objects: Mapping[str, ObjectModel]) -> None:
+    """Complain about objects that are missing.
+
+    Args:
+        names: of the objects that are needed.
+        objects: those that are given, by name.
+
+    Raises:
+        FungraspError: names the first that is missing, and those that are given.
+    """
+    if not isinstance(objects, Mapping):
+        raise FungraspError(
+            f"expected objects by name, as fungrasp.load_objects(grasps) gives, not {type(objects).__name__}"
+        )
+    missing = sorted({str(name) for name in names} - set(objects))
+    if missing:
+        given = ", ".join(sorted(objects)) or "none"
+        raise FungraspError(
+            f"the object '{missing[0]}' of the grasps is not given; given: {given}. "
+            "fungrasp.load_objects(grasps) loads them"
+        )

@@ -1,4 +1,4 @@
-"""Objects that differ a little from a known one: in size, or in where their mass is."""
+"""Objects in other sizes, with their mass elsewhere, and in a mirror."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ def scaled_object(model: ObjectModel, factor: float) -> ObjectModel:
     """The same object, all lengths times a factor, of the same mass.
 
     Args:
-        model: any object.
         factor: on its size, positive.
     """
     if factor == 1.0:
@@ -38,7 +37,6 @@ def with_sizes(objects: Mapping[str, ObjectModel], factors: Iterable[float]) -> 
     """Each object in several sizes, by ``scaled_name``.
 
     Args:
-        objects: by name.
         factors: on their sizes; 1 is always among the results.
     """
     return {
@@ -75,3 +73,29 @@ def shifted_mass(
     # Of a shift of zero, the second term is zero, whatever the share.
     weight = mass * (1.0 - share) / np.where(share > 0, share, 1.0)
     return center + moved, (1.0 - share)[:, None, None] * inertia + weight[:, None, None] * square
+
+
+MIRRORED = "_mirrored"
+"""At the end of the name of an object that is the mirror image of another."""
+
+
+def mirrored_name(name: str) -> str:
+    """``mug`` to ``mug_mirrored`` and back."""
+    return name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED
+
+
+def mirrored_object(model: ObjectModel) -> ObjectModel:
+    """The object reflected in the plane y = 0 of its frame, where it keeps its mass and its parts.
+
+    Convex pieces and the signed distance are reflections too, so that they are exactly alike.
+    """
+    return ObjectModel(
+        mirrored_name(model.name),
+        model.mass,
+        model.vertices * np.array([1.0, -1.0, 1.0]),
+        model.faces[:, ::-1].copy(),
+        parts=model.parts,
+        repairs=model.repairs,
+        source=model.source,
+        mirror_image=model,
+    )

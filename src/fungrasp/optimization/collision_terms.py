@@ -54,7 +54,7 @@ def object_penetration(
 @compiled
 def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes, measure: Measure) -> None:
     """Add ``object_penetration``."""
-    spheres, groups, grid = shapes.spheres, shapes.groups, shapes.grid
+    spheres, groups, grids, grid = shapes
     row = empty_row(equations.gradient.shape[1])
     total = len(spheres.radius)
     depth, ball, normal = np.empty(total), np.empty(total, np.int64), np.empty((total, 3))
@@ -65,12 +65,12 @@ def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes
         number = np.int64(0)
         for group in range(len(groups.reach)):
             size = groups.start[group + 1] - groups.start[group]
-            if size > 2 and least_clearance(frames, i, shapes, group) >= margin:
+            if size > 2 and least_clearance(frames, i, groups, group, grids, grid[i]) >= margin:
                 continue
             for k in range(groups.start[group], groups.start[group + 1]):
                 member = groups.members[k]
                 point = place(frames, i, spheres.body[member], spheres.offset[member])
-                distance, gx, gy, gz = signed_distance(shapes.grids, grid[i], point)
+                distance, gx, gy, gz = signed_distance(grids, grid[i], point)
                 deep = margin - distance + spheres.radius[member]
                 if deep > 0:
                     depth[number], ball[number] = deep, member

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
+from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import gradient_derivative, nearest_surface
-from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.hands.kinematics import BodyPoints
 from fungrasp.optimization.frames import AddTerm, Equations, Frames, joint_motion, place
 from fungrasp.optimization.friction_cones import circle, cone_edges, friction_cone_edges, largest_eigenvalue
@@ -72,23 +72,6 @@ class _Targets(NamedTuple):
     """Index of each object, shape [N]."""
 
 
-class _Contact(NamedTuple):
-    """One contact, and the unit of the residual."""
-
-    lever: np.ndarray
-    """Its point, relative to the center over the extent, shape [3]."""
-    force: np.ndarray
-    """Shape [3]."""
-    pressure: float
-    """Normal part of the force."""
-    curve: np.ndarray
-    """Derivative of the normal [1/m], shape [3, 3]."""
-    extent: float
-    """[m]."""
-    unit: float
-    """Dimensionless."""
-
-
 @compiled
 def _add_force_closure(
     frames: Frames,
@@ -135,8 +118,9 @@ def _add_force_closure(
                 residual[3 + k] += (lever[c, m] * force[c, n] - lever[c, n] * force[c, m]) / unit
             at = (point[c, 0], point[c, 1], point[c, 2])
             gradient_derivative(grids, grid[i], at, reach, curve)
-            contact = _Contact(lever[c], force[c], pressure, curve, extent[i], unit)
-            _add_motion(frames, i, body[link[c]], at, contact, jacobian)
+            _add_motion(
+                frames, i, body[link[c]], at, lever[c], force[c], pressure, curve, extent[i], unit, jacobian
+            )
         for k in range(6):
             equations.cost[i] += 0.5 * residual[k] * residual[k]
         hessian, gradient = equations.hessian[i], equations.gradient[i]
@@ -149,7 +133,9 @@ def _add_force_closure(
 
 
 @compiled_part
-def _add_motion(frames: Frames, i: int, body: int, point, contact: _Contact, jacobian: np.ndarray) -> None:
+def _add_motion(
+    frames: Frames, i, body, point, lever, force, pressure, curve, extent, unit, jacobian
+) -> None:
     """Derivative of a contact's force and moment with respect to the tangent vector."""
     chains = frames.chains
     rx, ry, rz = point[0] - frames.wrist[i, 0], point[1] - frames.wrist[i, 1], point[2] - frames.wrist[i, 2]
@@ -157,17 +143,19 @@ def _add_motion(frames: Frames, i: int, body: int, point, contact: _Contact, jac
         a, b, c = 1.0 * (k % 3 == 0), 1.0 * (k % 3 == 1), 1.0 * (k % 3 == 2)
         if k >= 3:
             a, b, c = b * rz - c * ry, c * rx - a * rz, a * ry - b * rx
-        _add_column(jacobian, k, a, b, c, contact)
+        _add_column(jacobian, k, a, b, c, lever, force, pressure, curve, extent, unit)
     for entry in range(chains.start[body], chains.start[body + 1]):
         factor = chains.factor[entry]
         a, b, c = joint_motion(frames, i, chains.joint[entry], point)
-        _add_column(jacobian, chains.column[entry], factor * a, factor * b, factor * c, contact)
+        _add_column(
+            jacobian, chains.column[entry], factor * a, factor * b, factor * c, lever, force, pressure, curve,
+            extent, unit,
+        )  # fmt: skip
 
 
 @compiled_part
-def _add_column(jacobian: np.ndarray, column: int, mx, my, mz, contact: _Contact) -> None:
+def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve, extent, unit) -> None:
     """The change of force and moment where the contact's point moves along (mx, my, mz)."""
-    lever, force, pressure, curve, extent, unit = contact
     # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
     fx = -pressure * (curve[0, 0] * mx + curve[0, 1] * my + curve[0, 2] * mz) / unit
     fy = -pressure * (curve[1, 0] * mx + curve[1, 1] * my + curve[1, 2] * mz) / unit

@@ -14,7 +14,7 @@ import numpy as np
 from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.poses import rotation_matrix
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import CollisionSpheres, collision_spheres
+from fungrasp.hands.collisions import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.optimization.problem import CollisionScene

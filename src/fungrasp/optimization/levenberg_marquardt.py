@@ -241,7 +241,7 @@ def accept(equations: Equations, trial: Equations, state: StepState, at: Iterate
     """Keep the trials that are better; problems that gained too little in a row become inactive. Returns the
     number of active problems."""
     damping, stiffening, stalled = state
-    pose, independent = at
+    pose, independent, new_pose, new_independent = at.pose, at.independent, new.pose, new.independent
     left = 0
     for i in range(len(pose)):
         if not equations.active[i]:
@@ -251,9 +251,9 @@ def accept(equations: Equations, trial: Equations, state: StepState, at: Iterate
         stalled[i] = 0 if gain >= TOLERANCE * equations.cost[i] else stalled[i] + 1
         if gain > 0:
             for k in range(7):
-                pose[i, k] = new.pose[i, k]
+                pose[i, k] = new_pose[i, k]
             for k in range(independent.shape[1]):
-                independent[i, k] = new.independent[i, k]
+                independent[i, k] = new_independent[i, k]
             equations.cost[i] = trial.cost[i]
             for p in range(equations.gradient.shape[1]):
                 equations.gradient[i, p] = trial.gradient[i, p]

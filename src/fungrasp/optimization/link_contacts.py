@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import distance_bound, signed_distance, unit_vector
-from fungrasp.geometry.signed_distance import GridArrays
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,
@@ -98,13 +98,15 @@ def contacts_of_links(
 @compiled
 def _find(frames: Frames, shapes: Shapes, active: np.ndarray, within: float, found: LinkContacts) -> None:
     """Write ``contacts_of_links``."""
-    spheres = shapes.spheres
+    spheres, groups, grids, grid = shapes
     chains = frames.chains
     for i in range(len(active)):
         if not active[i]:
             continue
         for link in range(found.clearance.shape[1]):
-            nearest, clearance, nx, ny, nz = nearest_sphere(frames, i, shapes, link, within)
+            nearest, clearance, nx, ny, nz = nearest_sphere(
+                frames, i, spheres, groups, link, grids, grid[i], within
+            )
             if nearest < 0:
                 continue
             body, r = spheres.body[nearest], spheres.radius[nearest]
@@ -131,7 +133,7 @@ def contact_gap(points: HandPoints, problem: RetargetingProblem, unit: float = 0
 @compiled
 def _add_gaps(frames: Frames, equations: Equations, shapes: Shapes, wanted: np.ndarray, unit: float) -> None:
     """Add ``contact_gap``. wanted: links that should touch, shape [N, L] bool."""
-    spheres = shapes.spheres
+    spheres, groups, grids, grid = shapes
     row = empty_row(equations.gradient.shape[1])
     for i in range(len(wanted)):
         if not equations.active[i]:
@@ -139,7 +141,9 @@ def _add_gaps(frames: Frames, equations: Equations, shapes: Shapes, wanted: np.n
         for link in range(1, wanted.shape[1]):
             if not wanted[i, link]:
                 continue
-            nearest, least, nx, ny, nz = nearest_sphere(frames, i, shapes, link, math.inf)
+            nearest, least, nx, ny, nz = nearest_sphere(
+                frames, i, spheres, groups, link, grids, grid[i], math.inf
+            )
             if nearest >= 0 and least > 0:
                 body = spheres.body[nearest]
                 point = place(frames, i, body, spheres.offset[nearest])
@@ -148,22 +152,31 @@ def _add_gaps(frames: Frames, equations: Equations, shapes: Shapes, wanted: np.n
 
 
 @compiled_part
-def nearest_sphere(frames: Frames, i: int, shapes: Shapes, link: int, within: float):
-    """The sphere of a link that is nearest to the object.
+def nearest_sphere(
+    frames: Frames,
+    i: int,
+    spheres: Spheres,
+    groups: Groups,
+    link: int,
+    grids: GridArrays,
+    grid: int,
+    within: float,
+):
+    """The sphere of a link that is nearest to the object. (Parts of loops take no ``Shapes``: to take a
+    record out of a record counts references, which takes time.)
 
     Returns:
         its index, -1 where none is nearer than ``within`` [m]; its clearance [m]; the distance's gradient at
         its center.
     """
-    spheres, groups, grid = shapes.spheres, shapes.groups, shapes.grid[i]
     nearest, least, nx, ny, nz = np.int64(-1), within, 0.0, 0.0, 0.0
     for group in range(groups.link_start[link], groups.link_start[link + 1]):
-        if least_clearance(frames, i, shapes, group) > least:
+        if least_clearance(frames, i, groups, group, grids, grid) > least:
             continue
         for k in range(groups.start[group], groups.start[group + 1]):
             ball = groups.members[k]
             point = place(frames, i, spheres.body[ball], spheres.offset[ball])
-            distance, gx, gy, gz = signed_distance(shapes.grids, grid, point)
+            distance, gx, gy, gz = signed_distance(grids, grid, point)
             clearance = distance - spheres.radius[ball]
             if clearance < least:
                 nearest, least, nx, ny, nz = ball, clearance, gx, gy, gz
@@ -171,8 +184,7 @@ def nearest_sphere(frames: Frames, i: int, shapes: Shapes, link: int, within: fl
 
 
 @compiled_part
-def least_clearance(frames: Frames, i: int, shapes: Shapes, group: int):
+def least_clearance(frames: Frames, i: int, groups: Groups, group: int, grids: GridArrays, grid: int):
     """A bound below the clearances [m] of a group's spheres."""
-    groups = shapes.groups
     point = place(frames, i, groups.body[group], groups.center[group])
-    return distance_bound(shapes.grids, shapes.grid[i], point) - groups.reach[group]
+    return distance_bound(grids, grid, point) - groups.reach[group]

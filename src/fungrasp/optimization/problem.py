@@ -15,7 +15,7 @@ from fungrasp.geometry.poses import invert, rotate, transform_points
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.resting_pose import settled_up
+from fungrasp.objects.object_model import settled_up
 
 GRAVITY = 9.81
 """[m/s^2]."""

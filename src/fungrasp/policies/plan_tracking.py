@@ -24,8 +24,7 @@ from fungrasp.geometry.poses import (
     stack,
 )
 from fungrasp.hands import Hand
-from fungrasp.hands.array_kinematics import ArrayKinematics
-from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings, add_residual, smoothed
 from fungrasp.policies.slip_response import SlipResponse

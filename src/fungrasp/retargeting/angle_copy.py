@@ -12,13 +12,11 @@ import mujoco
 import numpy as np
 
 from fungrasp.geometry.poses import rotate
-from fungrasp.grasps.anatomy import joint_bends
-from fungrasp.grasps.human_hand import mirror_points
+from fungrasp.grasps.human_hand import joint_bends, mirror_points
 from fungrasp.hands import FINGERS, Hand
-from fungrasp.hands.checking.kinematic_tree import ancestors
 from fungrasp.hands.correspondence import HUMAN_FINGER_JOINTS
-from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.hands.opening import partly_closed
+from fungrasp.hands.kinematic_tree import ancestors
+from fungrasp.hands.kinematics import HandKinematics, partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize

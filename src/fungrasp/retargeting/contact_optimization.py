@@ -18,9 +18,8 @@ from fungrasp.geometry.poses import (
     rotate,
 )
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import self_collision_depth
-from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.hands.opening import partly_closed
+from fungrasp.hands.collisions import self_collision_depth
+from fungrasp.hands.kinematics import HandKinematics, partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
@@ -28,7 +27,7 @@ from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.terms import Term, contact_error
 from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, unresisted_share
 
-FIRM = 0.2
+TOLERATED_SHARE = 0.2
 """Unresisted share of the load below which a grasp counts as firm: of those below six of seven hold, however
 far below they are."""
 
@@ -147,7 +146,7 @@ def retarget_by_contact_optimization(
     if not settings.starts or np.isinf(settings.likeness):
         return wrist_pose, independent
     score, share = _score(points, problem, settings.likeness, (wrist_pose, independent))
-    poor = np.flatnonzero(share > FIRM)
+    poor = np.flatnonzero(share > TOLERATED_SHARE)
     if not len(poor):
         return wrist_pose, independent
     # All starts of all poor grasps at once, start after start.
@@ -176,8 +175,8 @@ def _score(
     solution: tuple[np.ndarray, np.ndarray],
     least: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What solutions are compared by, lower is better: the unresisted share of the load, ``FIRM`` at least,
-    and how far the contacts are from the person's; and that share, shape [N] each.
+    """What solutions are compared by, lower is better: the unresisted share of the load, at least
+    ``TOLERATED_SHARE``, and how far the contacts are from the person's; and that share, shape [N] each.
 
     Args:
         points, problem: N grasps.
@@ -186,8 +185,8 @@ def _score(
         least: scores that count, shape [N]; of what is too far off by its places alone the share is infinite.
     """
     apart = likeness / ERROR_UNIT * contact_error(points, problem, *solution)
-    most = None if least is None else least - apart
-    share = unresisted_share(points.dense, problem, *solution, FIRM, most)
+    upper = None if least is None else least - apart
+    share = unresisted_share(points.dense, problem, *solution, TOLERATED_SHARE, upper)
     collisions: list[Term] = [
         partial(terms.table_penetration, unit=DEEPEST, margin=0.0),
         partial(terms.self_penetration, unit=DEEPEST, margin=0.0),
@@ -195,7 +194,7 @@ def _score(
     # A hand in itself or in the table by twice ``DEEPEST`` has no grip either.
     inside = minimize(points, problem, collisions, *solution, 0)[2] > 2.0
     share = np.where(inside, np.maximum(share, NO_GRIP), share)
-    return np.maximum(share, FIRM) + apart, share
+    return np.maximum(share, TOLERATED_SHARE) + apart, share
 
 
 def _touch(

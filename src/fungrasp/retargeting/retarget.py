@@ -35,7 +35,7 @@ METHODS: dict[str, Solver] = {
 GRASPS_PER_PART = 128
 """Grasps that are kept together, and one job on a cluster: some seconds of work."""
 
-TOGETHER = 8
+BATCH = 8
 """Parts that one process solves together: its threads have more to share in this way."""
 
 CHUNK = 64
@@ -164,8 +164,8 @@ class Retargeting(Job[range]):
         return len(part)
 
     def together(self, missing: list[range]) -> list[list[range]]:
-        """``TOGETHER`` parts."""
-        return [missing[i : i + TOGETHER] for i in range(0, len(missing), TOGETHER)]
+        """``BATCH`` parts."""
+        return [missing[i : i + BATCH] for i in range(0, len(missing), BATCH)]
 
     def on_one_processor(self) -> Self:
         """With one thread."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.toml_file import read_toml
+from fungrasp.core.formats.text_files import read_toml
 from fungrasp.hands import Hand, as_hand
 
 QUANTITIES = ("stiffness", "damping", "friction", "armature")

@@ -16,9 +16,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import read_json
+from fungrasp.core.formats.text_files import read_json
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.resting_pose import settled_up
+from fungrasp.objects.object_model import settled_up
 from fungrasp.synthesis.grasp_specification import WHOLE, GraspSpecification, Vector3
 
 WIDEST_WRAP, WIDEST_SPAN = 0.085, 0.10

@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
-from fungrasp.grasps.anatomy import DEVIATION_LIMIT, FLEXION_RANGE, JOINT_RANGE_SLACK, joint_bends
+from fungrasp.grasps.human_hand import DEVIATION_LIMIT, FLEXION_RANGE, JOINT_RANGE_SLACK, joint_bends
 from fungrasp.hands import load_hand
-from fungrasp.hands.collision_spheres import self_collision_depth
+from fungrasp.hands.collisions import self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandState

@@ -10,9 +10,8 @@ from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.arrays import constant, is_numpy
 from fungrasp.geometry.poses import Array, array_namespace, inverse_transform_points, transform_points
 from fungrasp.hands import Hand
-from fungrasp.hands.array_kinematics import ArrayKinematics
-from fungrasp.hands.collision_spheres import collision_spheres
-from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.hands.collisions import collision_spheres
+from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics
 from fungrasp.objects import ObjectModel
 
 

@@ -15,7 +15,7 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.hands.palm_offset import palm_offset
+from fungrasp.hands.kinematics import palm_offset
 from fungrasp.objects import ObjectModel
 from fungrasp.task.hand_clearance import HandClearance
 

@@ -19,11 +19,11 @@ from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 from torch.utils.tensorboard import SummaryWriter
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.record_json import record_from_json, record_to_json
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, TrainingData
@@ -41,11 +41,10 @@ from fungrasp.training.folder import (
 )
 from fungrasp.training.imitation import imitated_round, learn_imitation
 from fungrasp.training.networks import make_student
-from fungrasp.training.plan_library import PlanLibrary
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import DistillSettings, StudentSpec, TrainSpec
 from fungrasp.training.train import EXPLORING, PLANNED_FROM, PLANS, checkpoint_digest, keep_beside
-from fungrasp.training.training_sets import kept_library
+from fungrasp.training.training_sets import PlanLibrary, kept_library
 
 _log = logging.getLogger(__name__)
 
@@ -209,7 +208,6 @@ def train_student(
         environment.student_layout,
         (),
         environment.settings.residual,
-        1 / environment.protocol.control_period,
         Budget(trainer.steps + done.steps, trainer.seconds + done.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=teacher.data,

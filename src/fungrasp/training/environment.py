@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.arrays import is_numpy, moved_to
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.plan_tracking import PlanTracker
-from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.sim2real import MODERATE, Randomization, draw
-from fungrasp.simulation import BufferSizes, Device, SceneSettings, build_scene, make_engine
+from fungrasp.sim2real import draw
+from fungrasp.simulation import SceneSettings, build_scene, make_engine
 from fungrasp.task import LiftEnvironment, LiftProtocol
 from fungrasp.task.features import (
-    LayoutName,
     contact_features,
     encoder_parts,
     layout,
@@ -28,9 +25,10 @@ from fungrasp.task.features import (
     network_parts,
     value_features,
 )
-from fungrasp.task.reward import RewardWeights, total
-from fungrasp.training.plan_library import PlanLibrary
+from fungrasp.task.reward import total
 from fungrasp.training.rewards import LiftReward
+from fungrasp.training.settings import EnvironmentSettings
+from fungrasp.training.training_sets import PlanLibrary
 
 _log = logging.getLogger(__name__)
 
@@ -38,55 +36,6 @@ HISTORY = 10
 """Control steps that the encoder looks back on, the present one included."""
 
 Layout = tuple[tuple[str, int], ...]
-
-
-@dataclass(frozen=True)
-class EnvironmentSettings:
-    """How training episodes run."""
-
-    worlds: int = 512
-    """Episodes that run at once."""
-    timestep: float = 0.01
-    """Physics step [s]; the lift test has 0.005."""
-    hold_time: float = 1.5
-    """Time that the object has to be held [s]; the lift test has 3."""
-    early: tuple[int, int] = (4, 14)
-    """Fewest and most control steps before the fingers close at which episodes begin, on the planned path:
-    with an open hand, a few centimeters from the grasp."""
-    whole: float = 0.1
-    """Share of episodes that begin where the lift test does."""
-    widen: tuple[int, int] | None = None
-    """Control steps of the training between which this share grows to all; it stays if not given."""
-    lift_goal: float = 0.14
-    """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
-    randomization: Randomization = MODERATE
-    """How worlds differ from the nominal ones, drawn anew in each episode."""
-    layout: LayoutName = "full"
-    """What networks get of what a robot has. "paper": what the paper names (section IV.B.1); "full": besides,
-    distances from the object's surface, errors of servos and joints, the plan's phase, size and mass of the
-    object."""
-    history: bool = False
-    """Whether observations hold a student's history."""
-    residual: ResidualSettings = field(default_factory=ResidualSettings)
-    """How far actions may depart from the plan."""
-    reward: RewardWeights = field(default_factory=RewardWeights)
-    """Weights of the reward's terms."""
-
-    def __post_init__(self) -> None:
-        """
-        Raises:
-            FungraspError: a value is impossible.
-        """
-        if self.worlds < 1:
-            raise FungraspError(f"a training needs at least one world, not {self.worlds}")
-        if self.early[0] > self.early[1]:
-            raise FungraspError("episodes begin FEWEST to MOST steps early, not {} to {}".format(*self.early))
-        if not 0 <= self.whole <= 1:
-            raise FungraspError(f"the share of whole episodes is from 0 to 1, not {self.whole:g}")
-        if self.widen is not None and not 0 <= self.widen[0] <= self.widen[1]:
-            raise FungraspError(
-                "starts widen from one control step to a later one, not {} to {}".format(*self.widen)
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,19 +138,19 @@ class TrainingEnvironment:
         settings: EnvironmentSettings | None = None,
         seed: int = 0,
         threads: int = 0,
-        device: Device = "cpu",
-        buffers: BufferSizes | None = None,
+        physics: SceneSettings | None = None,
     ):
         """
         Args:
             library: of plans of ``hand``.
+            physics: device and buffers of the worlds; their timestep is that of the settings.
         """
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand
         self.rng = np.random.default_rng(seed)
         names = sorted(set(library.plans.object_name.tolist()))
         sizes = with_sizes({name: objects[name] for name in names}, s.randomization.object_scales)
-        scene = build_scene(hand, sizes, SceneSettings(timestep=s.timestep, device=device, buffers=buffers))
+        scene = build_scene(hand, sizes, replace(physics or SceneSettings(), timestep=s.timestep))
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         engine = make_engine(scene, s.worlds, threads, tensors=True)
         self.on: Array = engine.object_pose

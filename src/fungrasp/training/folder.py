@@ -17,12 +17,12 @@ from typing import Any
 
 import torch
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
-from fungrasp.core.formats.json_file import parse_json, read_json
+from fungrasp.core.formats.checks import read_bytes
+from fungrasp.core.formats.text_files import parse_json, read_json
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
 from fungrasp.training.environment import TrainingEnvironment
 
 LARGEST_PROGRESS = 1_000_000_000

@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
+from fungrasp.core.formats.checks import read_bytes
 from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork
@@ -21,7 +21,7 @@ from fungrasp.sim2real import draw
 from fungrasp.simulation import SceneSettings, build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, play
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.plan_library import PlanLibrary
+from fungrasp.training.training_sets import PlanLibrary
 
 CURVE, DRAWING = "curve.csv", "curve.svg"
 GRASPS = 48

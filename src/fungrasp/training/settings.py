@@ -7,14 +7,89 @@ from pathlib import Path
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.training.environment import EnvironmentSettings
-from fungrasp.training.plan_library import Variety
+from fungrasp.planning.selection.candidates import VariationSpread
+from fungrasp.policies.residual_action import ResidualSettings
+from fungrasp.sim2real import MODERATE, Randomization
+from fungrasp.task.features import LayoutName
+from fungrasp.task.reward import RewardWeights
 
 Sees = Literal["contacts", "nothing", "history"]
 """What an actor knows of the contacts."""
 
 HIDDEN = (256, 128)
 """Units of the hidden layers of a policy."""
+
+
+@dataclass(frozen=True)
+class EnvironmentSettings:
+    """How training episodes run."""
+
+    worlds: int = 512
+    """Episodes that run at once."""
+    timestep: float = 0.01
+    """Physics step [s]; the lift test has 0.005."""
+    hold_time: float = 1.5
+    """Time that the object has to be held [s]; the lift test has 3."""
+    early: tuple[int, int] = (4, 14)
+    """Fewest and most control steps before the fingers close at which episodes begin, on the planned path:
+    with an open hand, a few centimeters from the grasp."""
+    whole: float = 0.1
+    """Share of episodes that begin where the lift test does."""
+    widen: tuple[int, int] | None = None
+    """Control steps of the training between which this share grows to all; it stays if not given."""
+    lift_goal: float = 0.14
+    """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
+    randomization: Randomization = MODERATE
+    """How worlds differ from the nominal ones, drawn anew in each episode."""
+    layout: LayoutName = "full"
+    """What networks get of what a robot has. "paper": what the paper names (section IV.B.1); "full": besides,
+    distances from the object's surface, errors of servos and joints, the plan's phase, size and mass of the
+    object."""
+    history: bool = False
+    """Whether observations hold a student's history."""
+    residual: ResidualSettings = field(default_factory=ResidualSettings)
+    """How far actions may depart from the plan."""
+    reward: RewardWeights = field(default_factory=RewardWeights)
+    """Weights of the reward's terms."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value is impossible.
+        """
+        if self.worlds < 1:
+            raise FungraspError(f"a training needs at least one world, not {self.worlds}")
+        if self.early[0] > self.early[1]:
+            raise FungraspError("episodes begin FEWEST to MOST steps early, not {} to {}".format(*self.early))
+        if not 0 <= self.whole <= 1:
+            raise FungraspError(f"the share of whole episodes is from 0 to 1, not {self.whole:g}")
+        if self.widen is not None and not 0 <= self.widen[0] <= self.widen[1]:
+            raise FungraspError(
+                "starts widen from one control step to a later one, not {} to {}".format(*self.widen)
+            )
+
+
+@dataclass(frozen=True)
+class Variety:
+    """How many variations of a grasp there are, and how they differ."""
+
+    copies: int = 8
+    """Perturbed copies of each grasp."""
+    tries: int = 24
+    """Variations that a success predictor chooses these copies from, if there is one; else the grasp as it
+    is, and ``copies`` - 1 variations, are taken as they come."""
+    spread: VariationSpread = field(default_factory=VariationSpread)
+    """How far the variations differ from the grasp."""
+
+    def __post_init__(self) -> None:
+        if self.copies < 1:
+            raise FungraspError(f"training needs at least one copy of each grasp, not {self.copies}")
+        if self.tries < self.copies:
+            raise FungraspError(f"{self.copies} copies can't be chosen from {self.tries} variations")
+
+    def planned(self, with_predictor: bool) -> int:
+        """Plans that are made for each grasp."""
+        return self.tries if with_predictor else self.copies
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import parse_json
+from fungrasp.core.formats.text_files import parse_json
 from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.core.provenance import machine
 from fungrasp.grasps import RobotGraspSet
@@ -135,9 +135,7 @@ def try_plans(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
-    settings: PredictorSettings | None = None,
-    seed: int = 0,
-    threads: int = 0,
+    spec: PredictorSpec,
     *,
     store: PartStore | None = None,
     progress: Callable[[float], None] = lambda share: None,
@@ -154,7 +152,7 @@ def try_plans(
     Raises:
         FungraspError: a part can't be written.
     """
-    job = PlanTrials(grasps, objects, hand, settings or PredictorSettings(), seed, threads)
+    job = PlanTrials(grasps, objects, hand, spec.settings, spec.seed, spec.threads)
     found = run_job(job, store, progress=progress)
     names = tuple((str(name), int(size)) for name, size in parse_json(str(found[-1][LAYOUT]), "kept layout"))
     columns = [np.concatenate([part[f.name] for part in found]) for f in fields(PlanOutcomes)]
@@ -297,9 +295,7 @@ def train_predictor(
             one.grasps,
             one.objects,
             hand,
-            settings,
-            seed,
-            spec.threads,
+            spec,
             store=PartStore(folder / str(number)),
             progress=lambda done, before=number: progress((before + done) / len(sets)),
         )
@@ -314,7 +310,6 @@ def train_predictor(
         names,
         (),
         ResidualSettings(),
-        1 / LiftProtocol().control_period,
         Budget(len(outcomes.grasp), perf_counter() - start, machine()),
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),
         seed=seed,

@@ -10,16 +10,16 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
+from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.provenance import git_revision, machine
-from fungrasp.core.version import __version__
 from fungrasp.hands import Hand, as_hand, hand_files
 from fungrasp.planning.selection.success_predictor import NetworkPredictor
 from fungrasp.policies import policy_files
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
-from fungrasp.simulation import BufferSizes, Device, found_device
+from fungrasp.simulation import BufferSizes, SceneSettings, found_device
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph
 from fungrasp.training.folder import RunFolder
@@ -59,8 +59,10 @@ def train(
 
     Args:
         sets: of grasps of ``hand``, at least one.
+        hand: the robot hand, its name, or the path of its TOML file.
         spec: how; the default if None. The one that the folder was begun with, if it was.
         planning: called with the number of plans that are made.
+        progress: called after each update.
 
     Returns:
         The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take. Beside it
@@ -82,7 +84,7 @@ def train(
     with joined(device) as processes:
         if spec.ppo.imitate and processes.count > 1:
             raise FungraspError("motions are imitated by one process: leave torchrun or --ppo.imitate out")
-        _train(Path(folder), sets, hand, spec, device, processes, planning, progress)
+        _train(Path(folder), sets, hand, spec, processes, planning, progress)
     return Path(folder) / POLICY
 
 
@@ -91,7 +93,6 @@ def _train(
     sets: Sequence[TrainingSet],
     hand: Hand,
     spec: TrainSpec,
-    device: Device,
     processes: Processes,
     planning: Callable[[int], None],
     progress: Callable[[Progress], None],
@@ -152,9 +153,8 @@ def _train(
         processes.wait()
     seed = spec.seed + processes.number
     buffers = None if spec.buffers is None else BufferSizes(*spec.buffers)
-    environment = TrainingEnvironment(
-        library, objects, hand, spec.environment, seed, spec.threads, device, buffers
-    )
+    physics = SceneSettings(device=found_device(spec.device), buffers=buffers)
+    environment = TrainingEnvironment(library, objects, hand, spec.environment, seed, spec.threads, physics)
     trainer = Trainer(environment, spec.ppo, spec.seed, processes)
     if run.checkpoint.exists():
         trainer.load(run.checkpoint)
@@ -243,7 +243,6 @@ def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], s
         environment.student_layout if trainer.settings.sees == "history" else environment.layout,
         environment.privileged_layout if teacher else (),
         spec.environment.residual.shrunk(spec.shrink),
-        1 / environment.protocol.control_period,
         Budget(trainer.steps, trainer.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),

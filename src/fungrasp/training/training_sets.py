@@ -17,10 +17,12 @@ from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
 from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.candidates import vary, with_settings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
-from fungrasp.task import GraspPlan
-from fungrasp.training.plan_library import PlanLibrary, build_plan_library
+from fungrasp.simulation import build_scene
+from fungrasp.task import GraspPlan, LiftEnvironment
 from fungrasp.training.settings import TrainSpec
 
 _log = logging.getLogger(__name__)
@@ -29,6 +31,10 @@ BUILTIN_TERMS = "Apache-2.0, part of fungrasp"
 """Terms of the built-in grasps."""
 LARGEST_LIBRARY = 1 << 33
 """Bytes of the largest file of plans that is read, of up to tens of thousands of grasps."""
+
+
+CHUNK = 256
+"""Grasps planned together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +151,68 @@ def split_sets(
     return parts
 
 
+@dataclass(frozen=True, eq=False)
+class PlanLibrary:
+    """Plans to train on."""
+
+    plans: GraspPlan
+    """The plans, N rows."""
+    group: np.ndarray
+    """Row of the grasp that each plan is a copy of, shape [N] int."""
+
+
+def build_plan_library(
+    grasps: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    hand: Hand,
+    spec: TrainSpec,
+    progress: Callable[[int], None] = lambda done: None,
+    predictor: SuccessPredictor | None = None,
+) -> PlanLibrary:
+    """Plan the motions of variations of grasps.
+
+    Args:
+        predictor: of success: the most promising variations become the copies.
+
+    Raises:
+        FungraspError: no grasp of the set has a finite plan, or the predictor was made for another hand.
+    """
+    tries, seed = spec.variety.planned(predictor is not None), spec.seed
+    group, attempt = np.repeat(np.arange(len(grasps)), tries), np.tile(np.arange(tries), len(grasps))
+    start, scene = with_settings(grasps), build_scene(hand, objects)
+    planner = MotionPlanner(hand, objects)
+    parts, expected = [], []
+    for first in range(0, len(group), CHUNK):
+        rows = slice(first, first + CHUNK)
+        part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, spec.variety.spread)
+        belief = LiftEnvironment(scene, len(part), threads=spec.threads).settle(part)
+        parts.append(planner.plan(part, belief))
+        if predictor is not None:
+            expected.append(predictor(parts[-1]))
+        progress(first + len(part))
+    plans = GraspPlan.join(parts)
+    chosen = _usable(plans)
+    if predictor is not None:
+        score = np.where(chosen, np.concatenate(expected), -1.0).reshape(len(grasps), tries)
+        best = np.argsort(-score, axis=1, kind="stable")[:, : spec.variety.copies]
+        among = np.zeros(score.shape, dtype=bool)
+        np.put_along_axis(among, best, True, axis=1)
+        chosen &= among.ravel()
+    if not chosen.any():
+        raise FungraspError("none of the grasps can be trained on: no object settles, or no plan is finite")
+    rows = np.flatnonzero(chosen)
+    return PlanLibrary(plans.select(rows), group[rows])
+
+
+def _usable(plans: GraspPlan) -> np.ndarray:
+    """Finite, and the object is on the table."""
+    finite = np.isfinite(plans.palm_goal).all(axis=(1, 2)) & np.isfinite(plans.finger_targets).all(
+        axis=(1, 2)
+    )
+    settled = plans.object_pose
+    return finite & np.isfinite(settled).all(axis=1) & (np.abs(settled[:, 2]) < 0.5)
+
+
 def planned_sets(
     sets: Sequence[TrainingSet],
     hand: Hand,
@@ -165,9 +233,7 @@ def planned_sets(
                 one.grasps,
                 one.objects,
                 hand,
-                spec.variety,
-                spec.seed + number,
-                spec.threads,
+                replace(spec, seed=spec.seed + number),
                 lambda count, before=done: progress(before + count),
                 predictor,
             )

@@ -176,12 +176,12 @@ def perceived_capture(folder: str, mesh: str) -> Any:
     Raises:
         FungraspError: no such folder or mesh, or the perception is not set up.
     """
-    from fungrasp.objects.held_object import held_object
+    from fungrasp.objects.resolved_object import resolve_object
     from fungrasp.perception.io.scene_folders import read_folder
     from fungrasp.perception.pipeline import perceive
     from fungrasp.viewer.capture_page import CapturePage
 
-    held = held_object(mesh, None)
+    held = resolve_object(mesh, None)
     capture = read_folder(folder)
     return ChosenPage(
         "Capture", partial(CapturePage, capture=capture, perceive=lambda: perceive(capture, held))

@@ -93,9 +93,9 @@ class EpisodeStates:
         with self._lock:
             frames = list(self._frames)
         time = np.array([frame.time for frame in frames])
-        things = np.array([frame.object_pose for frame in frames])
+        placed = np.array([frame.object_pose for frame in frames])
         palms = np.array([frame.palm_pose for frame in frames])
-        held = relative(palms, things)[:, :3]
+        held = relative(palms, placed)[:, :3]
         # A deployment puts the object down again, which is no slip.
         lifted = np.flatnonzero([frame.phase not in ("approach", "close") for frame in frames])
         slip = np.zeros(len(frames))
@@ -106,7 +106,7 @@ class EpisodeStates:
             np.nan if f.commanded_palm is None else np.linalg.norm(f.commanded_palm[:3] - f.palm_pose[:3])
             for f in frames
         ]
-        return Curves(time, 1e3 * (things[:, 2] - things[0, 2]), 1e3 * slip, force, 1e3 * np.array(off))
+        return Curves(time, 1e3 * (placed[:, 2] - placed[0, 2]), 1e3 * slip, force, 1e3 * np.array(off))
 
     def as_trajectory(
         self, hand: str, object_name: str, mass: float, success: bool, reason: str

@@ -124,18 +124,18 @@ def logged_states(
     """
     setpoints = log.messages["/setpoint"]
     start = float(setpoints[0]["time"])
-    frames, thing = EpisodeStates(), np.asarray(object_pose, dtype=float)
+    frames, pose = EpisodeStates(), np.asarray(object_pose, dtype=float)
     for message in setpoints:
         told = np.asarray(message["sent"]["palm"], dtype=float)
         palm = (
             told if measured_palm is None else measured_palm(np.asarray(message["arm"]["positions"], float))
         )
-        thing = thing if message["object"] is None else np.asarray(message["object"], dtype=float)
+        pose = pose if message["object"] is None else np.asarray(message["object"], dtype=float)
         frames.add(
             EpisodeState(
                 float(message["time"]) - start,
                 PHASES.get(str(message["phase"]), "approach"),
-                thing,
+                pose,
                 palm,
                 hand.all_joints(np.asarray(message["hand"]["positions"], dtype=float)),
                 np.zeros(len(hand.links), dtype=bool),

@@ -15,11 +15,11 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, save_robot_grasps
-from fungrasp.grasps.mirroring import mirrored_grasps
+from fungrasp.grasps.conversion import mirrored_grasps
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.mirroring import mirrored_object
+from fungrasp.objects.object_variants import mirrored_object
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, contacts_of_links
 from fungrasp.optimization.problem import CollisionScene

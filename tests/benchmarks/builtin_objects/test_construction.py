@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.builtin_objects.__main__ import write_builtin_objects
+from benchmarks.builtin_objects.__main__ import CONSTRUCTIONS, write_builtin_objects
 from benchmarks.builtin_objects.assembly import assemble
-from benchmarks.builtin_objects.catalogue import CONSTRUCTIONS
 from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects import builtin_object, object_names
 from fungrasp.objects.builtin_objects import MESHES

@@ -20,18 +20,21 @@ from PIL import Image
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats import sandbox
-from fungrasp.core.formats.file_bytes import read_bytes
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded, read_bytes
 from fungrasp.core.formats.image_file import read_image
-from fungrasp.core.formats.json_file import parse_json, read_json
 from fungrasp.core.formats.mesh_file import is_colorless, read_colored_mesh, read_mesh
 from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model, read_model
 from fungrasp.core.formats.numpy_files import read_npy, read_npz
-from fungrasp.core.formats.onnx_file import check_harmless, metadata, try_network
+from fungrasp.core.formats.onnx_file import check_operators, try_network
 from fungrasp.core.formats.pickle_file import load_arrays_pickle
-from fungrasp.core.formats.toml_file import read_toml, type_faults
-from fungrasp.core.formats.xml_file import parse_xml_text
-from fungrasp.core.formats.yaml_file import read_yaml
+from fungrasp.core.formats.text_files import (
+    parse_json,
+    parse_xml_text,
+    read_json,
+    read_toml,
+    read_yaml,
+    type_faults,
+)
 
 MANY = '<replicate count="9000000" offset="1 0 0"><geom size="1"/></replicate>'
 SMALL = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
@@ -68,7 +71,6 @@ def test_arrays_come_back_as_they_were(tmp_path):
         "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999999999999,), }",
         "{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }",
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (True,), }",
         "{'descr': '<U1000000000', 'fortran_order': False, 'shape': (), }",
         "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }",
         "{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }",
@@ -97,7 +99,7 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_at_once(tmp_path):
         for _ in range(400):
             stream.write(bytes(1_000_000))
     start = time.monotonic()
-    with pytest.raises(FungraspError, match="field 'x' declares bool of shape"):
+    with pytest.raises(FungraspError, match="field 'x' takes more than 256 MB"):
         read_npz(tmp_path / "bomb.npz", "file")
     assert time.monotonic() - start < 2
 
@@ -159,8 +161,6 @@ def test_meshes(tmp_path):
     vertices, faces = read_mesh(tmp_path / "box.obj")
     assert vertices.shape == (8, 3) and faces.shape == (12, 3)
     refused(read_mesh, tmp_path / "x.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "cannot read|no faces")
-    ply = "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nelement face 3000000\nend_header\n"
-    refused(read_mesh, tmp_path / "x.ply", ply, "3,000,000 faces; at most 2,000,000")
     with pytest.raises(FungraspError, match="no regular file"):
         read_mesh("/dev/zero")
 
@@ -193,22 +193,22 @@ def network(*nodes: onnx.NodeProto, weights: int = 1) -> bytes:
 def test_networks_are_walked_and_tried():
     make = onnx.helper.make_node
     good = network(make("Relu", ["x"], ["y"]))
-    check_harmless(good)
+    check_operators(good)
     try_network(good)
     with pytest.raises(FungraspError, match="'RandomUniformLike' is none of"):
-        check_harmless(network(make("RandomUniformLike", ["x"], ["y"])))
+        check_operators(network(make("RandomUniformLike", ["x"], ["y"])))
     # A file of 1 MB that computes with a matrix of 60 GB.
     outer = make("Mul", ["row", "column"], ["outer"]), make("ReduceMean", ["outer"], ["mean"], keepdims=1)
     large = network(*outer, make("Add", ["x", "mean"], ["y"]), weights=120_000)
-    check_harmless(large)
+    check_operators(large)
     with pytest.raises(FungraspError, match=r"memory|cannot read|more than"):
         try_network(large)
 
 
-def test_pickles_that_take_too_many_steps(tmp_path):
-    refused(
-        load_arrays_pickle, tmp_path / "x.pkl", b"\x80\x04" + b"]" * 3_000_000 + b".", "more than .* steps"
-    )
+def test_pickles_that_unfold_into_more_than_fits(tmp_path):
+    # Lists of two names of the list before: 2^40 values.
+    doubled = b"".join(b"](h%ch%ce\x94" % (n, n) for n in range(40))
+    refused(load_arrays_pickle, tmp_path / "x.pkl", b"\x80\x04]\x94" + doubled + b".", "takes more than")
 
 
 def test_the_child_process_ends_what_takes_too_long(tmp_path, monkeypatch):
@@ -269,14 +269,6 @@ def test_xml_that_is_nested_too_deeply():
     ):
         with pytest.raises(FungraspError, match=words):
             parse_xml_text(text, "x")
-
-
-def test_metadata_of_networks_is_read_without_running_anything():
-    model = onnx.load_from_string(network(onnx.helper.make_node("Relu", ["x"], ["y"])))
-    onnx.helper.set_model_props(model, {"a": "1", "b": "é"})
-    assert metadata(model.SerializeToString()) == {"a": "1", "b": "é"}
-    with pytest.raises(FungraspError, match="no text in UTF-8"):
-        metadata(model.SerializeToString().replace("é".encode(), b"\xff\xff"))
 
 
 def test_colors_of_meshes(tmp_path):

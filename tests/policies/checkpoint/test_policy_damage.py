@@ -185,15 +185,14 @@ def test_models_that_need_more_than_themselves(
     monkeypatch.chdir(tmp_path / "inner")
     for path in ("weights.bin", "../weights.bin"):
         Path(path).write_bytes(bytes(60))
-    refused = "weights lie in another file|only standard ONNX operators are run|it has no graph"
+    refused = "xternal data|graph.cc|only standard ONNX ones are run|it has no graph"
     with pytest.raises(FungraspError, match=refused):
         save_policy("x.onnx", proto, allegro_card())
     assert not Path("x.onnx").exists()
     card = next(entry.value for entry in onnx.load(saved).metadata_props)
     Path("y.onnx").write_bytes(sealed(proto.SerializeToString(), ZEROS + card[len(ZEROS) :]))
-    for read in (read_card, load_policy):
-        with pytest.raises(FungraspError, match=rf"y\.onnx: .*({refused})"):
-            read("y.onnx")
+    with pytest.raises(FungraspError, match=rf"y\.onnx: .*({refused})"):
+        load_policy("y.onnx")
 
 
 def test_a_file_that_would_grow_is_read_in_little_memory(saved: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from PIL import Image, UnidentifiedImageError
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import check_file, one_line
+from fungrasp.core.formats.checks import check_file, one_line
 
 LARGEST_PIXELS = 60_000_000
 """Pixels of the largest image that is read."""
@@ -30,7 +30,6 @@ def read_image(path: str | Path, what: str) -> Image.Image:
 
     Args:
         path: a file of one of ``FORMATS``.
-        what: it should be, for messages: "mask".
 
     Raises:
         FungraspError: it can't be read, is cut short, no image or too large, or is to be shown turned.

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import check_file, one_line
+from fungrasp.core.formats.checks import check_file, one_line
 from fungrasp.core.formats.sandbox import run_limited
 
 if TYPE_CHECKING:
@@ -26,10 +26,6 @@ MOST_FACES = 2_000_000
 def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndarray]:
     """The triangles of any mesh file that trimesh reads; a scene's meshes are joined.
 
-    Args:
-        path: the file.
-        what: it is, for messages.
-
     Returns:
         vertices: shape [V, 3] float64, finite.
         faces: vertex indices, shape [F, 3] int32, F >= 1.
@@ -44,10 +40,6 @@ def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndar
 
 def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh | None:
     """The triangles of a mesh file with its colors, of vertices or faces or in a texture.
-
-    Args:
-        path: the file.
-        what: it is, for messages.
 
     Returns:
         None where the file has no colors.
@@ -96,38 +88,17 @@ def is_colorless(path: str | Path) -> bool:
 def _arrays(path: str | Path, what: str, job: str) -> dict[str, np.ndarray]:
     """What a job of ``sandbox_worker`` finds in a mesh file, checked."""
     path = check_file(path, f"{what} file", LARGEST)
-    counted = _declared_faces(path)
-    if counted > MOST_FACES:
-        raise _too_many(path, counted)
     with np.load(io.BytesIO(run_limited(job, path, what, path.stat().st_size))) as file:
         arrays = dict(file)
     vertices, faces = arrays["vertices"], arrays["faces"]
     if len(faces) == 0:
         raise FungraspError(f"{one_line(path)}: the mesh has no faces")
     if len(faces) > MOST_FACES:
-        raise _too_many(path, len(faces))
+        raise FungraspError(
+            f"{one_line(path)}: the mesh has {len(faces):,} faces; at most {MOST_FACES:,} are read: "
+            "simplify it first"
+        )
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise FungraspError(f"{one_line(path)}: vertex {int(np.argmax(bad))} is not finite")
     return arrays
-
-
-def _declared_faces(path: Path) -> int:
-    """Faces that a file declares, before it is read; 0 where that takes reading it."""
-    suffix = path.suffix.lower()
-    with path.open("rb") as stream:
-        if suffix == ".obj":
-            return sum(block.count(b"\nf ") for block in iter(lambda: stream.read(1 << 24), b""))
-        head = stream.read(2000)
-    if suffix == ".stl" and path.stat().st_size == 84 + 50 * int.from_bytes(head[80:84], "little"):
-        return int.from_bytes(head[80:84], "little")
-    if suffix == ".ply" and b"element face " in head:
-        count = head.split(b"element face ")[1].split(maxsplit=1)[:1]
-        return int(count[0]) if count and count[0].isdigit() and len(count[0]) < 19 else 0
-    return 0
-
-
-def _too_many(path: Path, faces: int) -> FungraspError:
-    return FungraspError(
-        f"{one_line(path)}: the mesh has {faces:,} faces; at most {MOST_FACES:,} are read: simplify it first"
-    )

@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import cannot_read, one_line, read_text
+from fungrasp.core.formats.checks import cannot_read, one_line, read_text
 from fungrasp.core.formats.sandbox import run_limited
-from fungrasp.core.formats.xml_file import check_entities
+from fungrasp.core.formats.text_files import check_entities
 
 LARGEST = 20_000_000
 """Bytes of the largest file that is read, those of its meshes not counted."""
@@ -51,10 +51,6 @@ def read_model_text(path: str | Path, what: str = "hand's model") -> str:
 def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
     """A model for editing and compiling.
 
-    Args:
-        path: an MJCF or URDF file.
-        what: it is, for messages.
-
     Raises:
         FungraspError: it can't be read, or takes too much time or memory.
     """
@@ -74,10 +70,6 @@ def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
 
 def parse_model(text: str, where: str) -> mujoco.MjSpec:
     """A model for editing and compiling, from XML text; files that it names are not looked for.
-
-    Args:
-        text: MJCF or URDF.
-        where: begins the messages.
 
     Raises:
         ValueError: MuJoCo does not understand it.

@@ -1,8 +1,9 @@
-"""The bytes of an ONNX file, read without the package ``onnx`` and without running anything.
+"""The operators of an ONNX file, read without the package ``onnx``, and a trial run in a child process.
 
-An ONNX file is one protocol-buffers message. Only what safety and the policy card need is decoded: where a
-metadata entry lies, which operators there are, and whether a tensor points to another file. The numbers of
-the fields are those of the public schema, onnx.proto.
+An ONNX file is one protocol-buffers message. ONNX Runtime itself refuses operators that it does not have and
+weights in other files; that a network ends and takes little memory is tried in a child process with limits.
+Here it is only checked that nothing but plain arithmetic is run, so that what one trial shows holds for all
+inputs. The numbers of the fields are those of the public schema, onnx.proto.
 """
 
 from __future__ import annotations
@@ -13,18 +14,18 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.sandbox import run_limited
 
-VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
-GRAPH, METADATA, FUNCTION = 7, 14, 25
-DEFAULT_DOMAINS = ("", "ai.onnx")
+GRAPH, FUNCTION = 7, 25
+"""Fields of a model."""
+NODE = 1
+"""Field of a graph."""
+OPERATOR, DOMAIN = 4, 7
+"""Fields of a node."""
 
 LARGEST = 200_000_000
 """Bytes of the largest model that is run."""
-
-MOST_MESSAGES = 20_000
-"""Most nodes, attributes and tensors of a model together."""
 
 OPERATORS = frozenset(
     """
@@ -37,29 +38,11 @@ OPERATORS = frozenset(
 )
 """What a network that is run may be made of: no loops, no branches, no random numbers."""
 
+_FIXED = {1: 8, 5: 4}
+"""Bytes of the values of protocol buffers that have a fixed size, by their wire type."""
+
 _tried: set[bytes] = set()
 """Digests of the models that ``try_network`` has run."""
-
-CHILDREN: dict[str, dict[int, str]] = {
-    "model": {GRAPH: "graph"},
-    "graph": {1: "node", 5: "tensor", 15: "sparse tensor"},
-    "node": {5: "attribute"},
-    "attribute": {
-        5: "tensor",
-        6: "graph",
-        10: "tensor",
-        11: "graph",
-        22: "sparse tensor",
-        23: "sparse tensor",
-    },
-    "sparse tensor": {1: "tensor", 2: "tensor"},
-    "tensor": {},
-}
-"""Messages that can lie inside a message, by field number."""
-OPERATOR, DOMAIN = 4, 7
-"""Of a node."""
-EXTERNAL_DATA, DATA_LOCATION = 13, 14
-"""Of a tensor."""
 
 
 class Field(NamedTuple):
@@ -67,96 +50,61 @@ class Field(NamedTuple):
 
     number: int
     """Number of the field in the schema."""
-    kind: int
-    """``VARINT``, ``FIXED64``, ``BYTES`` or ``FIXED32``."""
-    first: int
-    """Offset of the field with its tag."""
     start: int
     """Offset of its content."""
     end: int
     """Offset after its content."""
 
 
-def message_fields(data: bytes, start: int = 0, end: int | None = None) -> Iterator[Field]:
+def message_fields(data: bytes, start: int, end: int) -> Iterator[Field]:
     """The fields of the message at ``data[start:end]``.
 
     Raises:
         FungraspError: these bytes are no message.
     """
-    end = len(data) if end is None else end
-    position = start
-    while position < end:
-        first = position
-        tag, position = _varint(data, position, end)
-        number, kind = tag >> 3, tag & 7
-        if kind == VARINT:
-            _, stop = _varint(data, position, end)
-        elif kind == BYTES:
-            size, position = _varint(data, position, end)
-            stop = position + size
-        elif kind in (FIXED32, FIXED64):
-            stop = position + (4 if kind == FIXED32 else 8)
+    while start < end:
+        tag, start = _varint(data, start, end)
+        if tag & 7 == 0:
+            stop = _varint(data, start, end)[1]
+        elif tag & 7 == 2:
+            size, start = _varint(data, start, end)
+            stop = start + size
         else:
-            raise _broken(first)
-        if number == 0 or stop > end:
-            raise _broken(first)
-        yield Field(number, kind, first, position, stop)
-        position = stop
+            stop = start + _FIXED.get(tag & 7, end)
+        if stop > end:
+            raise _broken(start)
+        yield Field(tag >> 3, start, stop)
+        start = stop
 
 
-def check_harmless(data: bytes) -> None:
-    """Refuse a model that is more than a network: the operators must be of ``OPERATORS``, so it has no loops.
+def check_operators(data: bytes) -> None:
+    """Refuse a model that is more than a network of ``OPERATORS``.
 
     Raises:
-        FungraspError: these bytes are no ONNX model, it has functions, other operators, operators outside the
-            default ONNX domain, too many of them, or tensors that lie in another file or declare other sizes
-            than they have; the message names the first.
+        FungraspError: these bytes are no ONNX model, it has functions, other operators or operators outside
+            the default ONNX domain; the message names the first.
     """
-    if len(data) > LARGEST:
-        raise FungraspError(f"it has {len(data) / 1e6:,.0f} MB; at most {LARGEST / 1e6:,.0f} are run")
-    waiting = [("model", 0, len(data))]
-    graphs = messages = 0
-    while waiting:
-        message, start, end = waiting.pop()
-        messages += 1
-        if messages > MOST_MESSAGES:
-            raise FungraspError(f"the model has more than {MOST_MESSAGES} nodes, attributes and tensors")
-        fields = list(message_fields(data, start, end))
-        if message == "node":
-            _check_node(data, fields)
-        elif message == "tensor":
-            _check_tensor(data, fields)
-        elif message == "model" and any(field.number == FUNCTION for field in fields):
-            raise FungraspError("the model defines functions of its own; export it with them inlined")
-        graphs += message == "graph"
-        children = CHILDREN[message]
-        waiting += [
-            (children[field.number], field.start, field.end)
-            for field in fields
-            if field.number in children and field.kind == BYTES
-        ]
+    parts = list(message_fields(data, 0, len(data)))
+    if any(part.number == FUNCTION for part in parts):
+        raise FungraspError("the model defines functions of its own; export it with them inlined")
+    graphs = [part for part in parts if part.number == GRAPH]
     if not graphs:
         raise FungraspError("not an ONNX file: it has no graph")
-    if graphs > 1:
-        raise FungraspError("the model has graphs inside its graph: loops or branches, which are not run")
+    for graph in graphs:
+        for node in message_fields(data, graph.start, graph.end):
+            if node.number == NODE:
+                _check_node(data, node)
 
 
-def metadata(data: bytes) -> dict[str, str]:
-    """The metadata entries of an ONNX model.
-
-    Raises:
-        FungraspError: these bytes are no ONNX model, or an entry is no text.
-    """
-    found = {}
-    for field in message_fields(data):
-        if field.number == METADATA and field.kind == BYTES:
-            entry = {part.number: part for part in message_fields(data, field.start, field.end)}
-            key, value = (data[entry[i].start : entry[i].end] if i in entry else b"" for i in (1, 2))
-            try:
-                found[key.decode()] = value.decode()
-            except UnicodeDecodeError as error:
-                raise FungraspError(f"its metadata is no text in UTF-8: {error.reason}") from error
-    return found
+def _check_node(data: bytes, node: Field) -> None:
+    for field in message_fields(data, node.start, node.end):
+        text = one_line(data[field.start : field.end].decode(errors="replace"), 40)
+        if field.number == DOMAIN and field.start < field.end and text != "ai.onnx":
+            raise FungraspError(f"an operator is of the domain '{text}'; only standard ONNX ones are run")
+        if field.number == OPERATOR and text not in OPERATORS:
+            raise FungraspError(
+                f"the operator '{text}' is none of the arithmetic, layers and cells that are run"
+            )
 
 
 def try_network(data: bytes) -> None:
@@ -176,42 +124,13 @@ def try_network(data: bytes) -> None:
     _tried.add(name)
 
 
-def _check_node(data: bytes, fields: list[Field]) -> None:
-    for field in fields:
-        domain = _text(data, field) if field.number == DOMAIN else ""
-        if domain not in DEFAULT_DOMAINS:
-            operator = next((_text(data, other) for other in fields if other.number == OPERATOR), "")
-            raise FungraspError(
-                f"the operator '{operator}' is of the domain '{domain}'; only standard ONNX operators are run"
-            )
-        if field.number == OPERATOR and _text(data, field) not in OPERATORS:
-            operator = one_line(_text(data, field), 40)
-            raise FungraspError(
-                f"the operator '{operator}' is none of the arithmetic, layers and cells that are run"
-            )
-
-
-def _check_tensor(data: bytes, fields: list[Field]) -> None:
-    for field in fields:
-        located = field.number == DATA_LOCATION and _varint(data, field.start, field.end)[0] != 0
-        if located or field.number == EXTERNAL_DATA:
-            raise FungraspError("the weights lie in another file; export them into the ONNX file itself")
-
-
-def _text(data: bytes, field: Field) -> str:
-    return data[field.start : field.end].decode(errors="replace")
-
-
 def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
     """The integer at ``position``, seven bits a byte, low ones first, and the offset after it."""
     value = 0
-    for shift in range(0, 70, 7):
-        if position + shift // 7 >= end:
-            break
-        byte = data[position + shift // 7]
-        value |= (byte & 0x7F) << shift
+    for shift, byte in enumerate(data[position : min(position + 10, end)]):
+        value |= (byte & 0x7F) << 7 * shift
         if byte < 0x80:
-            return value, position + shift // 7 + 1
+            return value, position + shift + 1
     raise _broken(position)
 
 

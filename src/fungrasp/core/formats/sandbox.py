@@ -37,8 +37,6 @@ def run_limited(job: str, path: str | Path, what: str, size: int = 0, where: str
 
     Args:
         job: one of ``sandbox_worker.JOBS``.
-        path: the file, its argument.
-        what: it should be, for messages: "mesh".
         size: of all that is to be read [bytes].
         where: begins the messages; "the WHAT PATH" if None.
 

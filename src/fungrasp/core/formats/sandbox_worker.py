@@ -22,6 +22,9 @@ DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
 
 LONGEST_REASON = 300
 
+PICKLES = "fungrasp.core.formats.pickle_file"
+"""By name, as that module itself asks for this process."""
+
 SPARED = ("networkx", "scipy")
 """What trimesh works without; to import them takes longer than all else that reads a mesh."""
 
@@ -90,16 +93,62 @@ def _trimesh_load(path: str, **options: bool) -> Any:
     it reads as text only, too."""
     import trimesh
 
-    from fungrasp.core.formats.binary_ply import as_text
-
     load: Any = trimesh.load
     try:
         return load(path, force="mesh", process=False, **options)
     except ValueError as error:
         if "PLY is unexpected length" not in str(error):
             raise
-        text = io.BytesIO(as_text(Path(path).read_bytes()))
+        text = io.BytesIO(ply_as_text(Path(path).read_bytes()))
         return load(text, file_type="ply", force="mesh", process=False, **options)
+
+
+_PLY_NAMES = (
+    "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 float32 float64"
+)
+_PLY_TYPES: dict[str, str] = dict(zip(_PLY_NAMES.split(), 2 * "bBhHiIfd", strict=True))
+"""Codes of ``struct`` for the types of PLY, by both their names."""
+
+
+def ply_as_text(data: bytes) -> bytes:
+    """A binary PLY file in PLY's text format. Source of the format: G. Turk, The PLY Polygon File Format,
+    1994.
+
+    Raises:
+        ValueError: it ends too early, or its header is not PLY's.
+    """
+    end = data.index(b"\n", data.index(b"end_header")) + 1
+    header = data[:end].decode("ascii").splitlines()
+    order = "<" if "format binary_little_endian 1.0" in header else ">"
+    elements: list[tuple[int, list[list[str]]]] = []
+    for words in (line.split() for line in header):
+        if words[:1] == ["element"]:
+            elements.append((int(words[2]), []))
+        elif words[:1] == ["property"]:
+            elements[-1][1].append(words[1:-1])
+    lines = [" ".join(line.split()) for line in header]
+    lines = ["format ascii 1.0" if line.startswith("format ") else line for line in lines]
+    place = end
+
+    def take(kind: str, count: int) -> tuple[Any, ...]:
+        nonlocal place
+        code = f"{order}{count}{_PLY_TYPES[kind]}"
+        begin, place = place, place + struct.calcsize(code)
+        if place > len(data):
+            raise ValueError("the PLY file ends too early")
+        return struct.unpack_from(code, data, begin)
+
+    for count, properties in elements:
+        for _ in range(count):
+            row: list[Any] = []
+            for kind in properties:
+                if kind[0] == "list":
+                    (number,) = take(kind[1], 1)
+                    row += [number, *take(kind[2], number)]
+                else:
+                    row += take(kind[0], 1)
+            lines.append(" ".join(map(str, row)))
+    return "\n".join([*lines, ""]).encode()
 
 
 def compile_model(path: str) -> bytes:
@@ -133,6 +182,8 @@ def run_network(path: str) -> bytes:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
+    # Weights must lie in the file itself.
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(int64)": np.int64}
     kinds |= {"tensor(int32)": np.int32, "tensor(bool)": np.bool_}
@@ -145,11 +196,18 @@ def run_network(path: str) -> bytes:
     return b""
 
 
+def try_pickle(path: str) -> bytes:
+    """Nothing, if a pickle of arrays is read in the time and memory there is."""
+    importlib.import_module(PICKLES).unpickled(Path(path).read_bytes())
+    return b""
+
+
 JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
     "triangles": (read_triangles, ("numpy", "trimesh")),
     "colored triangles": (read_colored_triangles, ("numpy", "trimesh")),
     "model": (compile_model, ("mujoco",)),
     "network": (run_network, ("numpy", "onnxruntime")),
+    "pickle": (try_pickle, (PICKLES,)),
 }
 """By name: the job and the modules that are imported once, before the fork."""
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points
-from fungrasp.grasps.hand_thickness import LINK_RADII
-from fungrasp.grasps.human_hand import HUMAN_FINGERS
+from fungrasp.grasps.human_hand import HUMAN_FINGERS, LINK_RADII
 
 TRACKED_CONTACT_GAP = 0.005
 """Gap that still counts as contact [m]: about the error of a tracked hand. On the 375 training

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.importers.ycb import YCB_NAMES, YCB_REST_HEIGHTS

@@ -12,12 +12,9 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.hands.adding.closed_loops import closed_loops, solve_loops
-from fungrasp.hands.adding.couplings import GivenCoupling, find_couplings
-from fungrasp.hands.adding.finger_chains import find_palm
-from fungrasp.hands.adding.grippers import refuse_sliding_or_one_motor
-from fungrasp.hands.adding.link_points import far_ends
+from fungrasp.core.formats.checks import guarded
+from fungrasp.hands.adding.couplings import GivenCoupling, closed_loops, find_couplings, solve_loops
+from fungrasp.hands.adding.finger_chains import far_ends, find_palm, refuse_sliding_or_one_motor
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
 from fungrasp.hands.adding.model_file import read_foreign
 from fungrasp.hands.adding.new_model import new_model
@@ -30,9 +27,9 @@ from fungrasp.hands.adding.servos import (
     servo_entries,
 )
 from fungrasp.hands.adding.structure import Answers, HandStructure, find_structure
-from fungrasp.hands.checking.finding import Finding, note
-from fungrasp.hands.checking.kinematic_tree import body_name
-from fungrasp.hands.self_contained_mjcf import self_contained_xml
+from fungrasp.hands.checking.findings import Finding, note
+from fungrasp.hands.export import self_contained_xml
+from fungrasp.hands.kinematic_tree import body_name
 
 __all__ = ["Answers", "add_hand"]
 

@@ -1,7 +1,8 @@
-"""Joints of a foreign model that move together: equalities, mimic joints and tendons as one linear map."""
+"""Joints that move together: by the file, by the user, by closed loops."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,8 +11,8 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.hands.checking.finding import Finding, note, warning
-from fungrasp.hands.checking.kinematic_tree import joint_name
+from fungrasp.hands.checking.findings import Finding, listed, note, warning
+from fungrasp.hands.kinematic_tree import ancestors, body_name, joint_name, subtree
 
 LEAST_ROOM = 0.1
 """A coupling that leaves less of its driver's range can't be meant."""
@@ -58,7 +59,6 @@ def find_couplings(
     """All linear couplings of a model, no joint driven twice and no loop.
 
     Args:
-        model: any.
         findings: what is left out or assumed is added.
         given: further couplings, that come before the model's.
 
@@ -182,3 +182,219 @@ def coupling_matrix(count: int, couplings: list[Coupling]) -> tuple[np.ndarray, 
     for joint in range(count):
         fill(joint)
     return matrix, offset
+
+
+STEPS = 60
+"""In which a loop is followed over the range of its driver."""
+
+CLOSED = 1e-3
+"""Gap within which a loop is closed [m]."""
+
+LEAST_MOTION = 0.1
+"""A loop that lets its driver turn less holds it still [rad]."""
+
+STRAIGHT = 0.15
+"""Deviation of a followed joint from its line that is mentioned [rad]."""
+
+TURNING = 0.1
+"""Joints that turn by less than this share of the one that turns most don't drive a loop."""
+
+FREE = 1e-2
+"""Singular values of a loop's Jacobian smaller than this share of the largest leave a motion free."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Closing constraint of a loop."""
+
+    equality: int
+    """Id in the model."""
+    name: str
+    """For messages."""
+    ends: tuple[int, int]
+    """The two bodies that it ties."""
+    joints: frozenset[int]
+    """Joints between its ends."""
+
+
+def closed_loops(model: mujoco.MjModel, palm: int) -> list[Loop]:
+    """The loops of a hand, those through the palm included."""
+    below, loops = set(subtree(model, palm)), []
+    for e in range(model.neq):
+        kind = int(model.eq_type[e])
+        if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD) or not model.eq_active0[e]:
+            continue
+        ids = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        if model.eq_objtype[e] == mujoco.mjtObj.mjOBJ_SITE:
+            ids = int(model.site_bodyid[ids[0]]), int(model.site_bodyid[ids[1]])
+        paths = [set(ancestors(model, max(0, body))) for body in ids]
+        joints = frozenset(
+            j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in (paths[0] ^ paths[1]) & below - {palm}
+        )
+        if joints:
+            between = " - ".join(body_name(model, body) if body > 0 else "world" for body in ids)
+            loops.append(Loop(e, model.equality(e).name or between, ids, joints))
+    return loops
+
+
+def solve_loops(
+    model: mujoco.MjModel, loops: list[Loop], couplings: list[Coupling], findings: list[Finding]
+) -> list[Coupling]:
+    """All couplings, those of the loops included. Limits of the loops' joints in the model become those
+    between which the loops stay closed.
+
+    Args:
+        model: any; it is changed.
+        couplings: of the model or given; loops that they tie already are left alone.
+        findings: what was solved is added.
+
+    Raises:
+        FungraspError: a loop leaves more than one motion, or none.
+    """
+    result = list(couplings)
+    matrix, offset = coupling_matrix(model.njnt, couplings)
+    for group in _groups(loops, matrix):
+        names = listed([loop.name for loop in group], limit=3)
+        joints = sorted(set().union(*(loop.joints for loop in group)))
+        moved = np.flatnonzero(np.abs(matrix[joints]).sum(axis=0) > 0)
+        if len(moved) < 2:
+            continue
+        follower = _Follower(model, group, matrix, offset, moved)
+        free, motion = follower.motions()
+        # The columns' own joints, in the order of ``moved``.
+        own = [int(np.argmax(matrix[:, u] == 1.0)) for u in moved]
+        if free != 1:
+            freedom = "no motion" if free == 0 else f"{free} motions that mix"
+            raise FungraspError(
+                f"the closed loop {names} leaves its {len(own)} joints {freedom}; a hand's joint follows one "
+                "driver or none: tie the joints behind it with --couple JOINT=OFFSET+SLOPE*DRIVER, or give a "
+                "model without loops"
+            )
+        # Of the joints that the motion turns, the one that carries most.
+        carried = [len(subtree(model, int(model.jnt_bodyid[j]))) for j in own]
+        driver = int(np.argmax(np.where(motion > TURNING * motion.max(), carried, 0)))
+        path = follower.follow(driver, model.jnt_range[own[driver]])
+        if np.ptp(path[:, driver]) < LEAST_MOTION:
+            raise FungraspError(
+                f"the closed loop {names} lets '{joint_name(model, own[driver])}' turn by only "
+                f"{np.ptp(path[:, driver]):.2f} rad; is it put together right in the file's pose?"
+            )
+        model.jnt_range[own[driver]] = path[:, driver].min(), path[:, driver].max()
+        others = [i for i in range(len(own)) if i != driver]
+        curved = []
+        for i in others:
+            slope, constant = np.polyfit(path[:, driver], path[:, i], 1)
+            line = constant + slope * path[:, driver]
+            if np.ptp(line) < 1e-3:
+                slope, constant = 0.0, float(line.mean())
+            off = float(np.abs(line - path[:, i]).max())
+            if off > STRAIGHT:
+                curved.append(f"{joint_name(model, own[i])} by {off:.2f}")
+            result.append(Coupling(own[i], own[driver], float(constant), float(slope)))
+            model.jnt_range[own[i]] = min(line.min(), line.max() - 1e-6) - 1e-6, line.max() + 1e-6
+        slopes = [f"{joint_name(model, c.joint)} = {c.slope:.2f}" for c in result[-len(others) :]]
+        low, high = model.jnt_range[own[driver]]
+        findings.append(
+            note(
+                f"the closed loop {names} was solved into couplings to '{joint_name(model, own[driver])}', "
+                f"which turns from {low:.2f} to {high:.2f} rad: {', '.join(slopes[:4])}"
+                f"{' and more' if len(slopes) > 4 else ''} times it"
+            )
+        )
+        if curved:
+            findings.append(
+                warning(f"joints in closed loops follow by a curve, and are off [rad]: {', '.join(curved)}")
+            )
+    return result
+
+
+def _groups(loops: list[Loop], matrix: np.ndarray) -> list[list[Loop]]:
+    """Loops that move together."""
+    groups: list[tuple[set[int], list[Loop]]] = []
+    for loop in loops:
+        moved = set(np.flatnonzero(np.abs(matrix[sorted(loop.joints)]).sum(axis=0)).tolist())
+        members = [loop]
+        for group in [group for group in groups if group[0] & moved]:
+            groups.remove(group)
+            moved |= group[0]
+            members = [*group[1], *members]
+        groups.append((moved, members))
+    return [members for _, members in groups]
+
+
+class _Follower:
+    """Keeps a group of loops closed."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        group: list[Loop],
+        matrix: np.ndarray,
+        offset: np.ndarray,
+        moved: np.ndarray,
+    ):
+        """moved: the independent joints that the loops hold, columns of the matrix."""
+        self._model = copy.copy(model)
+        self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._data = mujoco.MjData(self._model)
+        self._data.eq_active[:] = 0
+        self._data.eq_active[[loop.equality for loop in group]] = 1
+        self._offset, self._columns = offset, matrix[:, moved]
+        self._start = np.linalg.pinv(matrix) @ (model.qpos0 - offset)
+        self._rest = matrix @ self._start - self._columns @ self._start[moved]
+        self._start = self._start[moved]
+
+    def _gap(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is missing to close the loops [m, or m for a turn], and its derivative."""
+        data = self._data
+        data.qpos[:] = self._rest + self._columns @ position + self._offset
+        mujoco.mj_fwdPosition(self._model, data)
+        rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        jacobian = data.efc_J.reshape(data.nefc, self._model.nv)[rows]
+        return data.efc_pos[rows].copy(), jacobian @ self._columns
+
+    def close(self, position: np.ndarray, held: int | None = None) -> tuple[np.ndarray, float]:
+        """The nearest position with closed loops, one joint held; and the gap that is left [m]."""
+        position = position.copy()
+        free = np.array([i for i in range(len(position)) if i != held])
+        for _ in range(30):
+            gap, jacobian = self._gap(position)
+            if np.abs(gap).max(initial=0.0) < 1e-7:
+                break
+            step = np.linalg.lstsq(jacobian[:, free], -gap, rcond=1e-4)[0]
+            position[free] += step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-9))
+        return position, float(np.abs(self._gap(position)[0]).max(initial=0.0))
+
+    def motions(self) -> tuple[int, np.ndarray]:
+        """How many motions the loops leave at a place that is not special, and by how much the last of them
+        turns each joint, shape [J]."""
+        rng, count, size = np.random.default_rng(0), 0, len(self._start)
+        motion = np.zeros(size)
+        for spread in (0.0, 0.1, 0.1, 0.1):
+            position, gap = self.close(self._start + spread * rng.standard_normal(size))
+            if gap < CLOSED:
+                _, values, rows = np.linalg.svd(self._gap(position)[1])
+                count = max(count, int(np.sum(values > FREE * values[0])))
+                motion = np.maximum(motion, np.abs(rows[-1]))
+        return size - count, motion
+
+    def follow(self, driver: int, limits: np.ndarray) -> np.ndarray:
+        """Positions with closed loops over the range of one joint, as far as they close, shape [P, J]."""
+        first, gap = self.close(self._start)
+        paths = [first[None]] if gap < CLOSED else [self._start[None]]
+        for end in limits:
+            position, path = paths[0][0], []
+            for value in np.linspace(position[driver], end, STEPS + 1)[1:]:
+                trial = position.copy()
+                trial[driver] = value
+                if path:
+                    ahead = position - (path[-2] if len(path) > 1 else paths[0][0])
+                    trial += np.where(np.arange(len(trial)) == driver, 0.0, ahead)
+                trial, gap = self.close(trial, driver)
+                if gap > CLOSED or np.abs(trial - position).max() > 0.5:
+                    break
+                position = trial
+                path.append(position)
+            paths.append(np.array(path).reshape(-1, len(first)))
+        return np.concatenate([paths[1][::-1], paths[0], paths[2]])

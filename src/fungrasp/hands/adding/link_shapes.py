@@ -1,5 +1,4 @@
-"""Collision shapes of every link: kept where they are simple, fitted to meshes, made up where they are
-missing."""
+"""Collision shapes of a hand's links, fitted to what the file has, made up where it has none."""
 
 from __future__ import annotations
 
@@ -8,9 +7,9 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from fungrasp.hands.adding.finger_chains import Chain
-from fungrasp.hands.adding.link_points import (
+from fungrasp.hands.adding.finger_chains import (
     NEARLY_NOTHING,
+    Chain,
     first_anchor,
     members,
     midline,
@@ -27,9 +26,8 @@ from fungrasp.hands.adding.shape_fitting import (
     mesh_points,
 )
 from fungrasp.hands.adding.structure import HandStructure
-from fungrasp.hands.adding.unknown_shapes import finger_radii, made_up_capsule, made_up_palm
-from fungrasp.hands.checking.finding import Finding, listed, note, warning
-from fungrasp.hands.checking.kinematic_tree import body_name, subtree
+from fungrasp.hands.checking.findings import Finding, listed, note, warning
+from fungrasp.hands.kinematic_tree import body_name, subtree
 
 Shape = Capsule | Box | int
 """An ``int`` is the id of a primitive geom of the foreign model, kept as it is."""
@@ -74,10 +72,6 @@ def hand_shapes(
     """Shapes of all links, joints and tips. The poses are left with straight fingers.
 
     Args:
-        foreign: the model as read.
-        structure: its parts.
-        poses: of it.
-        ends: of ``far_ends``.
         radius: of fingers whose shapes are missing [m]; found if None.
         findings: what was fitted and made up is added.
     """
@@ -240,3 +234,103 @@ def _tip_of_shape(result: HandShapes, foreign: ForeignModel, name: str, chain: C
             centers += [model.geom_pos[shape] + sign * half * z for sign in (-1, 1)]
     if centers:
         result.tips[name] = max(centers, key=lambda c: float(np.linalg.norm(c - anchor)))
+
+
+FINGER_RADIUS = 0.09
+"""Radius of a finger of which nothing is known, as a share of its length from the knuckle: an adult index
+finger is 95 mm long and 16 to 20 mm wide."""
+
+THUMB_WIDER = 1.15
+"""Factor for a thumb."""
+
+RADIUS_RANGE = (0.004, 0.014)
+"""Within which made-up radii stay [m]."""
+
+PALM_THICKNESS = 0.026
+"""Of a made-up palm [m]."""
+
+PALM_LENGTH = 0.06
+"""Least length of a made-up palm [m]."""
+
+
+def finger_radii(
+    foreign: ForeignModel, structure: HandStructure, poses: Poses, ends: dict[int, np.ndarray]
+) -> dict[str, float]:
+    """Radius for made-up links by finger [m]: of round shapes of the hand, else of a human finger of that
+    length; so that neighbors don't touch."""
+    model = foreign.model
+    bases = {name: poses.anchor(chain.links[0]) for name, chain in structure.fingers.items()}
+    sizes = {}
+    long = [name for name in structure.fingers if name != "thumb"]
+    across = np.cross(structure.along, structure.normal)
+    for name, chain in structure.fingers.items():
+        tip = poses.of_body(chain.bodies[-1], ends[chain.bodies[-1]])
+        length = float(np.linalg.norm(tip - bases[name]))
+        size = FINGER_RADIUS * length * (THUMB_WIDER if name == "thumb" else 1.0)
+        group = {m for body in chain.links for m in members(model, body)}
+        near = [
+            float(model.geom_size[g, 0])
+            for b in sorted(group)
+            for g in primitives(model, b)
+            if int(model.geom_type[g]) in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE)
+        ]
+        if near:
+            size = float(np.median(near))
+        gaps = [abs(float((bases[name] - bases[other]) @ across)) for other in long if other != name]
+        if name != "thumb" and gaps:
+            size = min(size, 0.5 * min(gaps) - 0.0005)
+        sizes[name] = float(np.clip(size, *RADIUS_RANGE))
+    return sizes
+
+
+def made_up_capsule(
+    poses: Poses, chain: Chain, body: int, joints: dict[int, np.ndarray], tip: np.ndarray, radius: float
+) -> Capsule | None:
+    """A capsule from a finger link's joint to the next, or to the tip, where no shape is known; None for a
+    link without length."""
+    i = chain.bodies.index(body)
+    start = joints[body]
+    if i + 1 < len(chain.bodies):
+        after = chain.bodies[i + 1]
+        end = poses.moved(joints[after][None], after, body)[0]
+    else:
+        end = tip
+    if i + 1 < len(chain.bodies) and np.linalg.norm(end - start) < NEARLY_NOTHING:
+        return None
+    return Capsule(start, end, radius)
+
+
+def made_up_palm(
+    structure: HandStructure,
+    poses: Poses,
+    joints: dict[int, np.ndarray],
+    sizes: dict[str, float],
+    findings: list[Finding],
+) -> Box:
+    """A box below the fingers, as wide as they are.
+
+    Args:
+        poses: with straight fingers.
+        joints: by body of a finger: the point at its joint, its own frame [m].
+        sizes: radius of each finger [m].
+        findings: what was made up is added.
+    """
+    model = poses.model
+    axes = np.stack([structure.along, structure.normal, np.cross(structure.along, structure.normal)], axis=1)
+    bases = np.array(
+        [poses.of_body(c.links[0], joints[c.links[0]]) for n, c in structure.fingers.items() if n != "thumb"]
+    )
+    thumb = poses.anchor(structure.fingers["thumb"].bodies[0])
+    local = bases @ axes
+    top = float(local[:, 0].min()) - max(sizes.values())
+    bottom = min(top - PALM_LENGTH, float(thumb @ axes[:, 0]) - 0.01, max(0.0, top - 0.11))
+    side = max(sizes.values())
+    low = np.array([bottom, local[:, 1].mean() - 0.5 * PALM_THICKNESS, local[:, 2].min() - side])
+    high = np.array([top, local[:, 1].mean() + 0.5 * PALM_THICKNESS, local[:, 2].max() + side])
+    findings.append(
+        warning(
+            f"no shape of the palm '{body_name(model, structure.palm)}' is known: a box of "
+            f"{' x '.join(f'{1e3 * edge:.0f}' for edge in high - low)} mm below the fingers was made up"
+        )
+    )
+    return Box(axes @ (0.5 * (low + high)), 0.5 * (high - low), axes)

@@ -12,12 +12,11 @@ import numpy as np
 import trimesh
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import one_line
+from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model
-from fungrasp.hands.adding.joint_repairs import repair_joints
-from fungrasp.hands.adding.world_palm import wrap_world
-from fungrasp.hands.checking.finding import Finding, listed, note, warning
+from fungrasp.hands.adding.model_repairs import repair_joints, wrap_world
+from fungrasp.hands.checking.findings import Finding, listed, note, warning
 from fungrasp.hands.checking.model_source import parse_xml, principal_inertias, quiet
 
 MAX_INCLUDES = 100
@@ -69,7 +68,6 @@ def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
     """Read a URDF or MJCF.
 
     Args:
-        path: the file.
         palm: the palm body, if it is known; "world" where the fingers stand on it.
 
     Raises:

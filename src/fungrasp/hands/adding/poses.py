@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from fungrasp.hands.adding.couplings import Coupling, coupling_matrix
-from fungrasp.hands.checking.finding import Finding, listed, note, warning
-from fungrasp.hands.checking.kinematic_tree import joint_name
+from fungrasp.hands.checking.findings import Finding, listed, note, warning
+from fungrasp.hands.kinematic_tree import joint_name
 
 NOTICED = 0.1
 """Change of a joint's range that is mentioned [rad]."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.structure import HandStructure
-from fungrasp.hands.checking.finding import Finding, listed, warning
-from fungrasp.hands.checking.kinematic_tree import ancestors, joint_name
+from fungrasp.hands.checking.findings import Finding, listed, warning
+from fungrasp.hands.kinematic_tree import ancestors, joint_name
 
 TIP_FORCE = 10.0
 """What a firm robot finger presses with at its tip [N]; the data sheets of Shadow and Inspire say so."""

@@ -8,9 +8,9 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from fungrasp.hands.checking.finding import Finding, HandParts, error, warning
-from fungrasp.hands.checking.kinematic_tree import ancestors, body_name, coupled_positions
-from fungrasp.hands.palm_offset import FARTHEST, palm_offset
+from fungrasp.hands.checking.findings import Finding, HandParts, error, warning
+from fungrasp.hands.kinematic_tree import ancestors, body_name, coupled_positions
+from fungrasp.hands.kinematics import FARTHEST, palm_offset
 
 FAR_ORIGIN = 0.02
 """A palm's origin this much too far from the fingers is mentioned [m]."""
@@ -82,7 +82,6 @@ def check_palm_frame(
     """Do the fingers point where the palm's frame says, and close to where it says?
 
     Args:
-        model: the hand.
         parts: with palm, fingers and tips.
         along: ``palm_frame.fingers``, shape [3].
         normal: ``palm_frame.normal``, shape [3].

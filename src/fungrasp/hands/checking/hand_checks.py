@@ -1,4 +1,4 @@
-"""Check of a hand's files."""
+"""All checks of a hand: its files, its model, its TOML."""
 
 from __future__ import annotations
 
@@ -10,16 +10,21 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.guarded import guarded
-from fungrasp.core.formats.toml_file import read_toml, type_faults
-from fungrasp.hands.checking.body_checks import check_masses, check_palm, check_shapes, check_size
-from fungrasp.hands.checking.finding import Finding, HandParts, error, note, warning
+from fungrasp.core.formats.checks import guarded
+from fungrasp.core.formats.text_files import read_toml, type_faults
+from fungrasp.hands.checking.findings import Finding, HandParts, error, guess_parts, note, warning
 from fungrasp.hands.checking.finger_checks import check_fingers, check_palm_frame, check_palm_origin
-from fungrasp.hands.checking.joint_checks import check_actuators, check_couplings, check_joints
+from fungrasp.hands.checking.model_checks import (
+    check_actuators,
+    check_couplings,
+    check_joints,
+    check_masses,
+    check_palm,
+    check_shapes,
+    check_size,
+)
 from fungrasp.hands.checking.model_source import ModelSource, read_source
-from fungrasp.hands.checking.named_parts import guess_parts
-from fungrasp.hands.hand import FINGERS, read_hand_toml, side_of
-from fungrasp.hands.hand_toml_schema import HAND_TOML
+from fungrasp.hands.hand import FINGERS, HAND_TOML, read_hand_toml, side_of
 
 __all__ = ["Finding", "check_hand_files"]
 

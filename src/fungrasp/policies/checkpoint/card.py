@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.json_file import parse_json
+from fungrasp.core.formats.text_files import parse_json
 from fungrasp.task.features import LayoutName, check_layout
 
 FORMAT_VERSION = 1

@@ -22,11 +22,10 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.file_bytes import read_bytes
-from fungrasp.core.formats.guarded import guarded
+from fungrasp.core.formats.checks import guarded, read_bytes
 from fungrasp.core.formats.mujoco_model import read_model_text
-from fungrasp.core.formats.onnx_file import LARGEST, check_harmless, metadata, try_network
-from fungrasp.core.formats.toml_file import read_toml
+from fungrasp.core.formats.onnx_file import LARGEST, check_operators, try_network
+from fungrasp.core.formats.text_files import read_toml
 from fungrasp.hands import Hand
 from fungrasp.policies.checkpoint.card import PolicyCard, card_from_text, card_text
 
@@ -280,11 +279,16 @@ def _card(data: bytes) -> PolicyCard:
             f"damaged or changed since it was saved: its SHA-256 is {found[:12]}..., "
             f"its card says {said[:12]}..."
         )
-    # ONNX Runtime sees only what has been walked: no loops, functions, foreign operators or other files.
-    check_harmless(data)
-    text = metadata(data).get(KEY, "")
-    if not text.startswith(HEAD + found):
-        raise FungraspError("its policy card is damaged")
+    # What is run is arithmetic alone: no loops, functions or foreign operators.
+    check_operators(data)
+    text = data[at - len(HEAD) :].decode(errors="surrogateescape")
+    try:
+        # The card ends where its JSON does; what follows in the file is none of it.
+        text = text[: json.JSONDecoder().raw_decode(text)[1]]
+    except RecursionError as error:
+        raise FungraspError("its policy card is nested too deeply") from error
+    except ValueError as error:
+        raise FungraspError(f"its policy card is not valid JSON: {error}") from error
     return replace(card_from_text(text), sha256=found)
 
 

@@ -15,7 +15,7 @@ from typing import IO, Any, NamedTuple, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.file_bytes import check_file, read_bytes
+from fungrasp.core.formats.checks import check_file, read_bytes
 
 SHORTEST = 0.5
 """Of a log [s]."""

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.formats.toml_file import read_toml, type_faults
+from fungrasp.core.formats.text_files import read_toml, type_faults
 from fungrasp.hands import FINGERS
 
 USE_MOTIONS = Path(__file__).with_name("motions.toml")

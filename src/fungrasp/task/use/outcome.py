@@ -11,10 +11,10 @@ from fungrasp.core.records import BatchRecord
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import quaternion_conjugate, quaternion_multiply, relative, rotation_vector
 from fungrasp.hands import Hand
-from fungrasp.hands.collision_spheres import collision_spheres
+from fungrasp.hands.collisions import collision_spheres
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.part_lookup import nearest_parts
+from fungrasp.objects.object_model import nearest_parts
 from fungrasp.task.environment import LiftEnvironment
 
 LARGEST_SHIFT = 0.01

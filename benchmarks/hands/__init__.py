@@ -1,1 +1,0 @@
-"""Hands of other makers: what ``fungrasp hands add`` makes of their descriptions, and how well they grasp."""

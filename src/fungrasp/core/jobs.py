@@ -1,0 +1,405 @@
+"""Long work in independent parts: done here or on a Ray cluster, kept as they are finished, resumed after an
+interruption."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import socket
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any, Generic, Self, TypeVar
+from uuid import uuid4
+
+import numpy as np
+
+from fungrasp.core import __version__
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.formats.numpy_files import read_npz
+
+__all__ = ["Arrays", "ClusterUse", "Job", "PartStore", "RayCluster", "part_key", "run_job"]
+
+MOST_ARRAYS = 1000
+
+
+class PartStore:
+    """Arrays of finished parts by key, a file each.
+
+    As a context it removes itself where the block ends well, and stays where it is interrupted::
+
+        with PartStore.beside(out) as store:
+            result = evaluate(robot, objects, store=store)
+            result.save(out)
+    """
+
+    def __init__(self, folder: str | Path):
+        """folder: it need not exist, and a file in it that can't be read counts as missing."""
+        self._folder = Path(folder)
+
+    @classmethod
+    def beside(cls, result: str | Path) -> Self:
+        """The parts of what will be this file: the folder ``<result>.partial``."""
+        path = Path(result)
+        return cls(path.with_name(f"{path.name}.partial"))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.remove()
+
+    def __contains__(self, key: str) -> bool:
+        """Whether there is a file of this part."""
+        return self._file(key).is_file()
+
+    def load(self, key: str) -> dict[str, np.ndarray] | None:
+        """The arrays of a part by name, None if it was not kept."""
+        if key not in self:
+            return None
+        try:
+            return dict(read_npz(self._file(key), "finished part", most=MOST_ARRAYS))
+        except FungraspError:
+            return None
+
+    def save(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep the arrays of a part, on disk when this returns.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        with atomic_path(self._file(key)) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
+
+    def kept(self, key: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """The arrays of a part, made and kept if they are not there.
+
+        Raises:
+            FungraspError: the file can't be written.
+        """
+        found = self.load(key)
+        if found is None:
+            found = make()
+            self.save(key, found)
+        return found
+
+    def remove(self) -> None:
+        """Delete the parts, and the folder if nothing else is in it."""
+        for file in self._folder.glob("*.npz"):
+            file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._folder.rmdir()
+
+    def _file(self, key: str) -> Path:
+        return self._folder / f"{key}.npz"
+
+
+Result = TypeVar("Result")
+
+WAITING = 2
+"""Jobs sent out for each processor: one at work and one waiting. It bounds what lies in memory, however many
+jobs there are."""
+
+MOST_LOSSES = 5
+"""A job whose worker or machine is lost is done again so many times; one that always ends so is at fault."""
+
+CONNECTING = 10.0
+"""Time to wait for the head of a cluster [s]."""
+
+COUNTING = 1.0
+"""Time after which the processors are counted again at the latest [s]."""
+
+LOCAL = "local"
+"""Address of a cluster of this machine alone, which is started."""
+
+
+@dataclass(frozen=True)
+class ClusterUse:
+    """What became of a cluster's time."""
+
+    jobs: int
+    """That were done."""
+    processors: float
+    """At hand, on average."""
+    seconds: float
+    """From the first job to be sent to the last result."""
+    working: float
+    """Sum of the times that finished jobs took [s]."""
+    processor_seconds: float
+    """Sum of the processor time that they took [s]."""
+
+    @property
+    def share(self) -> float:
+        """Of the processors' time, that in which jobs were done which finished."""
+        return self.working / max(self.processors * self.seconds, 1e-9)
+
+    @property
+    def words(self) -> str:
+        """In a line."""
+        return (
+            f"{self.jobs} jobs on {self.processors:.3g} processors in {self.seconds:.0f} s, of which they "
+            f"worked {self.share:.0%}"
+        )
+
+
+class RayCluster:
+    """A Ray cluster, connected to when there is something to do."""
+
+    def __init__(self, address: str = LOCAL):
+        """address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A
+        process that is connected already stays with its cluster."""
+        self._address = address
+        self.use: ClusterUse | None = None
+        """How well it was used by the last ``run``; None before."""
+
+    def run(
+        self,
+        work: Callable[..., Result],
+        jobs: Iterable[tuple[Any, ...]],
+        finished: Callable[[tuple[Any, ...], Result], None],
+        shared: Any = None,
+    ) -> None:
+        """Do each job once on some processor.
+
+        Work is done in the folder of this process, where a machine has it. A job whose machine goes away is
+        done again on another. Jobs must not depend on each other nor on where they are done; their order is
+        not kept.
+
+        Args:
+            work: a function of a module that every machine can import, called with ``shared`` and a job's
+                items.
+            jobs: their items, small.
+            finished: called here with each job and its result, one after another.
+            shared: what all jobs need; sent to each machine once.
+
+        Raises:
+            FungraspError: the package is missing, no cluster is at the address, a machine has another version
+                of this one, or what ``work`` raised.
+        """
+        ray, begun = _connected(self._address)
+        send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
+        sent, folder = ray.put(shared), Path.cwd()
+        running: dict[Any, tuple[Any, ...]] = {}
+        remaining = iter(jobs)
+        count, working, worked, offered = 0, 0.0, 0.0, 0.0
+        start = last = perf_counter()
+        try:
+            while True:
+                # Machines come and go, so their processors are counted anew.
+                processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
+                for job in islice(remaining, max(WAITING * processors - len(running), 0)):
+                    running[send.remote(work, __version__, folder, sent, job)] = job
+                if not running:
+                    seconds = last - start
+                    self.use = ClusterUse(count, offered / max(seconds, 1e-9), seconds, working, worked)
+                    return
+                for done in ray.wait(list(running), num_returns=1, timeout=COUNTING)[0]:
+                    result, took, used = _result(ray, done)
+                    finished(running.pop(done), result)
+                    count, working, worked = count + 1, working + took, worked + used
+                now = perf_counter()
+                offered, last = offered + processors * (now - last), now
+        finally:
+            for job in running:
+                ray.cancel(job, force=True)
+            if begun:
+                ray.shutdown()
+
+
+def _connected(address: str) -> tuple[Any, bool]:
+    """Ray, and whether this process was not connected before."""
+    try:
+        import ray
+    except ImportError as error:
+        raise FungraspError('work on a cluster needs Ray: pip install "fungrasp[ray]"') from error
+    if ray.is_initialized():
+        return ray, False
+    _check_reachable(address)
+    options: dict[str, Any] = {"include_dashboard": False} if address == LOCAL else {}
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **options)
+    except (ConnectionError, ValueError, RuntimeError, OSError) as error:
+        words = str(error).strip().splitlines() or [type(error).__name__]
+        raise FungraspError(f"no Ray cluster at '{address}': {words[0]}") from None
+    return ray, True
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if not (host and port.isdigit()):
+        return
+    try:
+        socket.create_connection((host, int(port)), CONNECTING).close()
+    except (OSError, OverflowError) as error:
+        raise FungraspError(f"no Ray cluster at '{address}': {error}") from None
+
+
+def _work(
+    work: Callable[..., Result], version: str, folder: Path, shared: Any, job: tuple[Any, ...]
+) -> tuple[Result, float, float]:
+    """Its result, and the time and the processor time that it took [s]."""
+    if version != __version__:
+        raise FungraspError(f"a machine of the cluster has fungrasp {__version__}, not {version}")
+    # A worker begins in the folder in which its machine joined, where relative paths mean something else.
+    if folder.is_dir():
+        os.chdir(folder)
+    start, used = perf_counter(), process_time()
+    result = work(shared, *job)
+    return result, perf_counter() - start, process_time() - used
+
+
+def _result(ray: Any, done: Any) -> Any:
+    try:
+        return ray.get(done)
+    except ray.exceptions.RayTaskError as error:
+        if isinstance(error.cause, FungraspError):
+            raise FungraspError(str(error.cause)) from None
+        if isinstance(error.cause, ray.exceptions.RaySystemError):
+            # The last line of a traceback from there, as where a package is missing.
+            words = str(error.cause).strip().splitlines()[-1]
+            raise FungraspError(f"a machine of the cluster can't begin a job: {words}") from None
+        raise
+    except ray.exceptions.RayError as error:
+        words = str(error).strip().splitlines()[0]
+        raise FungraspError(f"a job was lost {MOST_LOSSES + 1} times on the cluster: {words}") from None
+
+
+Part = TypeVar("Part")
+
+Arrays = dict[str, np.ndarray]
+"""The result of a part: what an ``.npz`` file holds."""
+
+VERSIONS = (__version__, version("mujoco-core"))
+"""Of what computes: parts of other versions are not taken for those of this one."""
+
+
+def part_key(*inputs: Any) -> str:
+    """The name under which a part is kept.
+
+    Args:
+        inputs: all that its result depends on but the versions of fungrasp and MuJoCo; what has a ``digest``
+            of its own (a hand, an object, a grasp set) counts as that (``fungrasp.core.files.digest``).
+    """
+    return digest(VERSIONS, *inputs)[:32]
+
+
+class Job(ABC, Generic[Part]):
+    """Work in parts. A subclass is a frozen dataclass of what the work needs; what it makes of that once (a
+    ``cached_property``) stays in its process when the job is sent to another one."""
+
+    @abstractmethod
+    def parts(self) -> list[Part]:
+        """All parts, in the order of the results."""
+
+    @abstractmethod
+    def key(self, part: Part) -> str:
+        """``part_key`` of all that the part's result depends on."""
+
+    @abstractmethod
+    def run(self, parts: Sequence[Part], progress: Callable[[float], None]) -> list[Arrays]:
+        """The results of some parts. They must not depend on which parts are run together.
+
+        Args:
+            parts: a single one, or a group of ``together``.
+            progress: called with how much of their size is done.
+        """
+
+    def size(self, part: Part) -> float:
+        """How much work a part is."""
+        return 1.0
+
+    def together(self, missing: list[Part]) -> list[list[Part]]:
+        """Groups of parts that one process runs at once, where its threads have more to share in this way."""
+        return [[part] for part in missing]
+
+    def is_whole(self, part: Part) -> bool:
+        """Whether all that the part has left elsewhere (recordings) is still there."""
+        return True
+
+    def on_one_processor(self) -> Self:
+        """The job as a worker of a cluster does it."""
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        fields: dict[str, Any] = getattr(self, "__dataclass_fields__", {})
+        return {name: getattr(self, name) for name in fields}
+
+
+def run_job(
+    job: Job[Part],
+    store: PartStore | None = None,
+    *,
+    ray: RayCluster | None = None,
+    progress: Callable[[float], None] = lambda done: None,
+) -> list[Arrays]:
+    """Do the parts of a job that are not kept yet.
+
+    Args:
+        store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
+        ray: does the parts on a cluster; this process if None. The results are the same.
+        progress: called with the share that is done, 0 to 1.
+
+    Returns:
+        The results in the order of ``job.parts()``.
+
+    Raises:
+        FungraspError: of the job, of the cluster, or a part can't be written.
+    """
+    parts = job.parts()
+    keys = ["" if store is None else job.key(part) for part in parts]
+    found: list[Arrays | None] = [
+        store.load(key) if store is not None and job.is_whole(part) else None
+        for key, part in zip(keys, parts, strict=True)
+    ]
+    done = sum(job.size(part) for part, arrays in zip(parts, found, strict=True) if arrays is not None)
+    whole = sum(map(job.size, parts)) or 1.0
+    progress(done / whole)
+
+    def finished(number: int, arrays: Arrays) -> None:
+        nonlocal done
+        if store is not None:
+            store.save(keys[number], arrays)
+        found[number] = arrays
+        done += job.size(parts[number])
+
+    def arrived(sent: tuple[int, Part], arrays: Arrays) -> None:
+        finished(sent[0], arrays)
+        progress(done / whole)
+
+    missing = [number for number, arrays in enumerate(found) if arrays is None]
+    if ray is not None:
+        shared = (uuid4().hex, job.on_one_processor())
+        ray.run(
+            _run_part,
+            [(number, parts[number]) for number in missing],
+            arrived,
+            shared,
+        )
+    else:
+        waiting = iter(missing)
+        for group in job.together([parts[number] for number in missing]):
+            results = job.run(group, lambda more, before=done: progress((before + more) / whole))
+            for arrays in results:
+                finished(next(waiting), arrays)
+            progress(done / whole)
+    return [arrays for arrays in found if arrays is not None]
+
+
+_jobs: dict[str, Job[Any]] = {}
+"""The job that this worker does, by its key, so that what it makes once is made once."""
+
+
+def _run_part(shared: tuple[str, Job[Any]], number: int, part: Any) -> Arrays:
+    key, job = shared
+    if key not in _jobs:
+        _jobs.clear()
+        _jobs[key] = job
+    return _jobs[key].run([part], lambda done: None)[0]

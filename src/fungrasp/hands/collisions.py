@@ -1,0 +1,227 @@
+"""Collision shapes of a hand as spheres, dense enough for distances, and which of its links penetrate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import trimesh
+
+from fungrasp.geometry.signed_distance import points_on_triangles
+from fungrasp.hands.hand import Hand
+from fungrasp.hands.kinematic_tree import body_name, coupled_positions
+from fungrasp.hands.kinematics import BodyPoints
+
+
+class CollisionSpheres(NamedTuple):
+    """Spheres whose union covers the hand's collision geometry."""
+
+    points: BodyPoints
+    """Centers of the P spheres, each fixed to a body."""
+    radius: np.ndarray
+    """Radius [m], shape [P]; zero for points on a flat surface."""
+    link: np.ndarray
+    """Index into ``Hand.links``, shape [P]."""
+    geom: np.ndarray
+    """Geom id in the bare hand's model, shape [P]."""
+
+
+@lru_cache(maxsize=64)
+def collision_spheres(hand: Hand, spacing: float = 0.012) -> CollisionSpheres:
+    """Cover the collision geoms of a hand with spheres; made once for each hand and spacing.
+
+    Spheres and capsules are covered by spheres of their own radius along their axis; boxes, cylinders,
+    ellipsoids and the convex hulls of meshes by points on their surface.
+
+    Args:
+        spacing: largest gap between neighbors [m]; along a capsule three quarters of its radius, if that is
+            less.
+    """
+    model = hand.model
+    link_of_body = {name: i for i, members in enumerate(hand.links) for name in members}
+    bodies, offsets, radii, links, geoms = [], [], [], [], []
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        if body == 0 or not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            continue
+        local, radius = _cover(model, geom, spacing)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        offsets.append(model.geom_pos[geom] + local @ rotation.reshape(3, 3).T)
+        bodies += [body] * len(local)
+        radii += [radius] * len(local)
+        links += [link_of_body[model.body(body).name]] * len(local)
+        geoms += [geom] * len(local)
+    points = BodyPoints(np.array(bodies), np.concatenate(offsets))
+    return CollisionSpheres(points, np.array(radii), np.array(links), np.array(geoms))
+
+
+def self_collision_depth(model: mujoco.MjModel, joint_positions: np.ndarray) -> np.ndarray:
+    """Deepest contact of the hand with itself, by MuJoCo's own collision detection.
+
+    Args:
+        model: the bare hand's, ``Hand.model``.
+        joint_positions: [rad], shape [N, M].
+
+    Returns:
+        [m], shape [N]; zero without a contact.
+    """
+    data = mujoco.MjData(model)
+    depths = np.zeros(len(joint_positions))
+    for row, qpos in enumerate(joint_positions):
+        data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(model, data)
+        depths[row] = max((-contact.dist for contact in data.contact), default=0.0)
+    return np.maximum(depths, 0.0)
+
+
+def _cover(model: mujoco.MjModel, geom: int, spacing: float) -> tuple[np.ndarray, float]:
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    types = mujoco.mjtGeom
+    if kind == types.mjGEOM_SPHERE:
+        return np.zeros((1, 3)), float(size[0])
+    if kind == types.mjGEOM_CAPSULE:
+        count = 1 + int(np.ceil(2 * size[1] / min(spacing, 0.75 * size[0])))
+        z = np.linspace(-size[1], size[1], count)
+        return np.stack([np.zeros(count), np.zeros(count), z], axis=1), float(size[0])
+    if kind == types.mjGEOM_BOX:
+        return _box_surface(size, spacing), 0.0
+    if kind == types.mjGEOM_CYLINDER:
+        return _cylinder_surface(size[0], size[1], spacing), 0.0
+    if kind == types.mjGEOM_ELLIPSOID:
+        cube = _box_surface(np.ones(3), spacing / size.max())
+        return cube / np.linalg.norm(cube, axis=1, keepdims=True) * size, 0.0
+    if kind == types.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        return _hull_surface(model.mesh_vert[first : first + count].astype(float), spacing), 0.0
+    raise NotImplementedError(f"collision geom type {kind}")
+
+
+def _box_surface(half: np.ndarray, spacing: float) -> np.ndarray:
+    axes = [np.linspace(-h, h, 1 + int(np.ceil(2 * h / spacing))) for h in half]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[np.any(np.isclose(np.abs(grid), half), axis=1)]
+
+
+def _cylinder_surface(radius: float, half: float, spacing: float) -> np.ndarray:
+    rings = [(radius, z) for z in np.linspace(-half, half, 1 + int(np.ceil(2 * half / spacing)))]
+    inner = np.linspace(0, radius, 1 + int(np.ceil(radius / spacing)))[:-1]
+    rings += [(r, z) for z in (-half, half) for r in inner]
+    points = []
+    for r, z in rings:
+        angles = np.linspace(
+            0, 2 * np.pi, max(8, int(np.ceil(2 * np.pi * r / spacing))) if r else 1, endpoint=False
+        )
+        points.append(np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(len(angles), z)]))
+    return np.concatenate(points)
+
+
+def _hull_surface(vertices: np.ndarray, spacing: float) -> np.ndarray:
+    """Points on the convex hull, with which MuJoCo collides, one per cube of half the spacing."""
+    hull = trimesh.convex.convex_hull(vertices)
+    points, _ = points_on_triangles(np.asarray(hull.triangles), 0.5 * spacing)
+    _, one_each = np.unique(np.round(points / (0.5 * spacing)).astype(int), axis=0, return_index=True)
+    return points[one_each]
+
+
+DEEP = 0.002
+"""Penetration that is named [m]."""
+
+POSES = 200
+"""Random poses in which shapes are tried."""
+
+BY_SHAPE = 0.25
+"""Links that penetrate in this share of all poses do so because of their shapes."""
+
+
+@dataclass(frozen=True)
+class SelfContact:
+    """Two links that penetrate each other in some of a number of poses."""
+
+    first: str
+    """Name of a body."""
+    second: str
+    """Name of a body."""
+    depth: float
+    """Of the deepest penetration [m]."""
+    share: float
+    """Share of the poses in which they penetrate each other."""
+
+
+def self_contacts(
+    model: mujoco.MjModel, joint_positions: np.ndarray, depth: float = DEEP
+) -> list[SelfContact]:
+    """Pairs of links that penetrate each other, most frequent first.
+
+    Args:
+        joint_positions: [rad], shape [N, M].
+        depth: contacts less deep don't count [m].
+    """
+    data = mujoco.MjData(model)
+    found: dict[tuple[str, str], list[float]] = {}
+    for positions in joint_positions:
+        data.qpos[:] = positions
+        mujoco.mj_fwdPosition(model, data)
+        deepest: dict[tuple[str, str], float] = {}
+        for contact in data.contact:
+            first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
+            if -contact.dist > depth:
+                pair = body_name(model, first), body_name(model, second)
+                deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
+        for pair, value in deepest.items():
+            found.setdefault(pair, []).append(value)
+    contacts = [
+        SelfContact(*pair, max(depths), len(depths) / len(joint_positions)) for pair, depths in found.items()
+    ]
+    return sorted(contacts, key=lambda contact: (-contact.share, contact.first, contact.second))
+
+
+def zero_and_random_poses(model: mujoco.MjModel) -> np.ndarray:
+    """The pose nearest to zero, and ``POSES`` random ones over the joints' whole range, couplings kept [rad],
+    shape [1 + POSES, M]. model: with limited joints only."""
+    low, high = model.jnt_range.T
+    random = np.random.default_rng(0).uniform(low, high, (POSES, model.njnt))
+    return np.stack(
+        [coupled_positions(model, p) for p in (np.clip(np.zeros(model.njnt), low, high), *random)]
+    )
+
+
+def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> list[str]:
+    """For each pair of links that penetrate in some grasps: how often, how deep, why, and what to do.
+
+    Args:
+        joint_positions: of the grasps [rad], shape [N, M].
+    """
+    contacts = self_contacts(model, joint_positions)
+    if not contacts:
+        return []
+    poses = zero_and_random_poses(model)
+    at_zero = {(c.first, c.second) for c in self_contacts(model, poses[:1])}
+    anywhere = {(c.first, c.second): c.share for c in self_contacts(model, poses[1:])}
+    words = []
+    for contact in contacts:
+        pair = contact.first, contact.second
+        share = anywhere.get(pair, 0.0)
+        if pair in at_zero:
+            reason = "their shapes do so at the zero pose already: " + _remedy(*pair)
+        elif share > BY_SHAPE:
+            reason = f"their shapes do so in {100 * share:.0f} % of all poses: " + _remedy(*pair)
+        else:
+            often = f"the shapes allow it in {100 * share:.0f} % of all poses"
+            reason = f"{often}: the pose of the grasp is the reason"
+        words.append(
+            f"'{pair[0]}' and '{pair[1]}' penetrate each other by up to {1e3 * contact.depth:.1f} mm in "
+            f"{100 * contact.share:.0f} % of the grasps; {reason}"
+        )
+    return words
+
+
+def _remedy(first: str, second: str) -> str:
+    return (
+        f'shrink them, or if the links don\'t touch in truth, write <contact><exclude body1="{first}" '
+        f'body2="{second}"/></contact> into the model'
+    )

@@ -1,0 +1,124 @@
+"""The object that somebody holds in an image: a mesh file, a built-in object or a plain shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.mesh_file import is_colorless, read_colored_mesh
+from fungrasp.geometry.triangle_mesh import volume_and_center
+from fungrasp.objects.builtin_objects import is_plain_shape, plain_shape
+from fungrasp.objects.object_model import ObjectModel
+from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
+
+if TYPE_CHECKING:
+    import trimesh
+
+DENSITY = 500.0
+"""Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
+built-in ones is 540; eight of ten lie between 190 and 940."""
+
+DENSITIES = (190.0, 940.0)
+"""Between these lie eight of ten [kg/m^3]."""
+
+DENSEST = 22_600.0
+"""Density of osmium, the densest there is [kg/m^3]."""
+
+EIGHT_OF_TEN = 1.28
+"""Of normal numbers eight of ten are within so many standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResolvedObject:
+    """An object, and what perception can make use of beyond its shape."""
+
+    model: ObjectModel
+    """Mesh, mass and inertia of the object."""
+    colored: trimesh.Trimesh | None = None
+    """The same with the colors of its mesh file, if it has any: they tell apart the sides of a nearly
+    symmetric object."""
+    notes: tuple[str, ...] = ()
+    """Assumptions that were made, as sentences to print."""
+    mass_range: tuple[float, float] | None = None
+    """Between which the mass lies in eight of ten cases, where it was guessed [kg]."""
+
+    @property
+    def mass_spread(self) -> float | None:
+        """Standard deviation of the logarithm of the mass, where it was guessed."""
+        if self.mass_range is None:
+            return None
+        return float(np.log(self.mass_range[1] / self.mass_range[0])) / (2 * EIGHT_OF_TEN)
+
+
+def resolve_object(obj: ObjectModel | str | Path, mass: float | None = None) -> ResolvedObject:
+    """The object by its mesh file or its name.
+
+    Args:
+        obj: a mesh file [m], the name of a built-in object, or a shape, "box:60x28x30"; a file of that name
+            comes first. Or the object itself.
+        mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
+
+    Raises:
+        FungraspError: there is no such file or object, the mesh is bad, or the mass, or nothing is so dense;
+            or an object that has its mass is given another.
+    """
+    if isinstance(obj, ObjectModel):
+        if mass is not None:
+            raise FungraspError(f"'{obj.name}' has its mass, {obj.mass:.4g} kg: give a mass with a mesh only")
+        return ResolvedObject(obj)
+    mesh = str(obj)
+    is_file = Path(mesh).is_file()
+    shape = not is_file and is_plain_shape(mesh)
+    if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
+        return ResolvedObject(builtin_object(mesh, mass))
+    notes: tuple[str, ...] = ()
+    between = None
+    if mass is None:
+        unit = plain_shape(mesh, 1.0) if shape else object_from_file(mesh, 1.0)
+        volume = volume_and_center(unit.hull)[0]
+        mass, between = DENSITY * volume, (DENSITIES[0] * volume, DENSITIES[1] * volume)
+        notes = (
+            f"the mass was guessed, {mass:.2g} kg, and may be {between[0]:.2g} to {between[1]:.2g}: give "
+            "--mass if you know it",
+        )
+    model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
+    density = mass / volume_and_center(model.hull)[0]
+    if density > DENSEST:
+        raise FungraspError(
+            f"'{model.name}': {mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
+            f"({DENSEST:,.0f}): is the mass in grams?"
+        )
+    return ResolvedObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
+
+
+def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
+    """The object with the colors of its mesh file, texture included.
+
+    A mesh that had to be mended keeps its mended surface; each of its vertices takes the color of the file's
+    nearest one.
+
+    Args:
+        model: what was made of it.
+
+    Returns:
+        None where the file has no colors.
+
+    Raises:
+        FungraspError: the file can't be read.
+    """
+    mesh = None if is_colorless(path) else read_colored_mesh(path)
+    if mesh is None or not model.repairs:
+        return mesh
+    import trimesh
+
+    visual: Any = mesh.visual
+    colors = (visual.to_color() if visual.kind == "texture" else visual).vertex_colors
+    nearest = KDTree(np.asarray(mesh.vertices)).query(model.vertices)[1]
+    return trimesh.Trimesh(
+        model.vertices, model.faces, vertex_colors=np.asarray(colors)[nearest], process=False
+    )
