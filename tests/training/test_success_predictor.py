@@ -74,7 +74,7 @@ def test_interrupted_episodes_go_on(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         try_plans(*arguments, SPEC, progress=stop, store=store)
     (file,) = tmp_path.iterdir()
-    assert file.stem == PlanTrials(*arguments, SMALL, seed=0).key(range(4)) and len(tried()[0].success) == 6
+    assert file.stem == PlanTrials(*arguments, SPEC).key(range(4)) and len(tried()[0].success) == 6
     attempt, again = success_predictor._try, []
     monkeypatch.setattr(success_predictor, "_try", lambda *a: again.append(len(a[0])) or attempt(*a))
     outcomes, names = try_plans(*arguments, SPEC, store=store)
