@@ -13,12 +13,13 @@ from small_training import hand, training_set
 import fungrasp.training.success_predictor as success_predictor
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import PartStore
+from fungrasp.planning import make_planner
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import make_planner, make_policy
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
+from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.export import halved, make_card

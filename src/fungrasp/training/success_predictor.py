@@ -21,8 +21,8 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.candidates import VariationSpread, vary, with_settings
 from fungrasp.planning.selection.success_predictor import plan_features
-from fungrasp.planning.selection.variations import VariationSpread, vary, with_settings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.policies.checkpoint.card import ActionPart, Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import save_policy
