@@ -41,7 +41,7 @@ BINS = (0.3, 0.6, 0.8, 1.0, 1.3)
 """Limits of distance between which noise is counted [m]."""
 
 TILT = 1.5
-"""Planes steeper than this (change of depth over change along the image, both in metres) are not counted."""
+"""Planes steeper than this (change of depth over change along the image, both in meters) are not counted."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class DepthStatistics:
     windows, shape [2, len(BINS) - 1]; NaN where too few were found."""
 
     def rows(self) -> list[tuple[str, float]]:
-        """Name and value of every figure; widths in pixels, noise in millimetres."""
+        """Name and value of every figure; widths in pixels, noise in millimeters."""
         found: list[tuple[str, float]] = []
         for name, values in (
             ("mixed pixels at an edge", self.edge_mixed),

@@ -67,7 +67,7 @@ def folder(tmp_path_factory) -> Path:
     Image.fromarray(np.where(object_mask(), 255, 0).astype(np.uint8)).save(folder / "mask.png")
     model = builtin_object(NAME)
     trimesh.Trimesh(model.vertices, model.faces, process=False).export(folder / "thing.obj")
-    trimesh.Trimesh(1000 * model.vertices, model.faces, process=False).export(folder / "millimetres.obj")
+    trimesh.Trimesh(1000 * model.vertices, model.faces, process=False).export(folder / "millimeters.obj")
     (folder / "pose.txt").write_text(" ".join(map(str, TRUTH.pose_camera_object)))
     return folder
 
@@ -368,8 +368,8 @@ def test_twenty_megapixels(folder, found, tmp_path, capsys):
     assert size[0] * size[1] > 19e6
     color, depth = Image.open(folder / "rgb.png"), Image.open(folder / "depth.png")
     color.resize(size, Image.Resampling.NEAREST).save(tmp_path / "rgb.jpg", quality=85)
-    metres = np.array(depth, np.float32) * LENS["depth_unit"]
-    np.save(tmp_path / "depth.npy", metres.repeat(times, axis=0).repeat(times, axis=1))
+    meters = np.array(depth, np.float32) * LENS["depth_unit"]
+    np.save(tmp_path / "depth.npy", meters.repeat(times, axis=0).repeat(times, axis=1))
     scaled = {name: times * LENS[name] for name in ("width", "height", "fx", "fy")}
     center = {name: times * (LENS[name] + 0.5) - 0.5 for name in ("cx", "cy")}
     (tmp_path / "K.json").write_text(json.dumps(scaled | center))
@@ -411,7 +411,7 @@ BAD = {
     "no color image": (lambda f, t: files(f, rgb=t / "none.png"), "does not exist"),
     "the depth as color": (lambda f, t: files(f, rgb=f / "depth.png"), "is it the depth?"),
     "the color as depth": (lambda f, t: files(f, depth=f / "rgb.png"), "16-bit"),
-    "metres for millimetres": (lambda f, t: [*files(f), "--depth-unit", 1], "with units of 0.001 m"),
+    "meters for millimeters": (lambda f, t: [*files(f), "--depth-unit", 1], "with units of 0.001 m"),
     "intrinsics of another resolution": (rescaled_lens, "1280 x 960"),
     "a mask of another size": (small_mask, "320 x 240"),
     "a box outside the image": (lambda f, t: [*files(f), "--box", "900,900,950,950"], "outside the image"),
@@ -447,7 +447,7 @@ def test_bad_images_end_with_a_word_and_write_nothing(name, folder, found, tmp_p
 @pytest.mark.parametrize(
     ("mesh", "mass", "word"),
     [
-        ("millimetres.obj", 0.3, "looks like millimetres"),
+        ("millimeters.obj", 0.3, "looks like millimeters"),
         ("no_such.obj", 0.3, "does not exist"),
         ("rgb.png", 0.3, "a mesh is a file .obj, .stl, .ply, .glb"),
         ("thing.obj", -1, "the mass must be positive"),

@@ -103,7 +103,7 @@ class ArmSettings(DeviceSettings):
     model: str = "ur5e"
     """Name of the arm's model, or an MJCF file, relative to the cell's."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0. The base is
+    """Pose of the arm's base in the world: meters and a quaternion wxyz; the table top is z = 0. The base is
     ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
     turned by 180 degrees about z."""
     home: Vector = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
@@ -345,7 +345,7 @@ def cell_faults(cell: RobotCell) -> list[str]:
         ("mount.pose_flange_hand", mount.pose_flange_hand or (0.0, 0.0, 0.0, *UPRIGHT)),
     ):
         if len(pose) != 7 or not _unit(pose[3:]):
-            faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
+            faults.append(f"'{name}' must be 3 meters and a unit quaternion wxyz, not {list(pose)}")
     if len(cell.arm.home) == 0:
         faults.append("'arm.home' is missing: joints where the arm waits [rad]")
     for number, one in enumerate(cell.obstacles, 1):
@@ -394,7 +394,7 @@ def _wired_faults(cell: RobotCell) -> list[str]:
             )
     if not cell.mount.pose_flange_hand:
         faults.append(
-            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 metres and "
+            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 meters and "
             "a unit quaternion wxyz"
         )
     return faults
