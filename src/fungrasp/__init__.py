@@ -79,7 +79,7 @@ def _tell_notebooks() -> None:
 
 
 def _notebook_html(value: Any) -> str | None:
-    return import_module("fungrasp.media.notebook").notebook_html(value)
+    return import_module("fungrasp.media.grasp_pages").notebook_html(value)
 
 
 _tell_notebooks()

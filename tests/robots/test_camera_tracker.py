@@ -14,7 +14,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.object_pose.known_object import MeshRays
+from fungrasp.perception.object_pose.object_template import MeshRays
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import TrackerSettings, load_cell
 from fungrasp.robots.device import RobotError, TrackingStatus

@@ -79,7 +79,7 @@ class Demo(Answering):
             for note in seen.notes:
                 print(note)
             if not seen.confident:
-                print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
+                print(f"fungrasp: {seen.acceptance.summary()}: the robot does not try it", file=sys.stderr)
                 if picked is None:
                     return self._page_of_low_confidence(seen)
         from fungrasp.media.demonstration import demonstrate
@@ -117,14 +117,14 @@ class Demo(Answering):
         from importlib.util import find_spec
 
         from fungrasp.perception.hand.mediapipe_models import have_weights
-        from fungrasp.perception.image_source import BUILTIN
+        from fungrasp.perception.io.scene_folders import BUILTIN
 
         usual = not self.pick and self.grasps == Demo.grasps
         return BUILTIN if usual and find_spec("ai_edge_litert") and have_weights() else None
 
     def _seen(self, folder: str, meanwhile: Callable[[], None] | None) -> Perceived:
         """What is in an image. meanwhile: done while another process looks at it; None for none."""
-        from fungrasp.perception.builtin_image import perceive_folder
+        from fungrasp.perception.pipeline import perceive_folder
 
         arguments = (folder, self.mesh, self.mass, self.task, self.seed)
         with progress_bar("looking at the image", 1) as show:
@@ -186,8 +186,7 @@ def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) ->
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.media.demonstration import Shown
     from fungrasp.media.perception_page import perception_parts, perception_title, true_errors
-    from fungrasp.perception.builtin_image import builtin_truth
-    from fungrasp.perception.image_source import BUILTIN
+    from fungrasp.perception.io.scene_folders import BUILTIN, builtin_truth
 
     if seen is None:
         assert picked is not None

@@ -25,7 +25,6 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
     "perceive": ("fungrasp.cli.perceive", "turn an image with depth of a held object into a human grasp"),
-    "scan": ("fungrasp.cli.scan", "make a mesh of an object from a few images with depth of it"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
     "predictor": ("fungrasp.cli.train:TrainPredictor", "learn which variations of a grasp will hold"),
@@ -55,6 +54,11 @@ LEFT: Mapping[str, str] = {
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",
+    "perceive --countdown": "--camera takes its image at once",
+    "perceive --frames": "give one image; where it is not sure, give another from elsewhere",
+    "perceive --page": "--camera takes its image at once; --report shows it",
+    "perceive --no-page": "--camera takes its image at once; --report shows it",
+    "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
 }
 """What is used now in place of a command, "command subcommand", "command --option" or "command subcommand
 --option" that has left."""

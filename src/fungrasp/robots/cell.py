@@ -49,23 +49,15 @@ OTHER_UNITS = {
 """Name of a unit, the other one that is likely, and how large that is."""
 
 LARGEST = {
-    "arm.pose_world_base": (5.0, "m"),
-    "tracker.pose_world_camera": (5.0, "m"),
-    "mount.pose_flange_hand": (0.5, "m"),
+    "arm.pose_world_base tracker.pose_world_camera workspace.lower workspace.upper": (5.0, "m"),
+    "mount.pose_flange_hand mount.adapter_length watchdog.pose_jump": (0.5, "m"),
     "mount.adapter_radius": (0.3, "m"),
-    "mount.adapter_length": (0.5, "m"),
-    "workspace.lower": (5.0, "m"),
-    "workspace.upper": (5.0, "m"),
     "workspace.hand_depth": (0.1, "m"),
     "obstacles.center": (10.0, "m"),
     "obstacles.size": (20.0, "m"),
     "limits.goal_distance": (2.0, "m"),
     "limits.hand_speed": (20.0, "rad/s"),
-    "watchdog.arm_silence": (5.0, "s"),
-    "watchdog.hand_silence": (5.0, "s"),
-    "watchdog.pose_stale": (5.0, "s"),
-    "watchdog.overrun": (5.0, "s"),
-    "watchdog.pose_jump": (0.5, "m"),
+    "watchdog.arm_silence watchdog.hand_silence watchdog.pose_stale watchdog.overrun": (5.0, "s"),
     "watchdog.pose_turn": (np.pi, "rad"),
 }
 """Numbers beyond these are in another unit, by our judgment, as a UR5 reaches 0.95 m; and a limit in another
@@ -403,7 +395,8 @@ def _wired_faults(cell: RobotCell) -> list[str]:
 def _unit_faults(cell: RobotCell) -> list[str]:
     """What must be a mistake of units in a cell."""
     faults = []
-    for name, (most, sign) in LARGEST.items():
+    known = {name: largest for names, largest in LARGEST.items() for name in names.split()}
+    for name, (most, sign) in known.items():
         section, _, key = name.partition(".")
         part = getattr(cell, section)
         word, other, size = OTHER_UNITS[sign]

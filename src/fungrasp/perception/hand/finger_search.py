@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.grasps.human_hand import FINGER_RADII
-from fungrasp.perception.hand.anatomy_evidence import finger_overlap
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import HandView
+from fungrasp.perception.hand.physical_evidence import finger_overlap
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -25,55 +25,33 @@ from fungrasp.perception.hand.skeleton import (
     Skeleton,
 )
 
-TRIES = 256
-"""Postures tried of each finger."""
-
-ORDER = (4, 0, 1, 2, 3)
-"""Order in which fingers are searched: the thumb first."""
-
-OPPOSED_NEAR = 0.025
-"""Only fingertips so near to the object [m] say where others touch it."""
-
-MOST_POINTS = 80
-"""Measured points that a finger is compared with."""
-
-WIDE = 1.3
-"""Factor on the usual spread of postures for those that are tried."""
-
-SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
-"""Parts of each link that are looked at."""
+TRIES = 256  # Postures tried of each finger.
+ORDER = (4, 0, 1, 2, 3)  # Order in which fingers are searched: the thumb first.
+OPPOSED_NEAR = 0.025  # Only fingertips so near to the object [m] say where others touch it.
+MOST_POINTS = 80  # Measured points that a finger is compared with.
+WIDE = 1.3  # Factor on the usual spread of postures for those that are tried.
+SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Parts of each link that are looked at.
 
 
 @dataclass(frozen=True)
 class FingerSearchSettings:
     """What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse."""
 
-    landmark: float = 0.06
-    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
+    landmark: float = 0.06  # Standard deviation of a landmark, as a part of the hand's extent in the image.
     landmark_worst: float = 3.0
     """A landmark farther off [standard deviations] is wrong: those of hidden fingers are guesses."""
-    point: float = 0.006
-    """Standard deviation of a measured point's distance from the skin [m]."""
-    point_worst: float = 0.02
-    """Distance from the skin beyond which the cost of a point does not grow [m]."""
+    point: float = 0.006  # Standard deviation of a measured point's distance from the skin [m].
+    point_worst: float = 0.02  # Distance from the skin beyond which the cost of a point does not grow [m].
     points_weight: float = 60.0
     """Number of independent measurements that all measured points together count as."""
-    front: float = 0.006
-    """Standard deviation of how far skin is in front of what is seen there [m]."""
-    front_worst: float = 0.04
-    """Distance in front beyond which the cost does not grow [m]."""
-    inside: float = 0.004
-    """Standard deviation of how deep the finger is in the object or the table [m]."""
-    overlap: float = 0.004
-    """Standard deviation of how deep the finger is in other fingers [m]."""
-    touch: float = 0.008
-    """Standard deviation of the gap between the last link and the object [m]."""
-    touch_worst: float = 0.02
-    """Gap beyond which the cost does not grow [m]."""
-    opposed: float = 4.0
-    """Cost of thumb and fingers that touch the object from the same side."""
-    unusual: float = 1.0
-    """Weight of the cost of an unusual posture."""
+    front: float = 0.006  # Standard deviation of how far skin is in front of what is seen there [m].
+    front_worst: float = 0.04  # Distance in front beyond which the cost does not grow [m].
+    inside: float = 0.004  # Standard deviation of how deep the finger is in the object or the table [m].
+    overlap: float = 0.004  # Standard deviation of how deep the finger is in other fingers [m].
+    touch: float = 0.008  # Standard deviation of the gap between the last link and the object [m].
+    touch_worst: float = 0.02  # Gap beyond which the cost does not grow [m].
+    opposed: float = 4.0  # Cost of thumb and fingers that touch the object from the same side.
+    unusual: float = 1.0  # Weight of the cost of an unusual posture.
 
 
 def finger_joints(hand: Skeleton, finger: int, angles: np.ndarray) -> np.ndarray:
@@ -116,11 +94,7 @@ def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def search_fingers(
-    hand: Skeleton,
-    view: HandView,
-    landmarks: np.ndarray,
-    spread: float | None,
-    rng: np.random.Generator,
+    hand: Skeleton, view: HandView, landmarks: np.ndarray, spread: float | None, rng: np.random.Generator
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 
@@ -129,7 +103,6 @@ def search_fingers(
         view: what is seen.
         landmarks: [pixels], shape [21, 2].
         spread: standard deviation of a landmark [pixels], if it is known.
-        rng: chooses the postures.
     """
     settings = FingerSearchSettings()
     if spread is None:
