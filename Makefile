@@ -93,7 +93,7 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.made
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.made
 	@echo "installing fungrasp and its tools into $(VENV), once"
-	@$(BIN)/python -m pip install --quiet -e ".[dev,docs]" -e ./emulators
+	@$(BIN)/python -m pip install --quiet --no-compile -e ".[dev,docs]" -e ./emulators
 	@touch $@ $(VENV)/.installed
 
 # Debian splits ensurepip off into python3-venv; without it the system's pip puts a pip into the environment.

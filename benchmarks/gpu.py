@@ -23,16 +23,12 @@ from fungrasp.geometry.poses import Array
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection.rollouts import RolloutSettings, roll_out
-from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
-from fungrasp.sim2real import draw
-from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings, build_scene
+from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings
 from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
-from fungrasp.task import Belief
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.ppo import Trainer
-from fungrasp.training.settings import EnvironmentSettings, PpoSettings, Variety
+from fungrasp.training.settings import EnvironmentSettings, PpoSettings, TrainSpec, Variety
 from fungrasp.training.training_sets import PlanLibrary, build_plan_library
 
 
@@ -57,8 +53,6 @@ class WorldSpeed:
     """Share of all else but learning."""
     learning_share: float
     """Share of collecting actions and learning."""
-    rollouts: float
-    """Rollouts of planning per second."""
     bytes_per_world: int | None
     """Memory that a world takes; None on the processor."""
     problems: tuple[str, ...]
@@ -67,8 +61,7 @@ class WorldSpeed:
 
 @dataclass(frozen=True)
 class ManyWorlds:
-    """Measure worlds from one to thousands: physics, the task, training, rollouts, memory, and what did not
-    fit."""
+    """Measure worlds from one to thousands: physics, the task, training, memory, and what did not fit."""
 
     devices: tuple[Literal["cuda", "cpu-warp", "cpu"], ...] = ("cuda", "cpu")
     """Where."""
@@ -99,7 +92,9 @@ class ManyWorlds:
         human = human.select(np.unique(np.linspace(0, len(human) - 1, self.grasps).astype(int)))
         objects = load_objects(human)
         robot = retarget(human, objects, hand, threads=self.threads)
-        library = build_plan_library(robot, objects, hand, Variety(1), 0, self.threads)
+        library = build_plan_library(
+            robot, objects, hand, TrainSpec(threads=self.threads, variety=Variety(1))
+        )
         buffers = None if self.buffers is None else BufferSizes(*self.buffers)
         found: list[WorldSpeed] = []
         for device in self.devices:
@@ -133,7 +128,6 @@ class ManyWorlds:
                 "physics",
                 "task",
                 "learning",
-                "rollouts/s",
                 "KiB",
             )
         ]
@@ -147,7 +141,6 @@ class ManyWorlds:
                 f"{one.physics_share:.0%}",
                 f"{one.task_share:.0%}",
                 f"{one.learning_share:.0%}",
-                f"{one.rollouts:,.0f}",
                 "" if one.bytes_per_world is None else f"{one.bytes_per_world / 1024:.0f}",
             )
             for one in found
@@ -219,7 +212,6 @@ def world_speed(
         physics_share=inside[0] / whole,
         task_share=(stepping[0] - inside[0]) / whole,
         learning_share=1.0 - stepping[0] / whole,
-        rollouts=_rollouts(library, objects, hand, device, worlds, buffers, threads),
         bytes_per_world=_memory(engine),
         problems=tuple(engine.problems()),
     )
@@ -265,31 +257,6 @@ def _physics(engine: Engine, controls: Array, times: int) -> float:
     found = 10 * _rate(lambda: engine.step(controls, 10), times, len(engine), engine)
     engine.restore(state)
     return found
-
-
-def _rollouts(
-    library: PlanLibrary,
-    objects: Mapping[str, ObjectModel],
-    hand: Hand,
-    device: Device,
-    count: int,
-    buffers: BufferSizes | None,
-    threads: int,
-) -> float:
-    """Rollouts per second of as many at once as there are worlds."""
-    settings = RolloutSettings(device=device, buffers=buffers, chunk=count)
-    plans = library.plans.select(np.arange(count) % len(library.plans))
-    present = {name: objects[name] for name in sorted(set(plans.object_name.tolist()))}
-    physics = SceneSettings(timestep=settings.timestep, device=device, buffers=buffers)
-    scene = build_scene(hand, present, physics)
-    rng = np.random.default_rng(0)
-    sample = draw(settings.randomization, count, len(hand.joint_names), rng)
-    belief = Belief.nominal(
-        plans.object_pose, plans.object_mass, plans.palm_setpoint[:, 0], plans.finger_targets[:, 0]
-    )
-    start = perf_counter()
-    roll_out(plans, belief, sample, scene, OpenLoopPolicy(), settings, threads)
-    return count / (perf_counter() - start)
 
 
 def _memory(engine: Engine) -> int | None:

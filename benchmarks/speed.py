@@ -59,9 +59,9 @@ class Speed:
 
         from fungrasp.cli.train import prepare_torch
         from fungrasp.core.provenance import machine
-        from fungrasp.evaluation.plans import plan
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.planning import plan
         from fungrasp.retargeting import retarget
 
         check_positive(planned=self.planned, worlds=self.worlds, updates=self.updates, repeat=self.repeat)
@@ -95,11 +95,11 @@ class Speed:
         """Control steps per second of PPO, and what of the time is in the worlds."""
         from fungrasp.training.environment import TrainingEnvironment
         from fungrasp.training.ppo import Trainer
-        from fungrasp.training.settings import EnvironmentSettings, Variety
+        from fungrasp.training.settings import EnvironmentSettings, TrainSpec, Variety
         from fungrasp.training.training_sets import build_plan_library
 
         some = robot.select(range(min(len(robot), self.worlds)))
-        library = build_plan_library(some, objects, hand, Variety(1), 0, self.threads)
+        library = build_plan_library(some, objects, hand, TrainSpec(threads=self.threads, variety=Variety(1)))
         settings = EnvironmentSettings(worlds=self.worlds)
         environment = TrainingEnvironment(library, objects, hand, settings, 0, self.threads)
         trainer, step, inside = Trainer(environment), environment.step, [0.0]

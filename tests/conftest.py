@@ -14,8 +14,8 @@ REAL_TIME = (
     "robots",
     "ros2",
     "viewer",
-    "benchmarks/faults",
-    "benchmarks/wire",
+    "benchmarks/fault_series",
+    "benchmarks/test_wire.py",
 )
 """Folders and files of tests in real time: devices with watchdogs, processes that wait for each other."""
 

@@ -11,7 +11,7 @@ import pytest
 
 import fungrasp
 from fungrasp.core.text_table import table
-from fungrasp.media.notebook import notebook_html
+from fungrasp.media.grasp_pages import notebook_html
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
 

@@ -20,12 +20,12 @@ from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.grasps.grasp_selection import picked_rows
 from fungrasp.hands import load_hand
 from fungrasp.media import grasp_scene, look_at_grasp, render
-from fungrasp.media.demonstration import FPS, Shown, demonstrate
+from fungrasp.media.demonstration import FILM, Shown, demonstrate
 from fungrasp.media.perception_pictures import CloseUp, grasp_from_four_sides
 from fungrasp.media.pictures import grid
 from fungrasp.media.video import write_video
-from fungrasp.perception.builtin_image import perceive_folder
-from fungrasp.perception.image_source import BUILTIN
+from fungrasp.perception.io.scene_folders import BUILTIN
+from fungrasp.perception.pipeline import perceive_folder
 from fungrasp.policies import default_policy
 from fungrasp.retargeting import retarget
 
@@ -84,7 +84,7 @@ def film() -> None:
             made = demonstrate(shown, load_hand(name), default_policy(name), Path(folder))
             with av.open(str(made.film)) as container:
                 frames += [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    write_video(IMAGES / "demo.mp4", frames, FPS, quality=QUALITY)
+    write_video(IMAGES / "demo.mp4", frames, FILM.fps, quality=QUALITY)
     _save(frames[len(frames) // 5], "demo.jpg")
 
 

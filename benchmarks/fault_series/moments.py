@@ -18,11 +18,10 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
@@ -98,7 +97,6 @@ class PreparerOf:
     ):
         """
         Args:
-            robot: whose time planning takes.
             prepared: the plan, or who makes it.
             said: told ``PLAN`` as planning begins.
         """
@@ -122,11 +120,6 @@ class Happened(DeploymentObserver):
     """Says when phases begin, and lets a judge watch the hold."""
 
     def __init__(self, said: Callable[[str], None], judge: TwinJudge | None = None):
-        """
-        Args:
-            said: told each phase.
-            judge: of a twin.
-        """
         self._said, self._judge = said, judge
 
     def phase(self, time: float, phase: Phase) -> None:
@@ -198,12 +191,7 @@ def scene(
     fault.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        thing: the object.
-        grasp: one.
         placement: of the object, world frame, shape [7].
-        twin: which one.
 
     Raises:
         UnreachableError: the arm can't follow any plan.

@@ -47,7 +47,6 @@ class BenchFaultSeries:
     def run(self) -> None:
         from fungrasp.core.provenance import machine, run_record
         from fungrasp.evaluation.result_files import write_result
-        from fungrasp.robots.process_priority import raise_priority
 
         check_positive(faults=self.faults, twins=self.twins)
         scenes = self._scenes()
@@ -55,8 +54,6 @@ class BenchFaultSeries:
         asked = {"robot": self.robot, "grasp": self.choice.words, "patience": self.patience}
         asked |= {"twins": self.twins, "kinds": ", ".join(self.kinds)}
         trials = self._known(asked)
-        # Real devices don't wait for a computer's other work.
-        raise_priority()
         done = {trial.number for trial in trials}
         for one in (fault for fault in drawn if fault.number not in done):
             trials.append(self._trial(scenes[one.number % len(scenes)], one))
@@ -119,8 +116,6 @@ def drawn_faults(hand: str, count: int, seed: int, kinds: Sequence[str] = ()) ->
     """Faults and their moments: the moment first, then a kind that may come then.
 
     Args:
-        hand: of the cell.
-        count: of faults.
         seed: of what is drawn; the first faults of a longer series are those of a shorter one.
         kinds: names of kinds; all if empty.
 

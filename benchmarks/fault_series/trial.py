@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -139,12 +139,8 @@ def judged(
     """What came of a fault.
 
     Args:
-        scene: without it.
-        drawn: the fault.
-        watch: from it on.
         ended: where the deployment ended; None where nobody is left to say so.
         when: it ended [s]; of use where the fault is a gradual one.
-        reason: why it ended.
         lifted: whether the object was lifted and held throughout the hold.
     """
     kind, cell = drawn.kind, scene.cell
@@ -164,18 +160,11 @@ def judged(
     stopped = resting and distance <= kind.limit(cell) and (after or not before or lets_go)
     # What may be carried may also be noticed: then the robot stops as it should.
     good = (lifted and drawn.may_go_on(scene)) if carried else (named and stopped)
-    return FaultTrial(
-        cell=cell.name,
-        number=drawn.number,
-        twin=scene.twin,
-        object=scene.thing.name,
-        moment=drawn.moment.value,
-        share=drawn.share,
+    return replace(
+        no_fault_came(scene, drawn, reason),
         fault=kind.name,
-        place=kind.place.value,
         carried=carried,
         named=named,
-        reason=reason,
         at_rest=resting,
         distance_m=distance,
         limit_m=kind.limit(cell),

@@ -16,7 +16,7 @@ from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch
 from fungrasp.deployment.hold_after_stop import endings_as_interrupts
 from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.twin.clocks import TwinClock
+from fungrasp.robots.twin.devices import TwinClock
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Observation
 
@@ -32,7 +32,6 @@ class FaultClock(TwinClock):
     def __init__(self, world: TwinWorld, when: float):
         """
         Args:
-            world: the twin.
             when: it happens [s].
         """
         super().__init__(world)
@@ -87,7 +86,6 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
     """A deployment on a fresh twin, with a fault.
 
     Args:
-        scene: without it.
         drawn: the fault; one that is brought on a twin.
     """
     world = twin_world(scene.cell, scene.hand, scene.thing, scene.twin)

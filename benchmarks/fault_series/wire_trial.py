@@ -1,24 +1,164 @@
-"""A fault over emulated wires, on the clock of the wall."""
+"""A fault over emulated wires, on the clock of the wall: a deployment in a process of its own, which is
+spoiled from outside."""
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
+import os
 import signal
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any, Self
 
-from benchmarks.fault_series.moments import Scene, twin_world
+from benchmarks.fault_series.moments import LOOK, Happened, PreparerOf, Scene, twin_world
 from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch, judged
-from benchmarks.fault_series.wire_session import WireSession, run_wire_session
-from benchmarks.faults.control_bench import private_cell
-from benchmarks.faults.control_process import ControlProcess
+from fungrasp.core.errors import FungraspError
+from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.phases import Phase
+from fungrasp.policies import OpenLoopPolicy
+from fungrasp.robots.assembly import wired_robot
+from fungrasp.robots.cell import DeviceSettings, RobotCell
 from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
 from fungrasp_emulators.ur import URControllerEmulator
+
+PRELOADED = ("benchmarks.fault_series.wire_trial", "mink")
+"""What sessions import: a server that has done so forks them."""
+
+
+class ControlProcess:
+    """A session of control in a process of its own; a context manager that leaves none of its processes.
+
+    It tells its drivers' processes as the message ``("drivers", (process of the arm's, of the hand's))``.
+    """
+
+    def __init__(self, run: Callable[..., None], task: object):
+        """
+        Args:
+            run: main function of the process: takes the task and its end of a pipe.
+        """
+        # Forked, each session begins at once, without the threads of the emulators in this process.
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(list(PRELOADED))
+        self._pipe, other = context.Pipe()
+        self._process = context.Process(target=run, args=(task, other), daemon=False)
+        self._process.start()
+        other.close()
+        self._drivers: tuple[int | None, ...] = ()
+        self.heard: dict[str, tuple[Any, ...]] = {}
+        """The last message of each kind."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.signal(signal.SIGKILL)
+        self._process.join()
+        self._pipe.close()
+        # Drivers end by themselves when their input ends; those of a killed computer have been killed.
+        deadline = time.monotonic() + 10.0
+        while any(map(_alive, self._drivers)) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        self.kill_drivers()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the session runs; one that is stopped by a signal does."""
+        return _alive(self._process.pid)
+
+    def listen(self, timeout: float) -> None:
+        """Hear what it says, for so long at most [s]."""
+        try:
+            while self._pipe.poll(timeout):
+                what, *values = self._pipe.recv()
+                self.heard[what] = tuple(values)
+                if what == "drivers":
+                    self._drivers = values[0]
+                timeout = 0.0
+        except (EOFError, OSError):
+            # It was killed.
+            time.sleep(timeout)
+
+    def tell(self, what: str) -> None:
+        """Send it a word; one that has ended does not hear it."""
+        with contextlib.suppress(OSError):
+            self._pipe.send(what)
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send the session a signal, but not its drivers."""
+        _signal(self._process.pid, number)
+
+    def kill_drivers(self) -> None:
+        """End the drivers' processes at once (SIGKILL)."""
+        for process in self._drivers:
+            _signal(process, signal.SIGKILL)
+
+
+def _signal(process: int | None, number: signal.Signals) -> None:
+    # On a busy machine one may end by itself meanwhile.
+    with contextlib.suppress(ProcessLookupError):
+        if process is not None and _alive(process):
+            os.kill(process, number)
+
+
+def _alive(process: int | None) -> bool:
+    """Whether a process runs; one that has ended and was not waited for does not."""
+    try:
+        stat = Path(f"/proc/{process}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] not in ("Z", "X")
+
+
+@dataclass(frozen=True, eq=False)
+class WireSession:
+    """One deployment."""
+
+    scene: Scene
+    """What is deployed."""
+    cell: RobotCell
+    """Whose addresses are on the loopback."""
+    log: Path
+    """To write; it must not exist."""
+
+
+def run_wire_session(session: WireSession, pipe: Connection) -> None:
+    """Deploy, then hold until a word comes; the process's main function.
+
+    Messages through the pipe: ``("drivers", (process of the arm's driver, of the hand's))``, ``(event,
+    time)`` as each event comes, ``("ended", time, phase, what was wrong)``; times of ``time.monotonic`` [s].
+    """
+    scene = session.scene
+
+    def happened(event: str) -> None:
+        pipe.send((event, time.monotonic()))
+
+    try:
+        with McapLog(session.log) as log, wired_robot(session.cell, scene.hand) as robot:
+            drivers = robot.arm, robot.hand_driver
+            pipe.send(("drivers", tuple(getattr(driver, "process_id", None) for driver in drivers)))
+            deployment = Deployment(
+                robot,
+                OpenLoopPolicy(),
+                PreparerOf(robot, scene.prepared, happened),
+                observers=[log, Happened(happened)],
+            )
+            happened(LOOK)
+            result = deployment.run(scene.grasp)
+            pipe.send(("ended", time.monotonic(), result.phase.value, result.fault))
+            # As a person would be asked: the hand holds meanwhile.
+            pipe.recv()
+    except (FungraspError, OSError, EOFError) as error:
+        pipe.send(("ended", time.monotonic(), "", f"{type(error).__name__}: {error}"))
+
 
 SAMPLE = 0.02
 """Time between two looks at the truth [s]."""
@@ -54,7 +194,6 @@ def wire_trial(scene: Scene, drawn: Drawn, patience: float) -> FaultTrial:
     """A deployment over emulated wires, with a fault.
 
     Args:
-        scene: without it.
         drawn: the fault; one that is brought over the wire.
         patience: times the usual limits of silence.
 
@@ -131,3 +270,39 @@ def _ended(
         watch.look()
     session.tell("end")
     return session.heard.get("ended")  # pyright: ignore[reportReturnType]
+
+
+def private_cell(cell: RobotCell, patience: float) -> RobotCell:
+    """The cell with addresses that no other process has.
+
+    Args:
+        cell: of a UR arm with an Allegro or an Inspire hand.
+        patience: times the usual limits of silence.
+
+    Raises:
+        FungraspError: the cell can't be emulated.
+    """
+    number = os.getpid()
+
+    def patient(device: DeviceSettings, address: str) -> Any:
+        options = dict(device.options)
+        if "stale_after" in options:
+            options["stale_after"] *= patience
+        return replace(device, address=address, options=options)
+
+    hands = {"allegro-can": str(20000 + number % 20000), "inspire": f"127.{number % 200 + 1}.0.5"}
+    if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:
+        raise FungraspError(f"the devices of cell '{cell.name}' can't be emulated for this")
+    dog = cell.watchdog
+    return replace(
+        cell,
+        arm=patient(cell.arm, f"127.{number % 200 + 1}.0.4"),
+        hand_device=patient(cell.hand_device, hands[cell.hand_device.driver]),
+        tracker=replace(cell.tracker, address=f"ipc:///tmp/fungrasp-control-{number}"),
+        watchdog=replace(
+            dog,
+            arm_silence=patience * dog.arm_silence,
+            hand_silence=patience * dog.hand_silence,
+            overrun=patience * dog.overrun,
+        ),
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ import trimesh
 from PIL import Image
 
 from benchmarks.synthetic_captures.capture_scene import Label
+from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh
-from benchmarks.synthetic_captures.render_capture import SyntheticCapture
+from benchmarks.synthetic_captures.render_capture import SyntheticCapture, capture_at
 from fungrasp.core.files import atomic_path
 from fungrasp.geometry.poses import rotation_matrix
-from fungrasp.objects import ObjectModel
+from fungrasp.grasps import HumanGraspSet
+from fungrasp.objects import ObjectModel, mirrored_name, mirrored_object
 from fungrasp.perception.io.scene_folders import COLOR_FILE, DEPTH_FILE, LENS_FILE
 
 TRUTH_FILE, LABELS_FILE, OBJECT_MASK_FILE = "truth.json", "labels.png", "object_mask.png"
@@ -79,6 +82,25 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: Object
         painted_mesh(synthetic.painted).export(path)
     # Last, so that a folder with it is whole.
     _save_json(folder / TRUTH_FILE, truth)
+
+
+def render_set(
+    folder: Path,
+    human: HumanGraspSet,
+    objects: Mapping[str, ObjectModel],
+    index: int,
+    seed: int,
+    settings: CaptureSettings,
+) -> None:
+    """Render one capture of a validation set into a folder of its own, unless it is there."""
+    place = folder / f"{seed}_{index:04d}"
+    if (place / TRUTH_FILE).is_file():
+        return
+    known = capture_at(index, human, objects, seed, settings)
+    # The grasp's row decides the object; of a left hand it is named after its mirror image.
+    name = known.grasp.object_name
+    model = objects[name] if known.side == "right" else mirrored_object(objects[mirrored_name(name)])
+    write_capture(known, place, model)
 
 
 def painted_mesh(painted: PaintedMesh) -> trimesh.Trimesh:

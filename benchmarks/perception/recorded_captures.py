@@ -33,7 +33,7 @@ from fungrasp.objects import (
 )
 from fungrasp.objects.resolved_object import colored_mesh
 from fungrasp.perception import Capture
-from fungrasp.perception.estimates import JOINTS
+from fungrasp.perception.io.estimates import JOINTS
 from fungrasp.perception.io.image_files import read_mask
 from fungrasp.perception.io.scene_folders import LENS_FILE, read_folder
 

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 import trimesh
 from scipy import ndimage
 
-from benchmarks.perception.measurements import RIGHT_MM, perceived, rate_of, together
 from benchmarks.perception.recorded_captures import RecordedCapture
+from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.text_files import finite
-from fungrasp.objects import ResolvedObject, builtin_object
+from fungrasp.evaluation import evaluate
+from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.grasps.human_hand import mirror_pose
+from fungrasp.hands import load_hand
+from fungrasp.objects import ObjectModel, ResolvedObject, builtin_object, mirrored_object
+from fungrasp.objects.object_variants import scaled_object
 from fungrasp.perception import Capture, HandEstimate
+from fungrasp.perception.acceptance import ACCEPTED_HAND
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.perceived import Perceived
-from fungrasp.perception.verdict import ACCEPTED_HAND
+from fungrasp.perception.perceived import Perceived, StageSeconds
+from fungrasp.perception.pipeline import perceive
+from fungrasp.perception.scene.table import in_world, put_down
+from fungrasp.retargeting import retarget
+
+RIGHT_MM = 10.0
+"""An object's pose is right if its ADD-S is below this."""
 
 LOOSE = 6
 """Masks are made larger and smaller by so many pixels."""
@@ -40,7 +51,7 @@ class HintResult:
     """One answer to where the object is."""
 
     hint: str
-    """What was told: "none", "box", "click", "mask", "mask larger" or "mask smaller"."""
+    """What was said: "none", "box", "click", "mask", "mask larger" or "mask smaller"."""
     add_s_mm: float
     """ADD-S [mm]; infinite if there is no answer."""
     shift_mm: float
@@ -88,6 +99,8 @@ class RecordedResult:
     """Time for hand and table [s]."""
     objects: tuple[HintResult, ...]
     """Answers to where the object is, one for each hint; none where no object is known."""
+    wrong: tuple[bool, ...] = ()
+    """Whether each of ``wrong_meshes`` was accepted, without a hint and with the mask, if that was tried."""
 
 
 def hinted_captures(recorded: RecordedCapture) -> dict[str, Capture]:
@@ -130,32 +143,83 @@ def _disc(radius: int) -> np.ndarray:
     return u**2 + v**2 <= radius**2
 
 
-def measure_recorded(recorded: RecordedCapture, detector: HandDetector) -> RecordedResult:
+def measure_recorded(
+    recorded: RecordedCapture, detector: HandDetector, *, wrong: bool = False
+) -> RecordedResult:
     """Run ``perceive`` on one capture, with each hint that its mask gives."""
     known = recorded.model is not None and recorded.pose_camera_object is not None
     model = builtin_object(OTHER_OBJECT) if recorded.model is None else recorded.model
     obj = ResolvedObject(model, recorded.colored)
     hints = hinted_captures(recorded) if known else {"none": recorded.capture.with_object()}
-    seen = {hint: perceived(capture, obj, detector) for hint, capture in hints.items()}
+    seen = {hint: _perceived(capture, obj, detector) for hint, capture in hints.items()}
     alone = seen["none"]
     hand = None if alone is None else alone.trace.candidate.hand
     table = None if alone is None else alone.trace.candidate.table
     found, pixels, joints = _hand_error(recorded, hand)
     angle, height = _table_error(recorded, table)
-    seconds = float("nan")
-    if alone is not None:
-        seconds = together(alone.trace.seconds, "detection", "hand", "table").wall
+    seconds = float("nan") if alone is None else _seconds(alone, "detection", "hand", "table")
+    accepted: list[bool] = []
+    if known and wrong:
+        for other in wrong_meshes(model):
+            for hint in ("none", "mask"):
+                one = _perceived(hints[hint], ResolvedObject(other), detector) if hint in hints else None
+                accepted.append(one is not None and one.object.accepted)
     return RecordedResult(
         recorded.name,
         found,
-        alone is not None and alone.verdict.hand >= ACCEPTED_HAND,
+        alone is not None and alone.acceptance.hand >= ACCEPTED_HAND,
         pixels,
         joints,
         angle,
         height,
         seconds,
         tuple(_answer(recorded, hint, one) for hint, one in seen.items()) if known else (),
+        tuple(accepted),
     )
+
+
+def _perceived(capture: Capture, obj: ResolvedObject, detector: HandDetector) -> Perceived | None:
+    """What ``perceive`` makes of an image; None where it finds no hand, or nothing in it."""
+    try:
+        return perceive(capture, obj, detector=detector)
+    except FungraspError:
+        return None
+
+
+def _seconds(seen: Perceived, *stages: str) -> float:
+    """Wall time of some stages [s]."""
+    return sum(seen.trace.seconds.get(stage, StageSeconds()).wall for stage in stages)
+
+
+def wrong_meshes(model: ObjectModel) -> list[ObjectModel]:
+    """Meshes that are not the object's: other sizes, its longest side longer and shorter, another object."""
+    found = [scaled_object(model, scale) for scale in (0.5, 0.67, 0.77, 1.3, 1.5, 2.0)]
+    longest = np.arange(3) == int(model.size.argmax())
+    for factor in (0.7, 1.4):
+        vertices = model.vertices * np.where(longest, factor, 1.0)
+        found.append(ObjectModel(f"{model.name} x {factor:g}", model.mass, vertices, model.faces))
+    return [*found, builtin_object(OTHER_OBJECT if model.name != OTHER_OBJECT else "can")]
+
+
+def lifted(recorded: RecordedCapture, detector: HandDetector, hand: str, policy: str) -> bool:
+    """Whether a robot's hand lifts the true object from its true place by the grasp that is perceived."""
+    model, truth = recorded.model, recorded.pose_camera_object
+    assert model is not None and truth is not None
+    seen = _perceived(recorded.capture.with_object(), ResolvedObject(model, recorded.colored), detector)
+    if seen is None:
+        return False
+    model = replace(model, name="true")
+    pose = in_world(seen.pose_world_camera, truth)
+    rest = put_down(model, pose)
+    if seen.hand.side == "left":
+        model, pose, rest = mirrored_object(model), mirror_pose(pose), mirror_pose(rest)
+    names = np.array([model.name])
+    try:
+        robot = retarget(seen.grasps, seen.objects, load_hand(hand))
+    except FungraspError:
+        return False
+    robot = replace(robot, object_name=names, object_pose=pose[None], object_rest_pose=rest[None])
+    return bool(evaluate(robot, {model.name: model}, policy).outcomes.success[0])
 
 
 def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> HintResult:
@@ -174,10 +238,10 @@ def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> Hin
         rotation_deg=float(np.degrees(rotation_error(pose, truth))),
         score=best.object.score,
         accepted=best.object.accepted,
-        seconds=together(seen.trace.seconds, "object").wall,
+        seconds=_seconds(seen, "object"),
         pose=tuple(pose.tolist()),
-        evidence=best.evidence,
-        note="; ".join(seen.verdict.help),
+        evidence={} if best.object.evidence is None else best.object.evidence.as_dict(),
+        note="; ".join(seen.acceptance.help),
     )
 
 
@@ -218,7 +282,16 @@ def _table_error(recorded: RecordedCapture, table: np.ndarray | None) -> tuple[f
     return angle, 1000 * float(abs(heights[0] - heights[1]))
 
 
-def recorded_figures(results: Sequence[RecordedResult]) -> dict[str, Any]:
+def rate_of(flags: Sequence[bool]) -> dict[str, Any] | None:
+    """Share of the flags that are set, its count and interval; None where there is nothing to count."""
+    if not flags:
+        return None
+    count = sum(flags)
+    interval = wilson_interval(count, len(flags))
+    return {"count": len(flags), "rate": count / len(flags), "interval": interval}
+
+
+def recorded_figures(results: Sequence[RecordedResult], lifts: Sequence[bool] = ()) -> dict[str, Any]:
     """Rates and errors over the captures, by hint."""
     hints = list(dict.fromkeys(answer.hint for result in results for answer in result.objects))
     objects = {}
@@ -242,6 +315,8 @@ def recorded_figures(results: Sequence[RecordedResult]) -> dict[str, Any]:
                 "joint_error_mm": _median([result.joint_error_mm for result in known]),
                 "seconds": _median([result.hand_seconds for result in results]),
             },
+            "lifted": rate_of(lifts),
+            "wrong_meshes_accepted": rate_of([flag for result in results for flag in result.wrong]),
             "no_hand_sure": rate_of([result.hand_sure for result in results if result.hand_found is None]),
             "table": {
                 "angle_deg": _median([result.table_angle_deg for result in results]),
@@ -256,7 +331,7 @@ def recorded_rows(results: Sequence[RecordedResult]) -> list[dict[str, Any]]:
     """A row for each answer about an object, and for each capture without; ready for JSON."""
     rows = []
     for result in results:
-        capture = {name: value for name, value in asdict(result).items() if name != "objects"}
+        capture = {name: value for name, value in asdict(result).items() if name not in ("objects", "wrong")}
         rows += [capture | {"object": asdict(answer)} for answer in result.objects] or [capture]
     return finite(rows)
 
@@ -264,7 +339,7 @@ def recorded_rows(results: Sequence[RecordedResult]) -> list[dict[str, Any]]:
 def recorded_table(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """The object's figures as a table, by hint."""
     rows = [
-        ("told", "ADD-S < 10 mm", "median [mm]", "accepted are right", "right are accepted", "median [s]")
+        ("hint", "ADD-S < 10 mm", "median [mm]", "accepted are right", "right are accepted", "median [s]")
     ]
     for hint, found in figures["object"].items():
         rows.append(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Protocol
 
 import numpy as np
 import trimesh
@@ -29,10 +28,6 @@ class Label(IntEnum):
     """Skin, the forearm included."""
     SLEEVE = 4
     CLUTTER = 5
-    WORN = 6
-    """A ring or a watch on the hand."""
-    PERSON = 7
-    """Somebody else: hand, arm, sleeve, head."""
 
 
 TABLE_SIZE = (1.4, 0.9, 0.03)
@@ -108,36 +103,6 @@ class CaptureScene:
         """End of the arm [m], world frame, shape [3]; views that show it are avoided."""
         return self.arm.control[2]
 
-    def with_parts(self, parts: Sequence[tuple[Label, SurfaceMesh]]) -> CaptureScene:
-        """The scene with more surfaces, behind the others in the list."""
-        labels = np.concatenate([self.labels, np.array([label for label, _ in parts], np.uint8)])
-        return replace(self, surfaces=(*self.surfaces, *(s for _, s in parts)), labels=labels)
-
-
-class SceneAdditions(Protocol):
-    """Adds things to a scene."""
-
-    def __call__(
-        self,
-        scene: CaptureScene,
-        grasp: HumanGrasp,
-        center: np.ndarray,
-        towards: float,
-        tones: Sequence[Color],
-        rng: np.random.Generator,
-    ) -> CaptureScene:
-        """The scene with more in it.
-
-        Args:
-            scene: as far as it is made.
-            grasp: what the hand does, world frame.
-            center: of the held object [m], world frame, shape [3].
-            towards: direction from the grasp to the camera along the table [rad].
-            tones: of skin, sRGB.
-            rng: random numbers.
-        """
-        ...
-
 
 def capture_scene(
     grasp: HumanGrasp,
@@ -169,39 +134,15 @@ def capture_scene(
         sleeve = painted_sleeve(arm, rng.uniform(0.25, 0.6), cloth, rng)
         parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
     taken, center = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
-    around, look = surroundings(taken, center, rng, clutter=clutter, towards=towards, skin_like=skin_like)
-    labels, surfaces = zip(*parts, *around, strict=True)
-    return CaptureScene(surfaces, np.array(labels, np.uint8), look, arm)
-
-
-def surroundings(
-    taken: np.ndarray,
-    center: np.ndarray,
-    rng: np.random.Generator,
-    *,
-    clutter: int,
-    towards: float,
-    skin_like: float,
-) -> tuple[list[tuple[Label, SurfaceMesh]], Look]:
-    """Clutter, table and room, and the light in it.
-
-    Args:
-        taken: points that the clutter must keep off [m], world frame, shape [P, 3].
-        center: what it stands around [m], shape [3].
-        rng: random numbers.
-        clutter: how many things; fewer if they don't find a place.
-        towards: direction to the camera along the table [rad]; the clutter keeps out of it.
-        skin_like: part of the clutter, and of the table tops, with colors that some skin has.
-    """
-    parts: list[tuple[Label, SurfaceMesh]] = []
     for model, pose in _clutter(taken, center, clutter, towards, rng):
-        painted = painted_object(model)
+        thing = painted_object(model)
         if skin_like and rng.uniform() < skin_like:
-            painted = _in_one_color(painted, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
-        parts.append((Label.CLUTTER, painted.moved(pose).surface(0.3, 40.0)))
+            thing = _in_one_color(thing, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
+        parts.append((Label.CLUTTER, thing.moved(pose).surface(0.3, 40.0)))
     parts.append((Label.TABLE, capture_table(center, skin_like, rng)))
     parts += [(Label.ROOM, surface) for surface in _room(center, rng)]
-    return parts, _look(rng)
+    labels, surfaces = zip(*parts, strict=True)
+    return CaptureScene(surfaces, np.array(labels, np.uint8), _look(rng), arm)
 
 
 def _clutter(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from benchmarks.synthetic_captures.capture_scene import SceneAdditions
 from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCamera
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise
 from benchmarks.synthetic_captures.skin_and_sleeve import SKIN_TONES
@@ -41,8 +40,6 @@ class CaptureSettings:
     fingertips stay where they are."""
     skin_like: float = 0.0
     """Part of the clutter, and of the table tops, with colors that some skin has."""
-    additions: SceneAdditions | None = None
-    """Adds to each scene what ordinary ones don't have."""
     left: float = 0.0
     """Part of the captures that are seen in a mirror: left hands, with the mirror images of objects."""
     depth_noise: DepthNoise | tuple[DepthCamera, ...] | None = field(default_factory=DepthNoise)
@@ -81,6 +78,7 @@ def camera_settings(camera: str = "mixed") -> CaptureSettings:
     cameras = tuple(DEPTH_CAMERAS.values()) if camera == "mixed" else (DEPTH_CAMERAS[camera],)
     return CaptureSettings(
         proportions=0.07,
+        left=0.4,
         skin_like=0.4,
         distance=(0.45, 0.9),
         object_seen=0.006,

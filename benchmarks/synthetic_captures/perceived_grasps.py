@@ -90,7 +90,7 @@ class PerceivedGrasps:
         except FungraspError as error:
             return {"refused": np.asarray(str(error))}
         if not seen.confident:
-            return {"refused": np.asarray("; ".join((seen.verdict.words, *map(str, seen.warnings))))}
+            return {"refused": np.asarray("; ".join((seen.acceptance.summary(), *map(str, seen.warnings))))}
         if seen.grasp.object_name != model.name:
             return {"refused": np.asarray("taken for a left hand")}
         known = {name: getattr(seen.grasps, name) for name in HumanGraspSet.FIELDS}

@@ -12,21 +12,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.synthetic_captures.capture_camera import first_camera, posed_rays, turned_camera
-from benchmarks.synthetic_captures.capture_scene import Label, capture_scene
+from benchmarks.synthetic_captures.capture_scene import CaptureScene, Label, capture_scene
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.depth_cameras import camera_depth
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
-from benchmarks.synthetic_captures.varied_hand import vary_hand
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.media.ray_tracing import NOTHING, RayTracer
+from fungrasp.media.camera import orbit_camera
+from fungrasp.media.ray_tracing import NOTHING, PixelRays, RayTracer
 from fungrasp.objects import ObjectModel, mirrored_name
 from fungrasp.perception import Capture, Intrinsics
-from fungrasp.perception.estimates import Side
+from fungrasp.perception.io.estimates import Side
+
+TRIES = 24
+"""Cameras that are tried before the best so far is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,24 +104,18 @@ def capture_at(
     objects: Mapping[str, ObjectModel],
     seed: int,
     settings: CaptureSettings | None = None,
-    look: int = 0,
 ) -> SyntheticCapture:
-    """One of the captures that ``render_captures`` gives, without the others. index: from 0 on; look: as for
-    ``render_capture``."""
+    """One of the captures that ``render_captures`` gives, without the others. index: from 0 on."""
     turn, place = divmod(index, len(grasps))
     row = int(np.random.default_rng([seed, turn]).permutation(len(grasps))[place])
     grasp = grasps[row]
     return render_capture(
-        grasp, objects[grasp.object_name], np.random.default_rng([seed, turn, row]), settings, look
+        grasp, objects[grasp.object_name], np.random.default_rng([seed, turn, row]), settings
     )
 
 
 def render_capture(
-    grasp: HumanGrasp,
-    model: ObjectModel,
-    rng: np.random.Generator,
-    settings: CaptureSettings | None = None,
-    look: int = 0,
+    grasp: HumanGrasp, model: ObjectModel, rng: np.random.Generator, settings: CaptureSettings | None = None
 ) -> SyntheticCapture:
     """One capture of a grasp of a right hand.
 
@@ -128,14 +124,12 @@ def render_capture(
         model: the object it holds.
         rng: decides camera, room, skin, light and noise.
         settings: cameras, clutter and noise.
-        look: 0 for the first look at the scene, others from a camera turned by ``TURNED``, in turn to either
-            side.
     """
     settings = settings or CaptureSettings()
     painted = painted_object(model)
     if settings.proportions:
         grasp = replace(grasp, hand_joints=vary_hand(grasp, settings.proportions, rng), hand_qpos=None)
-    intrinsics = drawn_intrinsics(settings, rng)
+    intrinsics = _drawn_intrinsics(settings, rng)
     azimuth = float(rng.uniform(0, 360))
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
     towards = float(np.radians(azimuth))
@@ -149,17 +143,7 @@ def render_capture(
         skin_like=settings.skin_like,
     )
     tracer = RayTracer(scene.surfaces, scene.look)
-    if settings.additions is not None:
-        # Numbers of their own, so that all else is as without them.
-        more = rng.spawn(1)[0]
-        center = painted.moved(grasp.object_pose).vertices.mean(axis=0)
-        scene = settings.additions(scene, grasp, center, towards, settings.skin, more)
-        tracer = RayTracer(scene.surfaces, scene.look)
-    pose = first_camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
-    if look:
-        # Numbers of their own again: the scene and the kind of camera are those of the first look.
-        another = rng.spawn(look)[-1]
-        pose = turned_camera(pose, look, grasp, painted, tracer, scene, intrinsics, settings, another)
+    pose = _camera(grasp, painted, tracer, scene, intrinsics, azimuth, settings, rng)
     rays, shape = posed_rays(intrinsics, pose), (intrinsics.height, intrinsics.width)
     points = tracer.see(rays)
     labels = np.append(scene.labels, np.uint8(Label.ROOM))[points.surface].reshape(shape)
@@ -172,11 +156,11 @@ def render_capture(
         light, depth, labels = (np.ascontiguousarray(image[:, ::-1]) for image in (light, depth, labels))
         grasp, pose, intrinsics = _reflected(grasp, pose, intrinsics)
         painted, side = mirrored_mesh(painted), "left"
-    seen = photographed(light, depth, intrinsics, settings, rng)
+    seen = _photographed(light, depth, intrinsics, settings, rng)
     return SyntheticCapture(seen, grasp, pose, labels, painted, side)
 
 
-def photographed(
+def _photographed(
     light: np.ndarray,
     depth: np.ndarray,
     intrinsics: Intrinsics,
@@ -202,6 +186,58 @@ def photographed(
     return Capture(color, depth, intrinsics)
 
 
+def _camera(
+    grasp: HumanGrasp,
+    painted: PaintedMesh,
+    tracer: RayTracer,
+    scene: CaptureScene,
+    intrinsics: Intrinsics,
+    azimuth: float,
+    settings: CaptureSettings,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Pose of a camera that sees hand and object: the first that sees enough, else the best, shape [7]."""
+    held = painted.moved(grasp.object_pose).vertices
+    center = 0.5 * (grasp.hand_joints.mean(0) + np.clip(held.mean(0), *np.quantile(held, (0.2, 0.8), axis=0)))
+    probe = intrinsics.resized(intrinsics.width // 8, intrinsics.height // 8)
+    best, most = np.zeros(7), -np.inf
+    for i in range(TRIES):
+        camera = orbit_camera(
+            tuple(center + rng.normal(size=3) * 0.015),
+            rng.uniform(*settings.distance),
+            azimuth + rng.normal() * 12 * (1 + i),
+            rng.uniform(*settings.elevation),
+        )
+        roll = Rotation.from_euler("z", rng.normal() * 5, degrees=True)
+        rotation = (Rotation.from_matrix(camera.rotation) * roll).as_quat(scalar_first=True)
+        pose = np.concatenate([camera.position, rotation])
+        seen = tracer.see(posed_rays(probe, pose), shaded=False).surface
+        shown = [np.isin(seen, np.flatnonzero(scene.labels == k)).mean() for k in (Label.OBJECT, Label.HAND)]
+        points = np.vstack([grasp.hand_joints, scene.arm_end])
+        pixels = intrinsics.project(inverse_transform_points(pose, points))
+        size = np.array([intrinsics.width, intrinsics.height])
+        inside = np.all((pixels > 4) & (pixels < size - 5), axis=1)
+        enough = min(shown[0] / settings.object_seen, shown[1] / settings.hand_seen, 1.0)
+        score = enough + inside[:-1].mean() - 0.2 * inside[-1]
+        if score > most:
+            best, most = pose, score
+        if score >= 2.0:
+            break
+    return best
+
+
+def posed_rays(intrinsics: Intrinsics, pose_world_camera: np.ndarray) -> PixelRays:
+    """The rays of a camera at a pose, shape [7]."""
+    rotation = rotation_matrix(pose_world_camera[3:])
+
+    def directions(pixels: np.ndarray) -> np.ndarray:
+        rays = intrinsics.deproject(pixels, np.ones(pixels.shape[:-1]))
+        return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)) @ rotation.T
+
+    focal = 0.5 * (intrinsics.fx + intrinsics.fy)
+    return PixelRays(intrinsics.width, intrinsics.height, pose_world_camera[:3], focal, directions)
+
+
 def _reflected(
     grasp: HumanGrasp, pose: np.ndarray, lens: Intrinsics
 ) -> tuple[HumanGrasp, np.ndarray, Intrinsics]:
@@ -222,7 +258,7 @@ def _reflected(
     return seen, np.concatenate([mirror_points(pose[:3]), turned]), mirrored
 
 
-def drawn_intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Intrinsics:
+def _drawn_intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Intrinsics:
     """Intrinsics that differ from the typical ones by a few pixels."""
     typical = settings.intrinsics
     focal, cx, cy = settings.intrinsics_spread * rng.uniform(-1, 1, 3)
@@ -234,3 +270,44 @@ def drawn_intrinsics(settings: CaptureSettings, rng: np.random.Generator) -> Int
         typical.cx + cx,
         typical.cy + cy,
     )
+
+
+LARGEST = 2.0
+"""No hand and no finger is off by more than this many standard deviations."""
+
+SKIN = 0.008
+"""Half the thickness of a finger [m]."""
+
+
+def vary_hand(grasp: HumanGrasp, spread: float, rng: np.random.Generator) -> np.ndarray:
+    """Joints of a hand of another size and with other lengths of its fingers.
+
+    The hand is scaled about the middle of the fingertips that touch, so that they stay on the object to
+    within their own spread; each finger is then longer or shorter from its knuckle on, and its tip is
+    brought back by a shift of the joints between, that grows from the knuckle to the tip.
+
+    Args:
+        grasp: of a right hand, world frame.
+        spread: standard deviation of both, as a part.
+        rng: random numbers.
+
+    Returns:
+        [m], world frame, shape [21, 3].
+    """
+    joints = grasp.hand_joints
+    tips = np.array([4, 8, 12, 16, 20])
+    touching = grasp.link_contacts[[3, 6, 9, 12, 15]]
+    center = joints[tips[touching] if touching.any() else tips].mean(axis=0)
+    draw = np.clip(rng.normal(size=6), -LARGEST, LARGEST) * spread
+    scaled = center + (1 + draw[0]) * (joints - center)
+    for finger in range(5):
+        chain = slice(1 + 4 * finger, 5 + 4 * finger)
+        knuckle, tip = scaled[1 + 4 * finger], joints[4 + 4 * finger]
+        longer = knuckle + (1 + 0.6 * draw[1 + finger]) * (scaled[chain] - knuckle)
+        if touching[finger]:
+            longer = longer + np.linspace(0, 1, 4)[:, None] * (tip - longer[3])
+        scaled[chain] = longer
+    # Not lower than it was where skin would be in the table.
+    floor = min(float(joints[:, 2].min()), SKIN)
+    scaled[:, 2] += max(0.0, floor - float(scaled[:, 2].min()))
+    return scaled

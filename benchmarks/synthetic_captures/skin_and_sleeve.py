@@ -10,13 +10,7 @@ import trimesh
 
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mixed
 from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.media.hand_mesh import (
-    FINGER_RADII,
-    LINK_JOINTS,
-    REFERENCE_PALM,
-    THUMB_RADII,
-    human_hand_mesh,
-)
+from fungrasp.media.hand_mesh import FINGER_RADII, LINK_JOINTS, REFERENCE_PALM, THUMB_RADII, human_hand_mesh
 from fungrasp.media.surfaces import Color
 
 SKIN_TONES: tuple[Color, ...] = (
@@ -230,11 +224,6 @@ def _mark_fingertip(
     red[rows] = red[rows] * (1 - nail) + 0.20 * nail + 0.45 * rim
     pale[rows] = np.maximum(pale[rows], 0.75 * nail + 0.2 * nail * (part > 0.88))
     swell[rows] += scale * (0.0003 * nail - 0.0004 * rim)
-
-
-def back_of_hand(joints: np.ndarray) -> np.ndarray:
-    """Unit vector out of the back of a right hand, shape [3]. joints: [m], shape [21, 3]."""
-    return _unit(_dorsal(joints)[:4, 0].mean(axis=0))
 
 
 def _dorsal(joints: np.ndarray) -> np.ndarray:

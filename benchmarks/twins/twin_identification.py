@@ -11,9 +11,8 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
-from fungrasp.robots.motion_recording import record_motion
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinHand
+from fungrasp.robots.single_devices import record_motion
+from fungrasp.robots.twin.devices import TwinClock, TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion

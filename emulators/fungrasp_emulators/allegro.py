@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.can_bus import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.hands.allegro import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp.robots.optional_packages import import_client
-from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
+from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
 BUS = "43113"
 """Default channel of "loopback"; a second hand has one of its own, "43114"."""
@@ -26,22 +27,15 @@ SILENT = (Fault.STALLED, Fault.POWER_LOSS, Fault.BUS_OFF)
 class AllegroEmulator(Emulator):
     """Sends positions at the period it is told and drives its plant with the torques it receives."""
 
-    supported = frozenset(
-        {
-            Fault.STALLED,
-            Fault.LOST,
-            Fault.DOUBLED,
-            Fault.LATE,
-            Fault.CORRUPT,
-            Fault.POWER_LOSS,
-            Fault.WRONG_DEVICE,
-            Fault.SATURATED,
-            Fault.BUS_ERRORS,
-            Fault.BUS_OFF,
-            Fault.TOO_HOT,
-            Fault.INTERNAL,
-        }
-    )
+    supported = COMMON | {
+        Fault.DOUBLED,
+        Fault.POWER_LOSS,
+        Fault.SATURATED,
+        Fault.BUS_ERRORS,
+        Fault.BUS_OFF,
+        Fault.TOO_HOT,
+        Fault.INTERNAL,
+    }
 
     def __init__(
         self,
@@ -53,16 +47,8 @@ class AllegroEmulator(Emulator):
         device: int = 0,
         seed: int = 0,
     ):
-        """
-        Args:
-            plant: sixteen joints, in the order of the bus.
-            interface: bus of python-can.
-            channel: channel of the bus.
-            generation: 4 or 5.
-            side: "right" or "left".
-            device: number of the hand, 0 to 3.
-            seed: of the frames that faults take.
-        """
+        """plant: sixteen joints, in the order of the bus. seed: of the frames that faults take. Else as in
+        ``AllegroSettings``."""
         super().__init__()
         self.plant = plant
         self._interface, self._channel = interface, channel
@@ -132,7 +118,7 @@ class AllegroEmulator(Emulator):
         if message.is_remote_frame:
             self._answer(code)
         elif 0 <= finger < codec.FINGERS_ON_BUS and len(data) == 8:
-            torques = codec.decode_finger_torques(self._units, finger, data)
+            torques = np.frombuffer(data, "<i2") / self._units.counts_per_torque[4 * finger : 4 * finger + 4]
             self._torques[4 * finger : 4 * finger + 4] = torques
             if finger == codec.FINGERS_ON_BUS - 1:
                 self._drive()
@@ -140,7 +126,7 @@ class AllegroEmulator(Emulator):
             self._servos_on = code == codec.SERVOS_ON
             self._drive()
         elif code == codec.PERIODS:
-            self._period = 1e-3 * codec.decode_periods(data)[0]
+            self._period = 1e-3 * int.from_bytes(data[:2], "little")
 
     def _drive(self) -> None:
         command = PlantCommand(torques=self._torques.copy()) if self._servos_on else PlantCommand()
@@ -150,16 +136,11 @@ class AllegroEmulator(Emulator):
         wrong = self.shows(Fault.WRONG_DEVICE)
         left = (self._side == "left") != wrong
         if code == codec.INFO:
-            info = codec.AllegroInfo(
-                hardware=self._units.number << 8,
-                firmware=0x0100,
-                left=left,
-                temperature=HOT if self.shows(Fault.TOO_HOT) else WARM,
-                servos_on=self._servos_on,
-                overheated=self.shows(Fault.TOO_HOT),
-                communication_fault=self.shows(Fault.INTERNAL),
-            )
-            self._send(code, codec.encode_info(info))
+            hot = self.shows(Fault.TOO_HOT)
+            status = self._servos_on | hot << 1 | self.shows(Fault.INTERNAL) << 2
+            temperature = HOT if hot else WARM
+            hardware = self._units.number << 8
+            self._send(code, struct.pack("<HHBBB", hardware, 0x0100, left, temperature, status))
         elif code == codec.SERIAL:
             self._send(code, b"50A" + (b"L" if left else b"R") + b"0001")
 
@@ -167,8 +148,9 @@ class AllegroEmulator(Emulator):
         if any(map(self.shows, SILENT)):
             return
         positions = self.plant.state(now).positions
-        data = codec.encode_positions(self._units, positions)
-        frames = [(codec.POSITION + finger, frame) for finger, frame in enumerate(data)]
+        counts = np.clip(np.rint(positions / self._units.radians_per_count), -32767, 32767)
+        data = counts.astype("<i2").tobytes()
+        frames = [(codec.POSITION + f, data[8 * f : 8 * f + 8]) for f in range(codec.FINGERS_ON_BUS)]
         for code, data in self._disturbed(frames):
             self._send(code, data)
             if self.shows(Fault.BUS_ERRORS) and self._rng.random() < 0.1:

@@ -9,9 +9,12 @@ from typing import Any, Self
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots.cell import ArmSettings, DeviceSettings, RobotCell
 from fungrasp.robots.pose.stream import PosePublisher
-from fungrasp.robots.twin.clocks import RealTimeTwin
+from fungrasp.robots.twin.devices import RealTimeTwin
 from fungrasp.robots.twin.world import TwinWorld
+from fungrasp_emulators.allegro import AllegroEmulator
 from fungrasp_emulators.emulator import Emulator, PlantCommand, PlantState
+from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.ur import URControllerEmulator
 
 POLL = 0.005
 """Time between two looks for a new frame of the tracker [s]."""
@@ -24,7 +27,6 @@ class CellEmulation:
         """
         Args:
             cell: whose drivers and addresses are emulated, all of them on this machine.
-            world: the twin.
             object_name: what the tracker says it follows.
 
         Raises:
@@ -71,8 +73,6 @@ class CellEmulation:
 def _arm(device: ArmSettings, world: TwinWorld) -> Emulator:
     if device.driver != "ur-rtde":
         raise FungraspError(f"an arm with the driver '{device.driver}' can't be emulated")
-    from fungrasp_emulators.ur import URControllerEmulator
-
     version = (3, 15, 0) if device.model == "ur5" else (5, 11, 0)
     return URControllerEmulator(TwinArmPlant(world), _loopback(device), version)
 
@@ -80,8 +80,6 @@ def _arm(device: ArmSettings, world: TwinWorld) -> Emulator:
 def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
     plant, options = TwinHandPlant(world), device.options
     if device.driver == "allegro-can":
-        from fungrasp_emulators.allegro import AllegroEmulator
-
         if options.get("interface") not in ("loopback", "virtual"):
             raise FungraspError(
                 'an emulated Allegro hand needs the option interface = "loopback": there is no CAN bus'
@@ -94,8 +92,6 @@ def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
             options.get("side", "right"),
         )
     if device.driver == "inspire":
-        from fungrasp_emulators.inspire import InspireEmulator
-
         return InspireEmulator(plant, _loopback(device), options.get("port", 6000))
     raise FungraspError(f"a hand with the driver '{device.driver}' can't be emulated")
 
@@ -114,7 +110,6 @@ class TwinArmPlant:
     """The arm's joints."""
 
     def __init__(self, world: TwinWorld):
-        """world: on the clock of the wall."""
         self._world = world
 
     def apply(self, command: PlantCommand, now: float) -> None:
@@ -131,7 +126,6 @@ class TwinHandPlant:
     """The hand's independent joints."""
 
     def __init__(self, world: TwinWorld):
-        """world: on the clock of the wall."""
         self._world = world
 
     def apply(self, command: PlantCommand, now: float) -> None:

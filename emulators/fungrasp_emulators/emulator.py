@@ -44,10 +44,6 @@ class Fault(StrEnum):
     """Its position registers hold their largest value."""
     FROZEN = "frozen"
     """The same answer again and again, with old time stamps."""
-    JUMPING = "jumping"
-    """Values jump."""
-    GONE = "gone"
-    """It says that it sees nothing."""
     BUS_ERRORS = "bus errors"
     """The host's CAN adapter reports an error on the bus after one in ten frames."""
     BUS_OFF = "bus off"
@@ -98,10 +94,14 @@ class Plant(Protocol):
         ...
 
 
+COMMON = frozenset({Fault.STALLED, Fault.LOST, Fault.LATE, Fault.CORRUPT, Fault.WRONG_DEVICE})
+"""Faults that every emulator shows."""
+
+
 class Emulator(abc.ABC):
     """A device on the loopback. A context manager."""
 
-    supported: ClassVar[frozenset[Fault]] = frozenset()
+    supported: ClassVar[frozenset[Fault]] = COMMON
     """Faults that it can show."""
 
     def __init__(self) -> None:

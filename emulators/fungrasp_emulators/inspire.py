@@ -26,7 +26,7 @@ from fungrasp.robots.device import RobotError
 from fungrasp.robots.hands.inspire import COMMAND_DELAY
 from fungrasp.robots.hands.joint_order import hand_joint_limits
 from fungrasp_emulators import modbus
-from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
+from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
 ANSWER_TIME = 0.006
 """Of a real hand [s]."""
@@ -36,20 +36,7 @@ BITS_PER_BYTE = 10
 class InspireEmulator(Emulator):
     """Registers of a hand in front of a plant of six joints, in the order of the hand's model."""
 
-    supported = frozenset(
-        {
-            Fault.KILLED,
-            Fault.STALLED,
-            Fault.RESET,
-            Fault.LOST,
-            Fault.LATE,
-            Fault.CORRUPT,
-            Fault.POWER_LOSS,
-            Fault.WRONG_DEVICE,
-            Fault.SATURATED,
-            Fault.FROZEN,
-        }
-    )
+    supported = COMMON | {Fault.KILLED, Fault.RESET, Fault.POWER_LOSS, Fault.SATURATED, Fault.FROZEN}
 
     def __init__(
         self,
@@ -123,18 +110,16 @@ class InspireEmulator(Emulator):
         """Set the error bits of a motor, 0 to 5."""
         values = codec.unpack_bytes([self._registers.get(codec.ERRORS + i, 0) for i in range(3)])
         values[motor] = bits
-        self._registers |= {codec.ERRORS + i: v for i, v in enumerate(codec.pack_bytes(values))}
+        for i in range(3):
+            self._registers[codec.ERRORS + i] = values[2 * i] | values[2 * i + 1] << 8
 
     def _listen(self) -> None:
-        self._server = socket.socket()
-        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            self._server.bind((self.address, self.port))
+            self._server = socket.create_server((self.address, self.port))
         except OSError as error:
             raise RobotError(
                 f"the Inspire emulator cannot listen on {self.address}:{self.port}: {error.strerror}"
             ) from error
-        self._server.listen()
         self.port = self._server.getsockname()[1]
         self._selector.register(self._server, selectors.EVENT_READ)
 
@@ -245,9 +230,8 @@ class InspireEmulator(Emulator):
         request = modbus.decode_request(data)
         if request.function == modbus.READ:
             return modbus.encode_answer(request, tuple(self._values(request.address, request.count)))
-        if request.function not in (modbus.WRITE, modbus.WRITE_ONE):
-            return modbus.encode_refusal(request.function, modbus.ILLEGAL_FUNCTION)
-        self._write(request.address, request.values)
+        if request.function in (modbus.WRITE, modbus.WRITE_ONE):
+            self._write(request.address, request.values)
         return modbus.encode_answer(request)
 
     def _answers(self, device: int) -> bool:

@@ -1,4 +1,10 @@
-"""A chain of Dynamixel servos on a pseudo terminal, as in a LEAP hand."""
+"""A chain of Dynamixel servos on a pseudo terminal, as in a LEAP hand, and the packets of their protocol 2.0.
+
+    FF FF FD 00  id  length (2)  instruction  parameters  CRC-16 (2)
+
+Numbers are little endian. Where parameters hold the bytes FF FF FD, one more FD is sent. Facts from the
+maker's e-Manual. Drivers use dynamixel-sdk; the packets here are the other side's, of different make.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +14,72 @@ import select
 import struct
 import time
 import tty
+from dataclasses import dataclass
 
 import numpy as np
 
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import RobotError
-from fungrasp_emulators import dynamixel_packets as wire
-from fungrasp_emulators.emulator import Emulator, Fault, Plant, PlantCommand
+from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
+
+PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
+SYNC_READ, SYNC_WRITE = 0x82, 0x83
+BROADCAST = 0xFE
+START = b"\xff\xff\xfd\x00"
+
+
+@dataclass(frozen=True)
+class ServoPacket:
+    """An instruction or a status."""
+
+    device: int
+    """Number of the servo; ``BROADCAST`` for all."""
+    instruction: int
+    """What to do."""
+    parameters: bytes
+    """Of the instruction; a status begins with an error byte."""
+
+
+def encode_packet(packet: ServoPacket) -> bytes:
+    """Bytes of a packet."""
+    content = bytes([packet.instruction]) + packet.parameters.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    head = START + struct.pack("<BH", packet.device, len(content) + 2)
+    return head + content + struct.pack("<H", packet_checksum(head + content))
+
+
+def split_servo_packets(stream: bytes) -> tuple[list[ServoPacket], bytes]:
+    """Whole packets in a stream, and what may be the start of another; bytes that are none are skipped."""
+    packets = []
+    while True:
+        at = stream.find(START)
+        if at < 0:
+            return packets, stream[-(len(START) - 1) :]
+        stream = stream[at:]
+        if len(stream) < 7:
+            return packets, stream
+        size = 7 + struct.unpack("<H", stream[5:7])[0]
+        if len(stream) < size:
+            return packets, stream
+        if (
+            size >= 10
+            and packet_checksum(stream[: size - 2]) == struct.unpack("<H", stream[size - 2 : size])[0]
+        ):
+            parameters = stream[8 : size - 2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+            packets.append(ServoPacket(stream[4], stream[7], parameters))
+            stream = stream[size:]
+        else:
+            stream = stream[1:]
+
+
+def packet_checksum(data: bytes) -> int:
+    """CRC-16 with the polynomial 0x8005, high bit first, start 0."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ (0x8005 if crc & 0x8000 else 0)) & 0xFFFF
+    return crc
+
 
 MODEL = 1220
 """Model number of an XC330-M288."""
@@ -25,28 +90,13 @@ BITS_PER_BYTE = 10
 class DynamixelEmulator(Emulator):
     """Servos 0, 1, ... with a plant of as many joints; joint i of the plant is servo ``servos[i]``."""
 
-    supported = frozenset(
-        {
-            Fault.KILLED,
-            Fault.STALLED,
-            Fault.LOST,
-            Fault.DOUBLED,
-            Fault.LATE,
-            Fault.CORRUPT,
-            Fault.POWER_LOSS,
-            Fault.WRONG_DEVICE,
-            Fault.SATURATED,
-            Fault.FROZEN,
-        }
-    )
+    supported = COMMON | {Fault.KILLED, Fault.DOUBLED, Fault.POWER_LOSS, Fault.SATURATED, Fault.FROZEN}
 
     def __init__(
         self, plant: Plant, servos: tuple[int, ...] = tuple(range(16)), baud: int = 4_000_000, seed: int = 0
     ):
         """
         Args:
-            plant: the joints.
-            servos: number of each joint's servo.
             baud: a pseudo terminal has no line speed: answers wait as long as their bytes would take [bit/s].
             seed: of the answers that faults take.
         """
@@ -109,44 +159,44 @@ class DynamixelEmulator(Emulator):
                 continue
             with contextlib.suppress(BlockingIOError, OSError):
                 self._stream += os.read(master, 4096)
-            packets, self._stream = wire.split_servo_packets(self._stream)
+            packets, self._stream = split_servo_packets(self._stream)
             for packet in packets:
                 answer = b"".join(map(self._disturbed, self._answers(packet)))
                 if answer:
                     time.sleep(BITS_PER_BYTE * (len(packet.parameters) + 10 + len(answer)) / self._baud)
                     os.write(master, answer)
 
-    def _answers(self, packet: wire.ServoPacket) -> list[bytes]:
+    def _answers(self, packet: ServoPacket) -> list[bytes]:
         if any(self.shows(fault) for fault in (Fault.STALLED, Fault.KILLED, Fault.POWER_LOSS)):
             return []
         data = packet.parameters
-        if packet.instruction == wire.SYNC_WRITE:
+        if packet.instruction == SYNC_WRITE:
             address, size = struct.unpack("<HH", data[:4])
             for at in range(4, len(data), size + 1):
                 self._write(data[at], address, data[at + 1 : at + 1 + size])
             self._drive(address)
             return []
-        if packet.instruction == wire.SYNC_READ:
+        if packet.instruction == SYNC_READ:
             address, size = struct.unpack("<HH", data[:4])
             self._measure()
             return [self._status(servo, self._memory[servo][address : address + size]) for servo in data[4:]]
         servo = packet.device
         if servo not in self._memory or (self.shows(Fault.WRONG_DEVICE) and servo == self._servos[-1]):
             return []
-        if packet.instruction == wire.PING:
+        if packet.instruction == PING:
             return [self._status(servo, MODEL.to_bytes(2, "little") + b"\x30")]
-        if packet.instruction == wire.READ:
+        if packet.instruction == READ:
             address, size = struct.unpack("<HH", data[:4])
             self._measure()
             return [self._status(servo, self._memory[servo][address : address + size])]
-        if packet.instruction == wire.WRITE:
+        if packet.instruction == WRITE:
             self._write(servo, struct.unpack("<H", data[:2])[0], data[2:])
             self._drive(struct.unpack("<H", data[:2])[0])
             return [self._status(servo, b"")]
         return []
 
     def _status(self, servo: int, data: bytes | bytearray) -> bytes:
-        return wire.encode_packet(wire.ServoPacket(servo, wire.STATUS, b"\x00" + bytes(data)))
+        return encode_packet(ServoPacket(servo, STATUS, b"\x00" + bytes(data)))
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
         if servo not in self._memory or address + len(data) > REGISTERS:

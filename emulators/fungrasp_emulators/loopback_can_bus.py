@@ -28,13 +28,7 @@ class LoopbackCanBus(can.BusABC):
     """One who takes part in the bus with a number."""
 
     def __init__(self, port: int):
-        """
-        Args:
-            port: of UDP: the number of the bus.
-
-        Raises:
-            OSError: the port is taken by something else, or multicast isn't possible.
-        """
+        """port: of UDP, the number of the bus. Raises: OSError: it is taken, or there is no multicast."""
         super().__init__(channel=str(port))
         self.channel_info = f"bus {port} of this computer"
         group = socket.inet_aton(GROUP) + socket.inet_aton(HOST)

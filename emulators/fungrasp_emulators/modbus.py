@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 
 READ, WRITE_ONE, WRITE = 3, 6, 16
-ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, DEVICE_BUSY = 1, 2, 6
+ILLEGAL_FUNCTION = 1
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,13 @@ def decode_request(data: bytes) -> RegisterRequest:
 
 
 def encode_answer(request: RegisterRequest, values: tuple[int, ...] = ()) -> bytes:
-    """Answer to a request that was carried out; values: that were read, 0 to 65535 each."""
+    """Answer to a request, carried out or refused. values: that were read, 0 to 65535 each."""
+    if request.function not in (READ, WRITE, WRITE_ONE):
+        return bytes([request.function | 0x80, ILLEGAL_FUNCTION])
     if request.function == READ:
         return struct.pack(f">BB{len(values)}H", READ, 2 * len(values), *values)
     last = request.values[0] if request.function == WRITE_ONE else request.count
     return struct.pack(">BHH", request.function, request.address, last)
-
-
-def encode_refusal(function: int, reason: int) -> bytes:
-    """Answer to a request that is refused."""
-    return bytes([function | 0x80, reason])
 
 
 def split_tcp_requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bytes]:

@@ -15,16 +15,13 @@ from enum import IntEnum
 
 import numpy as np
 
-from fungrasp.robots.codecs import rtde as codec
-from fungrasp.robots.codecs.ur_primary import encode_kinematics
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.kinematics.dh_parameters import DHParameters
-from fungrasp_emulators.emulator import Emulator, Fault, Plant
-from fungrasp_emulators.ur_connections import URClient, URConnections
+from fungrasp_emulators import rtde as codec
+from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant
 from fungrasp_emulators.ur_kinematics import UR5, UR5E, tool_pose
 from fungrasp_emulators.ur_program import ServoProgram
 
-RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT = 30004, 29999, 30003, 30001
+RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
 STATE = "output_int_register_0"
 STOPPED, PLAYING = 1, 2
 CLOCK_JUMP = 3600.0
@@ -47,23 +44,16 @@ class SafetyBit(IntEnum):
 class URControllerEmulator(Emulator):
     """A controller with a program of ur_rtde; ``servoj`` goes to the plant as it comes."""
 
-    supported = frozenset(
-        {
-            Fault.KILLED,
-            Fault.STALLED,
-            Fault.RESET,
-            Fault.LOST,
-            Fault.DOUBLED,
-            Fault.LATE,
-            Fault.CORRUPT,
-            Fault.PROTECTIVE_STOP,
-            Fault.EMERGENCY_STOP,
-            Fault.SAFEGUARD_STOP,
-            Fault.WRONG_DEVICE,
-            Fault.FROZEN,
-            Fault.CLOCK_JUMP,
-        }
-    )
+    supported = COMMON | {
+        Fault.KILLED,
+        Fault.RESET,
+        Fault.DOUBLED,
+        Fault.PROTECTIVE_STOP,
+        Fault.EMERGENCY_STOP,
+        Fault.SAFEGUARD_STOP,
+        Fault.FROZEN,
+        Fault.CLOCK_JUMP,
+    }
 
     def __init__(
         self,
@@ -75,20 +65,15 @@ class URControllerEmulator(Emulator):
         seed: int = 0,
         release_time: float = RELEASE_TIME,
         tool: tuple[float, ...] = (0.0,) * 6,
-        kinematics: DHParameters | None = None,
     ):
         """
         Args:
-            plant: six joints.
-            address: of the loopback.
             version: of the controller's software; 3 is a CB3 controller (125 Hz) with a UR5, 5 an e-Series
                 (500 Hz) with a UR5e.
             model: "UR3", "UR5", "UR10", ...
-            serial: number of the robot.
             seed: of the packages that faults take.
             release_time: a protective stop can't be unlocked before [s].
             tool: the tool center point on the flange, position [m] and rotation vector [rad].
-            kinematics: as the maker has calibrated this arm; those of its type if None.
         """
         super().__init__()
         self.plant = plant
@@ -98,12 +83,10 @@ class URControllerEmulator(Emulator):
         self._version, self._model, self._serial = version, model, serial
         self._period = 0.008 if version[0] < 5 else 0.002
         self._tool = np.array(tool)
-        self._kinematics = kinematics or (UR5 if version[0] < 5 else UR5E)
+        self._kinematics = UR5 if version[0] < 5 else UR5E
         self._release_time = release_time
         self._rng = np.random.default_rng(seed)
-        self._net = URConnections(
-            address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT, PRIMARY_PORT), self._greet
-        )
+        self._net = codec.URConnections(address, (RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT), self._greet)
         self._other_program = False
         self._program = ServoProgram(plant, self._tool)
         self._stop_began = 0.0
@@ -191,13 +174,11 @@ class URControllerEmulator(Emulator):
         else:
             self._program.paused = False
 
-    def _greet(self, client: URClient) -> None:
+    def _greet(self, client: codec.URClient) -> None:
         if client.kind == DASHBOARD_PORT:
             self._net.send(client, b"Connected: Universal Robots Dashboard Server\n")
-        elif client.kind == PRIMARY_PORT:
-            self._net.send(client, encode_kinematics(self._kinematics))
 
-    def _take(self, client: URClient) -> None:
+    def _take(self, client: codec.URClient) -> None:
         if client.kind == RTDE_PORT:
             packages, client.received = codec.split_packages(client.received)
             for kind, content in packages:
@@ -215,7 +196,7 @@ class URControllerEmulator(Emulator):
             client.received = b""
             self._start_program()
 
-    def _take_package(self, client: URClient, kind: bytes, content: bytes) -> None:
+    def _take_package(self, client: codec.URClient, kind: bytes, content: bytes) -> None:
         if kind == codec.DATA:
             recipe = client.inputs[content[0] - 1]
             self._program.take(codec.decode_values(recipe, content[1:]))
@@ -293,7 +274,7 @@ class URControllerEmulator(Emulator):
             bits = {SafetyBit.ROBOT_EMERGENCY_STOP, SafetyBit.EMERGENCY_STOP, SafetyBit.STOPPED}
         return sum(1 << bit for bit in bits)
 
-    def _disturbed(self, client: URClient, data: bytes) -> bytes:
+    def _disturbed(self, client: codec.URClient, data: bytes) -> bytes:
         chosen = self._rng.random() < 0.1
         if chosen and self.shows(Fault.LOST):
             return b""

@@ -25,7 +25,6 @@ class ServoProgram:
     def __init__(self, plant: Plant, tool: np.ndarray):
         """
         Args:
-            plant: six joints.
             tool: the tool center point on the flange, position [m] and rotation vector [rad], shape [6].
         """
         self._plant, self._tool = plant, tool

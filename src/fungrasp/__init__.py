@@ -1,8 +1,8 @@
 """fungrasp: a human grasp in, a robot grasp that lifts the object out.
 
-Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; what
-one returns, the next one takes. Five nouns are what they are about: ``HumanGrasp``, ``RobotGrasp``,
-``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
+Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; and
+``train`` makes policies. What one returns, the next one takes. Five nouns are what they are about:
+``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
 
 The names below are those of the rooms (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A room is
 imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type checkers read
@@ -22,7 +22,6 @@ _NAMES = {
     "deployment.observer": "DeploymentObserver",
     "deployment.spec": "DeploymentSpec",
     "evaluation": "LiftTestSpec evaluate static_quality",
-    "evaluation.plans": "plan",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
         "load_objects load_robot_grasps save_human_grasps save_robot_grasps"
@@ -31,8 +30,8 @@ _NAMES = {
     "core.jobs": "PartStore RayCluster",
     "objects": "ObjectModel load_object",
     "perception.pipeline": "perceive",
-    "planning": "MotionPlanner Planner",
-    "policies": "make_planner make_policy",
+    "planning": "MotionPlanner Planner make_planner plan",
+    "policies": "make_policy",
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
@@ -63,7 +62,7 @@ def __dir__() -> list[str]:
 _SHOWN = {
     "grasps.human_grasp": "HumanGraspSet",
     "grasps.robot_grasp": "RobotGraspSet",
-    "evaluation.lift_evaluation": "LiftTestResult",
+    "evaluation.results": "LiftTestResult",
     "task.grasp_plan": "GraspPlan",
 }
 """What notebooks show by a picture and a table, by the module that it comes from."""
@@ -79,7 +78,7 @@ def _tell_notebooks() -> None:
 
 
 def _notebook_html(value: Any) -> str | None:
-    return import_module("fungrasp.media.notebook").notebook_html(value)
+    return import_module("fungrasp.media.grasp_pages").notebook_html(value)
 
 
 _tell_notebooks()

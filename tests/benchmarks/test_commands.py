@@ -20,33 +20,7 @@ def human(tmp_path_factory):
     return path
 
 
-def test_retargeting_side_by_side(human, tmp_path, capsys):
-    path = tmp_path / "b.json"
-    status, out, _ = run_benchmark(
-        capsys, "speed", "retarget", "--grasps", human, "--repeat", 1, "--json", path
-    )
-    assert status == 0
-    methods = json.loads(path.read_text())["methods"]
-    assert {"contact", "angle-copy", "dexgraspnet"} <= set(methods)
-    for name, numbers in methods.items():
-        assert numbers["grasps_per_second"] > 0 and "contact_error_mm" in numbers["quality"]
-        assert name in out
-
-
-def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys):
-    path = tmp_path / "b.json"
-    status, out, _ = run_benchmark(
-        capsys, "engines", "speed", "--grasps", human, "--worlds", 4, "--repeat", 1, "--json", path
-    )
-    assert status == 0
-    numbers = json.loads(path.read_text())
-    assert numbers["identical"] and "the same motion" in out and "NOT" not in out
-    assert numbers["worlds"] == 4 and numbers["steps"] > 4 * 1000
-    assert min(numbers[way] for way in ("environment", "bare", "loop")) > 0
-    assert numbers["environment_over_bare"] == pytest.approx(numbers["environment"] / numbers["bare"])
-
-
-def test_planning_counts_core_seconds_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
+def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
     def few(protocol, rollouts=True, for_use=False):
         further = FurtherSearch(most=0)
         small = SelectionSettings(candidates=2, sure=0.0, first_rounds=((2, 1),), search=further)
@@ -54,27 +28,35 @@ def test_planning_counts_core_seconds_with_and_without_rollouts(human, tmp_path,
 
     monkeypatch.setattr(SelectionSettings, "for_protocol", few)
     path = tmp_path / "b.json"
-    options = ("--grasps", human, "--number", 1, "--protocol", "reality", "--json", path)
-    status, out, _ = run_benchmark(capsys, "speed", "planning", *options)
-    assert status == 0 and "core seconds per grasp" in out
-    planning = json.loads(path.read_text())["planning"]
-    assert planning["with rollouts"]["rollouts_per_grasp"] == 2
-    assert planning["predictor alone"]["rollouts_per_grasp"] == 0
-    assert (
-        planning["with rollouts"]["seconds_per_grasp"] > planning["predictor alone"]["seconds_per_grasp"] > 0
+    options = (
+        "--grasps",
+        human,
+        "--planned",
+        1,
+        "--worlds",
+        2,
+        "--updates",
+        1,
+        "--repeat",
+        1,
+        "--json",
+        path,
     )
-    assert 0 < planning["with rollouts"]["expected_success"] < 1
+    status, out, _ = run_benchmark(capsys, "speed", *options)
+    assert status == 0 and "core s/grasp" in out
+    speed = json.loads(path.read_text())["speed"]
+    assert len(speed) == 9 and all(value > 0 for value in speed.values())
+    with_rollouts, alone = (value for name, value in speed.items() if name.startswith("planning"))
+    assert with_rollouts > alone
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("speed", "retarget", "--method", "contakt"), "Did you mean 'contact'?"),
-        (("speed", "retarget", "--repeat", 0), "--repeat must be at least 1"),
+        (("speed", "--repeat", 0), "--repeat must be at least 1"),
         (("engines", "speed", "--worlds", 0), "--worlds must be at least 1"),
         (("engines", "speed", "--hand", "alegro"), "Did you mean 'allegro'?"),
-        (("speed", "retarget", "--grasps", "none.npz"), "none.npz does not exist"),
-        (("speed", "retargeting"), "Did you mean 'retarget'?"),
+        (("speed", "--grasps", "none.npz"), "none.npz does not exist"),
     ],
 )
 def test_mistakes_are_one_line(arguments, words, capsys):

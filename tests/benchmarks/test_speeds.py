@@ -17,7 +17,7 @@ def test_the_shares_of_training_are_all_of_its_time():
     assert speed.physics_share + speed.task_share + speed.learning_share == 1.0
     assert min(speed.physics_share, speed.task_share, speed.learning_share) > 0
     assert speed.training_steps < speed.environment_steps < speed.physics_steps
-    assert speed.bytes_per_world is None and speed.problems == () and speed.rollouts > 0
+    assert speed.bytes_per_world is None and speed.problems == ()
 
 
 def test_a_device_that_is_missing_is_left_out(tmp_path, capsys, monkeypatch):

@@ -17,15 +17,15 @@ from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
 from fungrasp.grasps.grasp_selection import picked_rows
 from fungrasp.media import demonstration
 from fungrasp.objects import builtin_object
-from fungrasp.perception import HandEstimate, ObjectEstimate, builtin_image
+from fungrasp.perception import HandEstimate, ObjectEstimate, pipeline
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
-from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.io.scene_folders import builtin_truth, read_folder
 from fungrasp.perception.perceived import Perceived
 
 
 @pytest.fixture(autouse=True)
 def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demonstration, "FPS", 2.0)
+    monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0))
 
 
 def flashlight() -> HumanGraspSet:
@@ -156,10 +156,10 @@ def test_picks_keep_their_order_and_may_be_numbers() -> None:
 @pytest.fixture
 def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Lets the next image be seen as it truly is, without the hand models."""
-    truth = builtin_image.builtin_truth()
+    truth = builtin_truth()
 
     def set_up(side: str = "right", score: float = 0.9) -> None:
-        real = builtin_image.perceive
+        real = pipeline.perceive
 
         def seen(capture, model, **options) -> Perceived:
             pixels = read_folder(FOLDER).intrinsics.project(truth.joints_camera)
@@ -168,7 +168,7 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             thing = ObjectEstimate(truth.pose_camera_object, 0.95, True)
             return real(capture, model, hand=hand, object_estimate=thing, **options)
 
-        monkeypatch.setattr(builtin_image, "perceive", seen)
+        monkeypatch.setattr(pipeline, "perceive", seen)
 
     return set_up
 
@@ -207,7 +207,7 @@ def test_what_is_not_sure_is_not_tried(
 
 def test_a_left_hand_holds_a_reflected_object(see: Callable[..., None]) -> None:
     see(side="left")
-    seen = builtin_image.perceive_folder(str(FOLDER), "spray_bottle", None, "spray", 0)
+    seen = pipeline.perceive_folder(str(FOLDER), "spray_bottle", None, "spray", 0)
     model = builtin_object("spray_bottle")
     ((name, mirrored),) = seen.objects.items()
     assert mirrored.name == name == seen.grasps.object_name[0] == "spray_bottle_mirrored"

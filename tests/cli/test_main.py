@@ -254,3 +254,32 @@ sys.exit(cli.main(["--help"]))
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait(timeout=60) == cli.BROKEN_PIPE
+
+
+@dataclasses.dataclass(frozen=True)
+class Whole:
+    """A spec that checks its values."""
+
+    number: int = 1
+
+    def __post_init__(self) -> None:
+        if self.number < 1:
+            raise FungraspError(f"--number must be at least 1, not {self.number}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Count(Whole):
+    """Count."""
+
+    spec: Whole = dataclasses.field(default_factory=Whole)
+
+    def run(self) -> None:
+        print(self.spec.number)
+
+
+@pytest.mark.parametrize("option", ["--number", "--spec.number"])
+def test_impossible_values_of_a_spec_are_one_line(install, capsys, option):
+    Count.option_prefixes = True  # type: ignore[attr-defined]
+    install(Count)
+    assert cli.main(["greet", option, "0"]) == 2
+    assert capsys.readouterr() == ("", "fungrasp: error: --number must be at least 1, not 0\n")

@@ -1,6 +1,9 @@
-"""``deploy``, the one entry: on a twin from the package's face, and what it refuses."""
+"""``deploy``, the one entry: on a twin, where its grasp comes from, and what it refuses."""
 
 from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from robot_cells import Told
@@ -9,7 +12,10 @@ import fungrasp
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.deployment.log import read_log
-from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.spec import DeploymentSpec, GraspChoice, why_not_tried
+from fungrasp.grasps import HumanGraspSet, builtin_grasps
+from fungrasp.hands import load_hand
+from fungrasp.objects import builtin_object
 
 FAST = DeploymentSpec(policy="reference", until="lift", real_time=False)
 
@@ -63,3 +69,57 @@ def test_what_can_not_be_deployed_is_said_before_anything_moves(human, robot, ob
 
 def test_a_specification_travels_as_json():
     assert record_from_json(DeploymentSpec, record_to_json(FAST), "spec") == FAST
+
+
+VERDICT = SimpleNamespace(words="not sure: 40 %")
+
+
+def seen(name: str, confident: bool, *warnings: str) -> Any:
+    """What is seen of the mug."""
+    grasp = SimpleNamespace(object_name=name)
+    model = SimpleNamespace(name="mug")
+    return SimpleNamespace(
+        grasp=grasp, object_model=model, confident=confident, warnings=warnings, verdict=VERDICT
+    )
+
+
+def test_what_is_not_confident_is_not_tried() -> None:
+    assert why_not_tried(seen("mug", True)) == ""
+    assert why_not_tried(seen("mug", False, "dark")) == "not sure: 40 %; dark"
+    assert "left hand" in why_not_tried(seen("mug_mirrored", True))
+
+
+def test_the_grasp_of_a_file() -> None:
+    choice = GraspChoice(grasp="mug:drink", threads=1)
+    robot, objects = choice.robot(load_hand("allegro"))
+    assert (len(robot), robot.hand, list(objects)) == (1, "allegro", ["mug"])
+    assert choice.words == "mug:drink"
+
+
+def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    grasp = builtin_grasps()[0]
+    model = builtin_object(grasp.object_name)
+    asked: list[Any] = []
+    found = SimpleNamespace(
+        grasp=grasp,
+        grasps=HumanGraspSet.of([grasp]),
+        object_model=model,
+        objects={model.name: model},
+        confident=True,
+        verdict=VERDICT,
+        warnings=(),
+    )
+
+    def perceive(folder: str, mesh: str, mass: float | None, **options: Any) -> Any:
+        asked.append((folder, mesh, mass, options["seed"]))
+        return found
+
+    monkeypatch.setattr("fungrasp.perception.builtin_image.perceive_folder", perceive)
+    choice = GraspChoice(image="photo", mesh="mug", mass=0.3)
+    human, objects = choice.human(seed=4)
+    assert asked == [("photo", "mug", 0.3, 4)]
+    assert objects == {model.name: model} and human.object_name[0] == model.name
+    assert choice.words == "image photo"
+    found.confident = False
+    with pytest.raises(FungraspError, match=r"not sure.*fungrasp perceive"):
+        choice.robot(load_hand("allegro"))

@@ -20,8 +20,7 @@ from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import DeviceStatus
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action, Observation
 

@@ -12,10 +12,9 @@ from robot_cells import Told, cell_and_hand, deploy, near_cell
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver, PhaseQuestions
 from fungrasp.deployment.phases import Phase
-from fungrasp.robots.device import StopKind
+from fungrasp.robots.device import RobotCommand, RobotState, SafetyStop, StopKind
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.kinematics.joint_path import timed_leg
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinHand
 

@@ -17,8 +17,7 @@ from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.assembly import arm_driver, hand_driver
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.clock import WallClock
-from fungrasp.robots.device import TrackedPose, TrackingStatus
+from fungrasp.robots.device import TrackedPose, TrackingStatus, WallClock
 from fungrasp.robots.robot import Robot
 from fungrasp_emulators.inspire import InspireEmulator
 from fungrasp_emulators.plants import ServoPlant

@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_ve
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.objects import ObjectModel
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
-from fungrasp.perception.object_pose.known_object import MeshRays
+from fungrasp.perception.object_pose.object_template import MeshRays
 
 CAMERA = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 HERE = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

@@ -51,7 +51,9 @@ def training_set() -> TrainingSet:
 @cache
 def library() -> PlanLibrary:
     one = training_set()
-    return build_plan_library(one.grasps, one.objects, hand(), Variety(copies=2), threads=1)
+    return build_plan_library(
+        one.grasps, one.objects, hand(), TrainSpec(threads=1, variety=Variety(copies=2))
+    )
 
 
 def environment(seed: int = 0, device: Device = "cpu", **settings: Any) -> TrainingEnvironment:

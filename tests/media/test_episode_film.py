@@ -16,6 +16,7 @@ from fungrasp.media import episode_film as module
 from fungrasp.media import orbit_camera
 from fungrasp.media.episode_film import (
     VERDICT_TIME,
+    FilmSettings,
     episode_film,
     episode_phases,
     film_frames,
@@ -27,6 +28,7 @@ from fungrasp.objects import builtin_object
 HAND = load_hand("allegro")
 BALL = builtin_object("tennis_ball")
 FPS, WIDTH, HEIGHT = 5.0, 96, 72
+SMALL = FilmSettings(FPS, 1.0, WIDTH, HEIGHT)
 
 
 @pytest.fixture
@@ -90,9 +92,7 @@ def captions(monkeypatch: pytest.MonkeyPatch, trajectory: Trajectory) -> list[st
 
     leave_blank(monkeypatch)
     monkeypatch.setattr(module, "captioned", captioned)
-    frames = list(
-        episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, title="Ball", width=WIDTH, height=HEIGHT)
-    )
+    frames = list(episode_film(trajectory, HAND, BALL, SMALL, title="Ball"))
     assert all(frame.shape == (HEIGHT, WIDTH, 3) for frame in frames)
     return words
 
@@ -130,10 +130,8 @@ def test_a_diverged_simulation_is_shown_until_then(
 def test_an_object_that_gets_away_does_not_shrink_the_picture(trajectory: Trajectory) -> None:
     pose = trajectory.object_pose.copy()
     pose[25:, 0] = np.linspace(0.0, 5.0, 26)
-    first = next(episode_film(trajectory, HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT))
-    other = next(
-        episode_film(replace(trajectory, object_pose=pose), HAND, BALL, fps=FPS, width=WIDTH, height=HEIGHT)
-    )
+    first = next(episode_film(trajectory, HAND, BALL, SMALL))
+    other = next(episode_film(replace(trajectory, object_pose=pose), HAND, BALL, SMALL))
     dark = [int((frame[:60].max(axis=-1) < 70).sum()) for frame in (first, other)]
     assert dark[1] > 0.3 * dark[0] > 0, "the hand is much smaller"
 
@@ -148,7 +146,7 @@ def test_still_frames_are_drawn_once(trajectory: Trajectory, monkeypatch: pytest
             return super().stream(qpos, camera, **others)
 
     monkeypatch.setattr(module, "Renderer", Counting)
-    count = len(list(episode_film(trajectory, HAND, BALL, fps=FPS, speed=1.0, width=WIDTH, height=HEIGHT)))
+    count = len(list(episode_film(trajectory, HAND, BALL, SMALL)))
     assert count == 26 + round(VERDICT_TIME * FPS)
     assert drawn <= 13, "the hand is still from 1 s to 2 s and from 3 s on"
 
@@ -160,8 +158,8 @@ def test_the_number_of_frames_is_known_before(
     diverged = replace(trajectory, object_pose=trajectory.object_pose.copy())
     diverged.object_pose[30:] = np.nan
     for each in (trajectory, diverged):
-        frames = episode_film(each, HAND, BALL, fps=FPS, speed=1.7, width=WIDTH, height=HEIGHT)
-        assert len(list(frames)) == film_frames(each, FPS, 1.7)
+        faster = replace(SMALL, speed=1.7)
+        assert len(list(episode_film(each, HAND, BALL, faster))) == film_frames(each, faster)
 
 
 def test_states_in_between_lie_on_the_shortest_motion() -> None:

@@ -88,7 +88,7 @@ def test_a_page_says_everything(tmp_path):
 
 def test_a_page_needs_nothing_from_outside(tmp_path):
     film = write_video(tmp_path / "film.mp4", [_picture(), _picture(50)], 10)
-    html = page_html(Page("Grasps", [_grasp(film=film), _grasp(film=film.read_bytes())]))
+    html = page_html(Page("Grasps", [_grasp(film=film), _grasp(film=film)]))
     checker = _check(html)
     assert len(checker.sources) == 4 + 2 + 2
     assert all(source.startswith(("data:", "#")) for source in checker.sources)
@@ -108,9 +108,8 @@ def test_every_text_is_escaped():
     grasp = _grasp(
         title=NASTY,
         outcome=NASTY,
-        contacts=[Contact(NASTY, True)],
+        contacts=[Contact(NASTY, True, True)],
         quality=[Quantity(NASTY, NASTY, NASTY, NASTY)],
-        film=b"film",
     )
     html = page_html(Page(NASTY, [grasp, grasp], NASTY, NASTY, {NASTY: NASTY}))
     assert "<script" not in html
@@ -130,8 +129,10 @@ def test_a_failure_is_called_one():
     assert "1 of 2 lifted and held" in checker.text
 
 
-def test_use_is_judged_by_itself():
-    html = page_html(Page("Grasps", [_grasp(use_success=False, use_outcome="It slipped.", use_film=b"film")]))
+def test_use_is_judged_by_itself(tmp_path):
+    (tmp_path / "use.mp4").write_bytes(b"film")
+    failed = _grasp(use_success=False, use_outcome="It slipped.", use_film=tmp_path / "use.mp4")
+    html = page_html(Page("Grasps", [failed]))
     text = _check(html).text
     assert "✓ Lifted and held" in text and "✗ Use failed" in text and "It slipped." in text
     assert html.count("<video") == 1

@@ -29,12 +29,11 @@ from fungrasp.media.perception_pictures import (
 )
 from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception.builtin_image import builtin_truth
-from fungrasp.perception.estimates import PerceptionWarning
+from fungrasp.perception.acceptance import Acceptance, Meter
+from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
-from fungrasp.perception.io.scene_folders import read_folder
+from fungrasp.perception.io.scene_folders import builtin_truth, read_folder
 from fungrasp.perception.perceived import Perceived, PerceptionQuality
-from fungrasp.perception.verdict import Meter, PerceptionVerdict
 
 CAPTURE = read_folder(FOLDER)
 TRUTH = builtin_truth()
@@ -82,7 +81,7 @@ def perceived(**changes) -> Perceived:
             "table_found": True,
             "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.003),
             "warnings": (),
-            "verdict": PerceptionVerdict(True, 0.95, 0.9, METERS, ()),
+            "acceptance": Acceptance(True, 0.95, 0.9, METERS, ()),
             **changes,
         }
     )
@@ -119,12 +118,10 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     assert said.index("✓ Sure: 86 % that all is right") < said.index("In the image")
     assert "Not sure" not in said and "What would help" not in said
     assert "seen in one image" in said
-    several = replace(perceived().verdict, looks=3)
-    assert "seen in the surest of 3 images" in words(page(tmp_path, perceived(verdict=several)))
     warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
     thing = replace(perceived().object, score=0.3, accepted=False)
-    verdict = PerceptionVerdict(False, 0.3, 0.5, METERS, ("a click at the object",))
-    html = page(tmp_path, perceived(object=thing, verdict=verdict, warnings=warnings))
+    verdict = Acceptance(False, 0.3, 0.5, METERS, ("a click at the object",))
+    html = page(tmp_path, perceived(object=thing, acceptance=verdict, warnings=warnings))
     said = words(html)
     assert "✓" not in said
     assert (
@@ -155,7 +152,7 @@ def test_a_page_holds_its_pictures_and_needs_nothing_from_outside(tmp_path):
 def test_page_and_terminal_show_the_same_evidence(tmp_path, no_pictures):
     seen = perceived()
     said = words(page(tmp_path, seen))
-    for row in seen.verdict.rows():
+    for row in seen.acceptance.rows():
         assert all(cell in said for cell in row), row
     assert "not known" in said
     assert "poor" not in said

@@ -6,15 +6,15 @@ from flat_hand import FLAT_HAND
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.media import (
-    Renderer,
+from fungrasp.media import Renderer, look_at_grasp
+from fungrasp.media.grasp_scenes import (
+    CONTACT,
+    OBJECT_BODY,
     human_grasp_scene,
-    look_at_grasp,
     robot_grasp_scene,
     robot_scene_colors,
     robot_scene_states,
 )
-from fungrasp.media.grasp_scenes import CONTACT, OBJECT_BODY
 from fungrasp.media.pictures import captioned, four_views, grid
 from fungrasp.objects import ObjectModel
 
@@ -129,7 +129,7 @@ def test_the_automatic_camera_sees_hand_and_object_from_above(allegro):
     _, _, (model, qpos) = _robot(allegro)
     camera = look_at_grasp(model, qpos, width=80, height=60)
     assert camera.position[2] > 0
-    seen = Renderer(model).views(qpos, camera, color=False).segmentation[0]
+    seen = Renderer(model).views(qpos, camera).segmentation[0]
     of_object = [g for g in range(model.ngeom) if model.body(int(model.geom_bodyid[g])).name == OBJECT_BODY]
     assert np.isin(seen, of_object).sum() > 30
     assert ((seen >= 0) & ~np.isin(seen, of_object)).sum() > 300

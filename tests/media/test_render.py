@@ -43,7 +43,7 @@ def _geom(model, name):
 
 def test_silhouette_and_depth_of_a_sphere(model):
     camera = Camera((0.0, -0.6, 0.25), (0.0, 0.0, 0.05), fov_y=20, width=160, height=120)
-    views = Renderer(model).views(np.zeros(2), camera, color=False)
+    views = Renderer(model).views(np.zeros(2), camera)
     seen = views.segmentation[0] == _geom(model, "ball")
     v, u = np.mgrid[:120, :160]
     rays = camera.directions(np.stack([u, v], -1).astype(float))
@@ -72,7 +72,7 @@ def test_primitives_have_their_shape(shape, size, heights):
     world = f'<worldbody><geom type="{shape}" size="{size}"/></worldbody>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{world}</mujoco>")
     above = Camera((0, 0, 4.0), (0, 0, 0), up=(0, 1, 0), fov_y=2, width=141, height=141)
-    views = Renderer(model, ground=False).views(np.zeros(0), above, color=False)
+    views = Renderer(model).views(np.zeros(0), above)
     for x, height in zip((0.0, 0.012), heights, strict=True):
         u, v = np.round(above.project(np.array([x, 0.0, height]))[0]).astype(int)
         assert views.depth[0, v, u] == pytest.approx(4.0 - height, abs=4e-4)
@@ -82,7 +82,7 @@ def test_primitives_have_their_shape(shape, size, heights):
 
 
 def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
-    views = Renderer(model).views(np.zeros(2), camera, color=False)
+    views = Renderer(model).views(np.zeros(2), camera)
     v, u = np.argwhere(views.segmentation[0] == TABLE)[-1]
     direction = camera.directions(np.array([u, v], float))
     point = np.asarray(camera.position) + direction * views.depth[0, v, u] / (
@@ -93,16 +93,10 @@ def test_depth_of_the_table_is_its_distance_along_the_view(model, camera):
 
 def test_sky_has_no_depth_and_what_collides_is_not_drawn(model):
     camera = Camera((0, -0.6, 0.1), (0, 0, 0.2), width=20, height=16)
-    views = Renderer(model).views(np.zeros(2), camera, color=False)
+    views = Renderer(model).views(np.zeros(2), camera)
     sky = views.segmentation == NOTHING
     assert sky.any() and (views.depth[sky] == 0).all() and (views.depth[~sky] > 0).all()
     assert set(np.unique(views.segmentation)) <= {NOTHING, TABLE, _geom(model, "ball"), _geom(model, "post")}
-
-
-def test_without_ground_the_models_plane_is_drawn(model, camera):
-    seen = Renderer(model, ground=False).views(np.zeros(2), camera, color=False).segmentation
-    assert (seen == _geom(model, "floor")).any()
-    assert not (seen == TABLE).any()
 
 
 def test_shadow_falls_on_the_table_opposite_to_the_light(model):
@@ -160,7 +154,7 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
     assert np.argmax(views.color[0][ball[0]].mean(0)) == 2
     assert np.argmax(views.color[1][ball[1]].mean(0)) == 1
     look = Look(light=tuple(sun_direction(Look(), camera.rotation)))
-    alone = render(model, np.zeros(2), other, geom_rgba=colors[1], look=look)[0]
+    alone = next(Renderer(model, look=look).stream(np.zeros(2), other, geom_rgba=colors[1]))
     assert np.abs(views.color[1].astype(int) - alone).max() <= 1
 
 
@@ -169,7 +163,6 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
     [
         ({"qpos": np.zeros((2, 3))}, "qpos"),
         ({"qpos": np.full(2, np.nan)}, "finite"),
-        ({"geom_rgba": np.ones((2, 4))}, "geom_rgba"),
         ({"camera": []}, "cameras"),
         ({"antialias": 0}, "antialias"),
         ({"threads": -1}, "threads"),
@@ -178,6 +171,8 @@ def test_each_frame_has_its_own_camera_and_colors(model, camera):
 def test_wrong_arguments_are_named(model, camera, arguments, words):
     with pytest.raises(FungraspError, match=words):
         render(model, **{"qpos": np.zeros(2), "camera": camera, **arguments})
+    with pytest.raises(FungraspError, match="geom_rgba"):
+        Renderer(model).stream(np.zeros(2), camera, geom_rgba=np.ones((2, 4)))
 
 
 def test_looks_are_checked():

@@ -25,7 +25,7 @@ def test_a_hand_is_dressed(name):
         solid = trimesh.Trimesh(vertices, model.mesh_face[first : first + number], process=False)
         assert solid.is_watertight and solid.volume > 0, f"{name}: part {mesh} is open or inside out"
     # Drawn is one or the other, and what collides is as it was.
-    assert np.array_equal(drawn_geoms(model, ground=True), visual)
+    assert np.array_equal(drawn_geoms(model), visual)
     assert model.nq == bare.nq and int((~visual).sum()) == bare.ngeom
     assert model.body_mass == pytest.approx(bare.body_mass)
     assert _farthest(model, visual) < 0.026, "a mesh stands far off what collides"
@@ -49,4 +49,4 @@ def test_a_hand_of_ones_own_is_shown_as_it_is(tmp_path):
     (tmp_path / "hand.toml").write_text(source.path.read_text().replace('name = "allegro"', 'name = "own"'))
     own = read_hand_toml(tmp_path / "hand.toml")
     assert dressed_spec(own).compile().ngeom == own.model.ngeom
-    assert drawn_geoms(dressed_model(own), ground=True).all()
+    assert drawn_geoms(dressed_model(own)).all()

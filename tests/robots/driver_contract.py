@@ -6,13 +6,14 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointState, RobotError, StopKind
-from fungrasp_emulators.emulator import Emulator, Plant
+from fungrasp_emulators.emulator import Emulator, Fault, Plant
 
 PATIENCE = 10.0
 """A busy machine may stop a process for seconds; tests wait so long before they call it a failure [s]."""
@@ -57,11 +58,51 @@ def reach(device: DeviceUnderTest, goal: np.ndarray) -> JointState:
 
 
 class DriverContract:
-    """Tests of any driver. A subclass yields a connected ``DeviceUnderTest`` from ``running``."""
+    """Tests of any driver. A subclass yields a ``DeviceUnderTest`` from ``running``."""
 
-    def running(self) -> contextlib.AbstractContextManager[DeviceUnderTest]:
+    lost: ClassVar[tuple[Fault, ...]] = (Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED)
+    """Faults that end a connection."""
+    disturbed: ClassVar[tuple[Fault, ...]] = (Fault.LOST, Fault.LATE, Fault.CORRUPT)
+    """Faults that a driver rides out."""
+    latches: ClassVar[bool] = True
+    """Whether a lost device follows again only when somebody has connected anew."""
+    when_lost: ClassVar[dict[str, Any]] = {"stale_after": 0.5}
+    """Settings of the driver for the first ones ..."""
+    when_disturbed: ClassVar[dict[str, Any]] = {}
+    """... and for the others."""
+
+    def running(self, **settings: Any) -> contextlib.AbstractContextManager[DeviceUnderTest]:
         """Emulator started, driver not connected."""
         raise NotImplementedError
+
+    def test_a_lost_device_is_seen(self) -> None:
+        with self.running(**self.when_lost) as device:
+            device.driver.connect()
+            for fault in self.lost:
+                reach(device, device.near)
+                device.emulator.inject(fault)
+                assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED), fault
+                device.emulator.clear()
+                time.sleep(0.1)
+                if self.latches:
+                    with pytest.raises(RobotError):
+                        device.driver.command(device.near)
+                device.driver.connect()
+            reach(device, device.near)
+
+    def test_a_disturbed_line_still_carries(self) -> None:
+        with self.running(**self.when_disturbed) as device:
+            device.driver.connect()
+            for number, fault in enumerate(self.disturbed):
+                device.emulator.inject(fault)
+                goal = device.near + 0.05 * (number % 2)
+
+                def there(goal: np.ndarray = goal) -> bool:
+                    device.driver.command(goal)
+                    return bool(np.abs(device.true_positions() - goal).max() < 2 * device.tolerance)
+
+                assert wait_for(there), fault
+                device.emulator.clear()
 
     @pytest.fixture
     def unconnected(self) -> Iterator[DeviceUnderTest]:

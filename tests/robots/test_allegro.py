@@ -5,21 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
 import uuid
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from fungrasp.robots.can_bus import open_can_bus
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
+from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver, open_can_bus
 from fungrasp_emulators.allegro import AllegroEmulator
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.plants import TorquePlant
@@ -41,14 +42,21 @@ def emulated(
         driver.close()
 
 
-class TestAllegroV4(DriverContract):
-    def running(self):
-        return emulated(4)
+class TestAllegro(DriverContract):
+    # Below, more strictly.
+    disturbed = ()
+    when_lost: ClassVar = {"stale_after": 1.0}
+
+    def running(self, **settings):
+        return emulated(**settings)
 
 
-class TestAllegroV5(DriverContract):
-    def running(self):
-        return emulated(5)
+def test_the_fifth_generation_follows_in_its_own_units():
+    with emulated(5) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not device.emulator.servos_on)
 
 
 def test_frames_of_the_fourth_generation():
@@ -82,19 +90,6 @@ def test_frames_of_periods_and_information():
     info = codec.decode_info(bytes.fromhex("0004010001230300"))
     assert info.hardware >> 8 == 4 and info.left and info.temperature == 0x23
     assert info.servos_on and info.overheated and not info.communication_fault
-    assert codec.decode_info(codec.encode_info(info)) == info
-
-
-@pytest.mark.parametrize("generation", [codec.ALLEGRO_V4, codec.ALLEGRO_V5, codec.ALLEGRO_V5_GEARED])
-def test_frames_keep_what_they_carry(generation: codec.AllegroGeneration):
-    rng = np.random.default_rng(0)
-    positions = rng.uniform(-1.5, 1.5, 16)
-    back = codec.decode_positions(generation, codec.encode_positions(generation, positions))
-    assert np.abs(back - positions).max() <= generation.radians_per_count / 2 + 1e-12
-    torques = 0.9 * generation.torque_limits * rng.uniform(-1, 1, 16)
-    for finger, data in enumerate(codec.encode_torques(generation, torques)):
-        back = codec.decode_finger_torques(generation, finger, data)
-        assert np.abs(back - torques[4 * finger : 4 * finger + 4]).max() < 1e-3
 
 
 @pytest.mark.parametrize("generation", [4, 5])
@@ -208,21 +203,6 @@ def test_power_off_leaves_the_hand_limp():
         assert wait_for(lambda: not device.emulator.servos_on)
 
 
-@pytest.mark.parametrize("fault", [Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
-def test_a_fault_latches_until_somebody_connects(fault: Fault):
-    with emulated() as device:
-        device.driver.connect()
-        reach(device, device.near)
-        device.emulator.inject(fault)
-        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
-        device.emulator.clear()
-        time.sleep(0.05)
-        with pytest.raises(RobotError):
-            device.driver.command(device.near)
-        device.driver.connect()
-        reach(device, device.near)
-
-
 @pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT])
 def test_a_disturbed_bus_does_not_throw_the_hand(fault: Fault):
     with emulated() as device:
@@ -322,8 +302,8 @@ while True:
 
 def test_positions_that_no_hand_has_are_not_believed_after_a_silence():
     loop = AllegroLoop(AllegroSettings("virtual", "none"))
-    for finger, data in enumerate(codec.encode_positions(codec.ALLEGRO_V4, np.full(16, 0.4))):
-        loop._frames[finger] = data
+    count = round(0.4 / codec.ALLEGRO_V4.radians_per_count)
+    loop._frames.update(dict.fromkeys(range(4), struct.pack("<4h", *[count] * 4)))
     loop._take_positions(10.0)
     good = loop._state
     # A second of silence would explain a jump of 20 rad.

@@ -18,17 +18,17 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.hands import load_hand
 from fungrasp.perception import Intrinsics
-from fungrasp.robots.calibration.board_images import Board, find_corners
-from fungrasp.robots.calibration.calibration_file import save_calibration
-from fungrasp.robots.calibration.hand_eye import (
+from fungrasp.robots.calibration.camera import (
+    Board,
     BoardView,
     board_pose,
     calibrate_from_board,
+    calibrate_from_points,
+    save_calibration,
 )
-from fungrasp.robots.calibration.touched_points import calibrate_from_points
 from fungrasp.robots.cell import check_calibrated, load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
-from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
+from fungrasp.robots.kinematics.inverse import arm_postures, random_starts
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 
@@ -183,36 +183,6 @@ def test_a_saved_calibration_is_whole(tmp_path: Path) -> None:
     save_calibration(tmp_path / "c.toml", found, "a test")
     text = (tmp_path / "c.toml").read_text()
     assert text.count("\n") == 5 and "a test" in text
-
-
-def painted(board: Board, in_camera: np.ndarray) -> np.ndarray:
-    """An image of a checkerboard, four rays a pixel, shape [480, 640, 3]."""
-    fine = 2
-    v, u = (np.mgrid[0 : 480 * fine, 0 : 640 * fine] + 0.5) / fine - 0.5
-    rays = LENS.deproject(np.stack([u, v], axis=-1), np.ones(u.shape))
-    back = invert(in_camera)
-    directions = transform_points(np.concatenate([np.zeros(3), back[3:]]), rays.reshape(-1, 3))
-    reach = -back[2] / directions[:, 2]
-    x, y = (back[:2] + reach[:, None] * directions[:, :2]).T / board.square
-    on = (x > 0) & (x < board.columns) & (y > 0) & (y < board.rows)
-    dark = on & ((np.floor(x) + np.floor(y)) % 2 == 0)
-    near = (np.abs(x - board.columns / 2) < board.columns) & (np.abs(y - board.rows / 2) < board.rows)
-    gray = np.where(dark, 20.0, np.where(near, 235.0, 120.0)).reshape(480, fine, 640, fine).mean(axis=(1, 3))
-    return np.repeat(gray.astype(np.uint8)[..., None], 3, axis=2)
-
-
-def test_corners_are_found_in_images() -> None:
-    pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "fungrasp[calibration]"')
-    board = Board(marker=0.0)
-    turn = quaternion_from_rotation_vector(np.array([0.3, -0.2, 0.1]))
-    in_camera = np.concatenate([[-0.1, -0.07, 0.6], turn])
-    points, pixels = find_corners(painted(board, in_camera), board)
-    assert len(points) == 24
-    # The board may be seen turned by half a turn.
-    expected = LENS.project(transform_points(in_camera, grid(board)))
-    apart = min(np.abs(pixels - expected).max(), np.abs(pixels[::-1] - expected).max())
-    assert apart < 0.3
-    assert len(find_corners(np.full((480, 640, 3), 200, np.uint8), board)[0]) == 0
 
 
 def test_the_command_calibrates_from_images_of_a_charuco_board(tmp_path: Path) -> None:

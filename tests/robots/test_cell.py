@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.robots.cell import RobotCell, cell_files, load_cell
-from fungrasp.robots.cell_template import write_cell_template
+from fungrasp.robots.cell import RobotCell, cell_files, load_cell, write_new_cell
 from fungrasp.robots.kinematics.arm_model import Clearance
 from fungrasp.robots.safety import check_posture
 
@@ -40,11 +39,8 @@ def test_shipped_cells_load(name: str) -> None:
         ),
         (GOOD + "[mount]\npose_flange_hand = [0, 0, 0.1, 2, 0, 0, 0]\n", "unit quaternion"),
         (GOOD + "[mount]\nadapter_radius = 0.04\n", "'mount.adapter_length'"),
-        (
-            GOOD + "[tracker]\ncalibration_residual = 0.5\n",
-            "is 500.0 mm, more than 5 mm",
-        ),
-        (GOOD + "[limits]\narm_torque = 300\n", "'arm_torque' may be at most 150, not 300"),
+        (GOOD + "[tracker]\ncalibration_residual = 0.5\n", "is 500.0 mm, more than 5 mm"),
+        (GOOD + "[limits]\nsetpoint_lead = 0.5\n", "'setpoint_lead' may be at most 0.35, not 0.5"),
         (GOOD + "guard = 'no'\n", '\'guard\' must be "on" or "off"'),
         (GOOD + "[[obstacles]]\ncenter = [0, 0, 0]\n", "the field 'obstacles.size' is missing"),
         (GOOD + "[[obstacles]]\ncenter = [0, 0, 0]\nsize = [1, 1, 0]\n", "a size of 3 positive ones"),
@@ -67,9 +63,9 @@ def test_bad_cells_are_refused_in_one_line(tmp_path: Path, text: str, said: str)
 @pytest.mark.parametrize("hand", ["allegro", "inspire", "leap"])
 def test_a_new_cell_is_slow_and_refused_until_it_is_filled_in(tmp_path: Path, hand: str) -> None:
     path = tmp_path / "mine.toml"
-    write_cell_template(path, hand)
+    write_new_cell(path, hand)
     with pytest.raises(FungraspError, match="exists already"):
-        write_cell_template(path, hand)
+        write_new_cell(path, hand)
     text = path.read_text()
     filled = {
         'address = ""': 'address = "192.168.0.10"',
@@ -113,3 +109,9 @@ def test_a_wired_cell_that_says_how_its_hand_is_mounted(tmp_path: Path) -> None:
     mount = "[mount]\npose_flange_hand = [0, 0, 0.156, 0.7071, 0, 0, 0.7071]\n"
     path.write_text(GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n" + mount)
     assert load_cell(path).mount.pose_flange_hand[2] == 0.156
+
+
+def test_a_cell_of_before_may_say_limits_that_nothing_measures(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(GOOD + "[limits]\narm_torque = 100\n[arm]\noptions = { torque_limits = [1, 2] }\n")
+    assert load_cell(path).arm.options == {}

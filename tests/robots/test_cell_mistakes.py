@@ -71,11 +71,7 @@ MISTAKES = {
         "payload = 1200.0",
         ["'arm.options.payload' is in kilograms", "g?"],
     ),
-    "unknown key": (
-        "stop_file =",
-        "stopfile =",
-        ["unknown field 'stopfile'", "Did you mean 'stop_file'"],
-    ),
+    "unknown key": ("stop_file =", "stopfile =", ["unknown field 'stopfile'", "Did you mean 'stop_file'"]),
     "unknown option": (
         "speed = 100",
         "sped = 100",

@@ -16,19 +16,10 @@ import pytest
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.robots.assembly import (
-    ARM_DRIVERS,
-    TRACKERS,
-    arm_driver,
-    guarded_arm,
-    guarded_hand,
-    hand_driver,
-    pose_source,
-    wired_robot,
-)
+from fungrasp.robots.assembly import ARM_DRIVERS, TRACKERS, arm_driver, hand_driver, pose_source, wired_robot
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.device import DeviceStatus
-from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.device import DeviceStatus, SafetyStop
+from fungrasp.robots.single_devices import guarded_driver
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_emulators.emulator import PlantCommand
 from fungrasp_emulators.plants import ServoPlant
@@ -159,20 +150,6 @@ def test_a_robot_of_others_is_guarded_and_stopped(lab, tmp_path: Path) -> None:
     assert len(robot.arm.sent) == sent
 
 
-def test_an_arm_of_others_alone_is_guarded(lab) -> None:
-    lab(ARM)
-    cell = lab_cell()
-    arm = guarded_arm(cell, load_hand(cell.hand))
-    arm.connect()
-    goal = np.array(cell.arm.home)
-    with pytest.raises(SafetyStop, match=r"table|workspace"):
-        deadline = time.monotonic() + 10.0
-        while time.monotonic() < deadline:
-            goal = arm.read().positions + np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
-            time.sleep(0.002)
-            arm.command(goal)
-
-
 @pytest.mark.parametrize(
     ("points", "words"),
     [
@@ -237,8 +214,8 @@ def test_the_package_of_the_manual_drives_a_hand(lab, monkeypatch: pytest.Monkey
     driver = hand_driver(cell, load_hand(cell.hand))
     # In this process: the package is on its path alone.
     monkeypatch.setattr(driver, "_process", False)
-    monkeypatch.setattr("fungrasp.robots.assembly.hand_driver", lambda cell, hand: driver)
-    with guarded_hand(cell, load_hand(cell.hand)) as hand:
+    monkeypatch.setattr("fungrasp.robots.single_devices.hand_driver", lambda cell, hand: driver)
+    with guarded_driver("hand", cell, load_hand(cell.hand)) as hand:
         assert hand.read().status is DeviceStatus.READY
         deadline = time.monotonic() + 10.0
         while np.abs(hand.read().positions - 0.3).max() > 0.01 and time.monotonic() < deadline:

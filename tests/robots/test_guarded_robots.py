@@ -8,38 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_twin import IDEAL
-from robot_cells import cell_and_hand, grasp_and_object, placed
+from robot_cells import cell_and_hand, placed
+from twin_robots import twin_robot
 
 from fungrasp.cli.main import main
 from fungrasp.hands import load_hand
-from fungrasp.robots import assembly
-from fungrasp.robots.assembly import guarded_hand, wired_robot
+from fungrasp.robots import single_devices
+from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
-from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
 from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import SafetyStop
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import draw_twin
+from fungrasp.robots.single_devices import GuardedDriver, guarded_driver
+from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp_emulators.inspire import InspireEmulator
 from fungrasp_emulators.plants import ServoPlant
 
 pytest.importorskip("mink")
-
-
-def twin(cell: RobotCell) -> tuple[Robot, TwinWorld]:
-    """A robot as ``wired_robot`` makes it, with a twin in the place of its wires."""
-    hand = cell_and_hand()[1]
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
-    world = TwinWorld(cell, hand, grasp_and_object()[1], truth)
-    world.settle(placed())
-    devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
-    return Robot(cell, hand, *devices, TwinClock(world)), world
 
 
 def sink(robot: Robot, world: TwinWorld, until: float = -0.2) -> None:
@@ -56,7 +43,7 @@ def sink(robot: Robot, world: TwinWorld, until: float = -0.2) -> None:
 
 
 def test_lerobots_actions_pass_the_guard() -> None:
-    robot, world = twin(cell_and_hand()[0])
+    robot, world = twin_robot(cell_and_hand()[0])
     with pytest.raises(SafetyStop, match=r"table|touch the arm|workspace"):
         sink(robot, world)
     assert robot.state().arm.status is robot.state().hand.status is DeviceStatus.STOPPED
@@ -65,7 +52,7 @@ def test_lerobots_actions_pass_the_guard() -> None:
 
 
 def test_lerobots_goals_may_not_be_far() -> None:
-    robot, world = twin(cell_and_hand()[0])
+    robot, world = twin_robot(cell_and_hand()[0])
     adapter = LeRobotRobot(robot)
     adapter.connect()
     world.advance(world.time + 0.2)
@@ -78,7 +65,7 @@ def test_lerobots_goals_may_not_be_far() -> None:
 
 
 def test_the_stop_file_of_the_cell_stops_lerobot(tmp_path: Path) -> None:
-    robot, world = twin(replace(cell_and_hand()[0], stop_file=str(tmp_path / "stop")))
+    robot, world = twin_robot(replace(cell_and_hand()[0], stop_file=str(tmp_path / "stop")))
     (tmp_path / "stop").touch()
     with pytest.raises(SafetyStop, match="stop file"):
         sink(robot, world)
@@ -86,7 +73,7 @@ def test_the_stop_file_of_the_cell_stops_lerobot(tmp_path: Path) -> None:
 
 
 def test_without_a_guard_only_by_a_word_that_every_start_says(caplog: pytest.LogCaptureFixture) -> None:
-    robot, world = twin(replace(cell_and_hand()[0], guard="off"))
+    robot, world = twin_robot(replace(cell_and_hand()[0], guard="off"))
     below = placed()[2] - 0.1
     try:
         sink(robot, world, until=below)
@@ -100,18 +87,18 @@ def test_without_a_guard_only_by_a_word_that_every_start_says(caplog: pytest.Log
 def test_a_wired_robot_has_the_cells_guard_and_switch(tmp_path: Path) -> None:
     cell = replace(load_cell("ur5e-inspire-emulated"), stop_file=str(tmp_path / "stop"))
     hand = load_hand(cell.hand)
-    for made in (wired_robot(cell, hand), guarded_hand(cell, hand)):
+    for made in (wired_robot(cell, hand), guarded_driver("hand", cell, hand)):
         assert made.switch.reason == ""
     (tmp_path / "stop").touch()
-    for made in (wired_robot(cell, hand), guarded_hand(cell, hand)):
+    for made in (wired_robot(cell, hand), guarded_driver("hand", cell, hand)):
         assert "stop file" in made.switch.reason
 
 
 def hand_alone(cell: RobotCell | None = None) -> tuple[GuardedDriver, TwinHand, TwinWorld]:
     cell = cell or cell_and_hand()[0]
-    robot, world = twin(cell)
+    robot, world = twin_robot(cell)
     assert isinstance(robot.hand_driver, TwinHand)
-    guarded = GuardedDriver(robot.hand_driver, cell, "hand", clock=robot.clock, clear=lambda q: "")
+    guarded = GuardedDriver(robot.hand_driver, cell, "hand", clock=robot.clock)
     guarded.connect()
     return guarded, robot.hand_driver, world
 
@@ -156,17 +143,16 @@ def test_boxes_of_the_cell_are_kept_clear_of() -> None:
     assert ClearanceModel(cell, hand).measure(home, fingers).obstacle == MARGIN
     free = ClearanceModel(boxed, hand).measure(home, fingers)
     assert free.obstacle == MARGIN and free.table == MARGIN
-    robot, world = twin(boxed)
+    robot, world = twin_robot(boxed)
     with pytest.raises(SafetyStop, match="would touch an obstacle"):
         sink(robot, world)
 
 
 def test_an_arm_alone_keeps_off_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     cell, hand = cell_and_hand()
-    robot, world = twin(cell)
-    monkeypatch.setattr(assembly, "arm_driver", lambda cell: robot.arm)
-    guarded = assembly.guarded_arm(cell, hand)
-    guarded._clock = robot.clock
+    robot, world = twin_robot(cell)
+    monkeypatch.setattr(single_devices, "arm_driver", lambda cell: robot.arm)
+    guarded = guarded_driver("arm", cell, hand, clock=robot.clock)
     guarded.connect()
     goal = robot.arm.read().positions.copy()
     with pytest.raises(SafetyStop, match=r"table|workspace"):

@@ -8,6 +8,7 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from fungrasp.robots.codecs import inspire_serial as own
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands.inspire import InspireLoop, InspireSettings, inspire_driver
 from fungrasp.robots.hands.inspire_link import open_link
-from fungrasp_emulators import modbus
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.inspire import InspireEmulator
 from fungrasp_emulators.plants import ServoPlant
@@ -37,19 +37,29 @@ def emulated(protocol: str = "tcp", **settings) -> Iterator[DeviceUnderTest]:
 
 
 class TestInspireTCP(DriverContract):
-    def running(self):
-        return emulated()
+    lost = (Fault.KILLED, *DriverContract.lost)
+    disturbed = (*DriverContract.disturbed, Fault.RESET)
+    latches = False
+    when_lost: ClassVar = {"stale_after": 0.5, "answer_timeout": 0.2}
+    when_disturbed: ClassVar = {"answer_timeout": 0.1}
+
+    def running(self, **settings):
+        return emulated(**settings)
 
 
-class TestInspireSerial(DriverContract):
-    def running(self):
-        return emulated("serial")
+class TestInspireSerial(TestInspireTCP):
+    disturbed = DriverContract.disturbed
+
+    def running(self, **settings):
+        return emulated("serial", **settings)
 
 
 def test_modbus_on_a_serial_line_carries_the_same():
-    with emulated("rtu") as device:
+    with emulated("rtu", answer_timeout=0.1) as device:
         device.driver.connect()
+        device.emulator.inject(Fault.CORRUPT)
         reach(device, device.near)
+        device.emulator.clear()
         device.driver.stop(StopKind.OPEN)
         assert wait_for(lambda: device.true_positions().max() < 0.01)
 
@@ -89,25 +99,8 @@ def test_angles():
     assert np.allclose(codec.decode_angles(angles, lower, upper), positions, atol=1e-3)
     assert codec.encode_angles(np.full(6, 9.0), lower, upper) == [0] * 6
     assert np.allclose(codec.decode_angles([65526] * 6, lower, upper), upper * 1.01)
-    assert codec.unpack_bytes(codec.pack_bytes([1, 2, 3, 4, 5, 6])) == [1, 2, 3, 4, 5, 6]
+    assert codec.unpack_bytes([0x0201, 0x0403, 0x0605]) == [1, 2, 3, 4, 5, 6]
     assert codec.closing_speed(375) == pytest.approx((706 + 1449) / 2)
-
-
-def test_modbus_frames():
-    # Read six registers from 1546 = 0x060a of device 1, and write 500 to one.
-    frame = bytes.fromhex("01 03 06 0a 00 06")
-    requests, rest = modbus.split_serial_requests(b"\xff" + frame + modbus.checksum(frame))
-    assert requests == [(1, frame[1:])] and rest == b""
-    request = modbus.decode_request(frame[1:])
-    assert request == modbus.RegisterRequest(modbus.READ, 1546, 6)
-    assert modbus.encode_answer(request, (1, 2)) == bytes.fromhex("030400010002")
-    write = modbus.decode_request(bytes.fromhex("10 05 ce 00 01 02 01 f4"))
-    assert write == modbus.RegisterRequest(modbus.WRITE, 1486, 1, (500,))
-    assert modbus.encode_answer(write) == bytes.fromhex("1005ce0001")
-    # The checksum of the standard's example.
-    assert modbus.checksum(bytes.fromhex("010300000001")) == bytes.fromhex("840a")
-    stream = bytes.fromhex("0007 0000 0006 01 03 060a 0006") + b"\x00"
-    assert modbus.split_tcp_requests(stream) == ([(7, 1, frame[1:])], b"\x00")
 
 
 SERIAL_REQUESTS = {
@@ -247,43 +240,6 @@ def test_a_fault_counts_where_the_same_is_read_twice(monkeypatch: pytest.MonkeyP
     ):
         answers, loop._errors_due = said, 0.0
         assert loop._read_state().message == message and not answers
-
-
-@pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
-@pytest.mark.parametrize("protocol", ["tcp", "serial"])
-def test_a_lost_hand_is_seen(fault: Fault, protocol: str):
-    with emulated(protocol, stale_after=0.5, answer_timeout=0.2) as device:
-        device.driver.connect()
-        reach(device, device.near)
-        device.emulator.inject(fault)
-        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
-        device.emulator.clear()
-        time.sleep(0.1)
-        device.driver.connect()
-        reach(device, device.near)
-
-
-@pytest.mark.parametrize("protocol", ["tcp", "rtu", "serial"])
-@pytest.mark.parametrize("fault", [Fault.LOST, Fault.LATE, Fault.CORRUPT])
-def test_a_disturbed_line_still_carries(fault: Fault, protocol: str):
-    with emulated(protocol, answer_timeout=0.1) as device:
-        device.driver.connect()
-        device.emulator.inject(fault)
-        goal = np.full(6, 0.5)
-
-        def there() -> bool:
-            device.driver.command(goal)
-            return bool(np.abs(device.true_positions() - goal).max() < 0.02)
-
-        assert wait_for(there)
-
-
-def test_a_connection_that_was_reset_is_opened_again():
-    with emulated() as device:
-        device.driver.connect()
-        device.emulator.inject(Fault.RESET)
-        time.sleep(0.1)
-        reach(device, device.near)
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "serial"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from fungrasp.hands import load_hand
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
-from fungrasp_emulators import dynamixel_packets as wire
+from fungrasp_emulators import leap as wire
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.plants import ServoPlant
@@ -38,8 +39,11 @@ def emulated(**settings) -> Iterator[DeviceUnderTest]:
 
 
 class TestLeap(DriverContract):
-    def running(self):
-        return emulated()
+    disturbed = (*DriverContract.disturbed, Fault.DOUBLED)
+    when_lost: ClassVar = {"stale_after": 0.4}
+
+    def running(self, **settings):
+        return emulated(**settings)
 
 
 def test_packets_of_the_manual():
@@ -108,32 +112,6 @@ def test_a_hardware_error_is_a_fault():
         device.emulator.report_error(5, 1 << 5)
         assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
         assert "servo 5: overload" in device.driver.read().message
-
-
-@pytest.mark.parametrize("fault", [Fault.STALLED, Fault.POWER_LOSS, Fault.SATURATED])
-def test_a_lost_hand_is_seen(fault: Fault):
-    with emulated(stale_after=0.4) as device:
-        device.driver.connect()
-        reach(device, device.near)
-        device.emulator.inject(fault)
-        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
-        device.emulator.clear()
-        device.driver.connect()
-        reach(device, device.near)
-
-
-@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT])
-def test_a_disturbed_line_still_carries(fault: Fault):
-    with emulated() as device:
-        device.driver.connect()
-        device.emulator.inject(fault)
-        goal = np.full(16, 0.4)
-
-        def there() -> bool:
-            device.driver.command(goal)
-            return bool(np.abs(device.true_positions() - goal).max() < 0.01)
-
-        assert wait_for(there)
 
 
 def test_power_off_and_open():

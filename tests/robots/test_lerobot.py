@@ -9,14 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ideal_twin import IDEAL
-from robot_cells import cell_and_hand, grasp_and_object, placed
+from twin_robots import twin_robot
 
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 
 lerobot = pytest.importorskip("lerobot.robots", reason="LeRobot is not installed: pip install lerobot")
@@ -38,13 +33,9 @@ def robot(package: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iter
     """LeRobot's own factory makes it; a twin stands in for the wires."""
     from lerobot.robots import make_robot_from_config
 
-    cell, hand = cell_and_hand()
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
-    world = TwinWorld(cell, hand, grasp_and_object()[1], truth)
-    world.settle(placed()[0])
-    devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
+    robot, world = twin_robot()
     module = sys.modules["lerobot_robot_fungrasp.fungrasp_robot"]
-    monkeypatch.setattr(module, "wired_robot", lambda *a: Robot(cell, hand, *devices, TwinClock(world)))
+    monkeypatch.setattr(module, "wired_robot", lambda *a: robot)
     config = package.FungraspRobotConfig(id="one", calibration_dir=tmp_path)
     made = make_robot_from_config(config)
     yield made, world

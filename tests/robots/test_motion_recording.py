@@ -7,22 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ideal_twin import IDEAL
-from robot_cells import cell_and_hand, grasp_and_object, placed
+from robot_cells import cell_and_hand
+from twin_robots import twin_robot
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
+from fungrasp.robots.assembly import hand_driver
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.guarded_driver import GuardedDriver
-from fungrasp.robots.hands.weaker_hand import with_torque_share
-from fungrasp.robots.motion_recording import record_motion
-from fungrasp.robots.robot_state import SafetyStop
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
+from fungrasp.robots.single_devices import GuardedDriver, record_motion
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import TwinClock
 from fungrasp.robots.twin.devices import TwinHand
-from fungrasp.robots.twin.parameters import draw_twin
-from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion
 from fungrasp.sim2real.identification.motion_log import (
     MotionHeader,
@@ -35,10 +31,9 @@ from fungrasp.sim2real.identification.motion_log import (
 def record(path: Path, switch: StopSwitch, after: Callable[[int, TwinHand], None]) -> TwinHand:
     """Record the index finger of a twin's hand, and call something after each row."""
     cell, hand = cell_and_hand()
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL)
-    world = TwinWorld(cell, hand, grasp_and_object()[1], truth)
-    world.settle(placed())
-    twin, clock = TwinHand(world, cell, hand), TwinClock(world)
+    robot, _ = twin_robot(cell)
+    twin, clock = robot.hand_driver, robot.clock
+    assert isinstance(twin, TwinHand)
     driver = GuardedDriver(twin, cell, "hand", clock=clock, switch=switch)
     driver.connect()
     rest, limits = driver.read().positions, driver.limits
@@ -87,12 +82,13 @@ def test_what_was_recorded_until_a_stop_can_be_fitted(what: str, tmp_path: Path)
 
 def test_a_hand_is_told_to_make_less_torque() -> None:
     allegro, inspire = load_cell("ur5e-allegro-emulated"), load_cell("ur5e-inspire-emulated")
-    assert with_torque_share(allegro, 0.5).hand_device.options["torque_share"] == 0.5
-    assert with_torque_share(inspire, 0.5).hand_device.options["force"] == 250
-    twin = load_cell("ur5e-allegro")
-    assert with_torque_share(twin, 0.5) == twin
-    with pytest.raises(RobotError, match="share of the torque"):
-        with_torque_share(twin, 0.0)
+    for cell, name, value in ((allegro, "torque_share", 0.5), (inspire, "force", 250)):
+        driver = hand_driver(cell, load_hand(cell.hand))
+        assert isinstance(driver, LoopDriver)
+        driver.torque_limit(0.5)
+        assert getattr(driver._loop.settings, name) == value  # pyright: ignore
+        with pytest.raises(RobotError, match="share of the torque"):
+            driver.torque_limit(0.0)
 
 
 def test_fingers_take_turns_and_stay_where_they_were() -> None:

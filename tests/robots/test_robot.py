@@ -5,35 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ideal_twin import IDEAL
-from robot_cells import cell_and_hand, grasp_and_object, placed
+from robot_cells import cell_and_hand, grasp_and_object
+from twin_robots import twin_robot
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_multiply, relative
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.clocks import TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
-from fungrasp.robots.twin.parameters import TwinSpread, cell_twin, draw_twin
+from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
+from fungrasp.robots.twin.parameters import cell_twin, draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Action
 
 pytest.importorskip("mink")
 
 
-def robot_on_twin(spread: TwinSpread | None = IDEAL) -> tuple[Robot, TwinWorld]:
-    cell, hand = cell_and_hand()
-    _, thing = grasp_and_object()
-    truth = draw_twin(0, len(hand.joint_names), len(hand.actuators), spread)
-    world = TwinWorld(cell, hand, thing, truth)
-    world.settle(placed())
-    devices = TwinArm(world, cell), TwinHand(world, cell, hand), TwinTracker(world)
-    return Robot(cell, hand, *devices, TwinClock(world)), world
-
-
 def test_actions_move_the_palm_and_say_what_was_sent() -> None:
-    robot, world = robot_on_twin()
+    robot, world = twin_robot()
     with robot:
         world.advance(world.time + 0.2)
         state = robot.state()
@@ -55,7 +44,7 @@ def test_actions_move_the_palm_and_say_what_was_sent() -> None:
 
 
 def test_an_arm_stays_near_its_setpoints_where_the_palm_turns() -> None:
-    robot, world = robot_on_twin()
+    robot, world = twin_robot()
     sent, apart = [], []
     robot.watch = lambda state, command: (
         sent.append(command.arm),
@@ -80,7 +69,7 @@ def test_an_arm_stays_near_its_setpoints_where_the_palm_turns() -> None:
 
 
 def test_a_stopped_device_takes_no_command_until_it_is_connected_again() -> None:
-    robot, _ = robot_on_twin()
+    robot, _ = twin_robot()
     with robot:
         arm = robot.state().arm.positions
         robot.stop(StopKind.HOLD)
@@ -91,21 +80,6 @@ def test_a_stopped_device_takes_no_command_until_it_is_connected_again() -> None
         robot.arm.command(arm)
 
 
-def test_the_shape_of_lerobot() -> None:
-    robot, world = robot_on_twin()
-    adapter = LeRobotRobot(robot)
-    adapter.connect()
-    world.advance(world.time + 0.2)
-    seen = adapter.get_observation()
-    assert set(seen) == set(adapter.observation_features)
-    action = {name: seen[name] for name in adapter.action_features if name in seen} | {"lift": 0.0}
-    sent = adapter.send_action(action)
-    assert set(sent) == set(adapter.action_features)
-    assert sent["palm.x"] == pytest.approx(seen["palm.x"], abs=0.01)
-    adapter.disconnect()
-    assert not adapter.is_connected
-
-
 def test_twins_differ_and_repeat() -> None:
     one, again, two = (draw_twin(seed, 16, 16) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.stiffness, again.stiffness)
@@ -113,7 +87,7 @@ def test_twins_differ_and_repeat() -> None:
 
 
 def test_the_twins_encoders_are_off_and_its_setpoints_late() -> None:
-    robot, world = robot_on_twin(None)
+    robot, world = twin_robot(spread=None)
     truth = world.truth
     with robot:
         measured = robot.state().hand.positions

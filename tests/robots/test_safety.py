@@ -13,20 +13,15 @@ from fungrasp.robots.device import (
     DeviceStatus,
     JointLimits,
     JointState,
+    RobotCommand,
+    RobotState,
+    SafetyStop,
     StopKind,
     TrackedPose,
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import Clearance
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
-from fungrasp.robots.safety import (
-    TOLERANCE,
-    Reaction,
-    SafetyContext,
-    SafetyGuard,
-    check_pose,
-    check_setpoint,
-)
+from fungrasp.robots.safety import TOLERANCE, SafetyContext, SafetyGuard, check_pose, check_setpoint
 
 CELL = RobotCell("allegro")
 ARM = JointLimits(np.full(6, -3.0), np.full(6, 3.0), np.full(6, 1.5), np.full(6, 100.0))
@@ -61,7 +56,7 @@ def command(arm=None, hand=None, palm=None) -> RobotCommand:
 
 
 def context(**changes) -> SafetyContext:
-    return replace(SafetyContext(CELL, ARM, HAND, command(), command(), PERIOD), **changes)
+    return replace(SafetyContext(CELL, {"arm": ARM, "hand": HAND}, command(), command(), PERIOD), **changes)
 
 
 @settings(max_examples=300, deadline=None)
@@ -69,11 +64,11 @@ def context(**changes) -> SafetyContext:
 def test_what_is_let_through_is_within_every_limit(arm, hand, palm, previous, gap, first) -> None:
     asked = command(arm, hand, palm)
     last = None if first else command(previous)
-    verdict = check_setpoint(state(), asked, context(previous=last, before=last), gap)
-    if verdict.reaction in (Reaction.HOLD, Reaction.OPEN):
-        assert verdict.reason
+    try:
+        sent = check_setpoint(state(), asked, context(previous=last, before=last), gap)
+    except SafetyStop as stop:
+        assert stop.reason
         return
-    sent = verdict.command
     assert np.isfinite(sent.arm).all() and np.isfinite(sent.hand).all()
     assert (sent.palm[:3] >= CELL.workspace.lower).all() and (sent.palm[:3] <= CELL.workspace.upper).all()
     assert gap.table >= CELL.workspace.table_clearance and gap.itself >= 0
@@ -87,99 +82,70 @@ def test_what_is_let_through_is_within_every_limit(arm, hand, palm, previous, ga
         assert np.abs(sent.hand - last.hand).max() <= HAND.velocity[0] * PERIOD * TOLERANCE + 1e-12
         step = np.linalg.norm(sent.palm[:3] - last.palm[:3])
         assert step <= CELL.limits.palm_speed * PERIOD * TOLERANCE + 1e-12
-    if verdict.reaction is Reaction.SEND:
-        np.testing.assert_array_equal(sent.arm, asked.arm)
+
+
+def silent(**seconds: float) -> SafetyContext:
+    return context(silence={"arm": 0.0, "hand": 0.0, **seconds})
+
+
+def stopped(at: RobotState, asked: RobotCommand, around: SafetyContext, gap: Clearance) -> SafetyStop | None:
+    try:
+        check_setpoint(at, asked, around, gap)
+    except SafetyStop as stop:
+        return stop
+    return None
 
 
 @settings(max_examples=50, deadline=None)
 @given(arms, hands, palms)
 def test_it_is_a_pure_function(arm, hand, palm) -> None:
     asked = command(arm.copy(), hand.copy(), palm.copy())
-    one = check_setpoint(state(), asked, context(), FREE)
+    one = stopped(state(), asked, context(), FREE)
     np.testing.assert_array_equal(asked.arm, arm)
-    two = check_setpoint(state(), asked, context(), FREE)
-    assert (one.reaction, one.reason) == (two.reaction, two.reason)
+    assert str(one) == str(stopped(state(), asked, context(), FREE))
 
 
+BESIDE, AHEAD = (np.array([0.0, y, 0.3, 1, 0, 0, 0]) for y in (0.6, 0.006))
 CASES = {
-    "finite": (state(), command(arm=np.array([np.nan, 0, 0, 0, 0, 0])), context(), FREE, Reaction.HOLD),
-    "arm does not follow": (
-        state(arm=joints(6, status=DeviceStatus.PROTECTIVE_STOP)),
-        command(),
-        context(),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "hand does not follow": (
-        state(hand=joints(4, status=DeviceStatus.FAULT)),
-        command(),
-        context(),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "arm has been silent": (state(), command(), context(arm_silence=0.041), FREE, Reaction.HOLD),
-    "hand has been silent": (state(), command(), context(hand_silence=0.11), FREE, Reaction.HOLD),
-    "torque of an arm": (
-        state(arm=joints(6, torques=np.full(6, 151.0))),
-        command(),
-        context(),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "torque of a hand": (
-        state(hand=joints(4, torques=np.full(4, -3.1))),
-        command(),
-        context(),
-        FREE,
-        Reaction.OPEN,
-    ),
-    "far from where": (
-        state(arm=joints(6, positions=np.full(6, 0.36))),
-        command(),
-        context(),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "workspace": (
-        state(),
-        command(palm=np.array([0.0, 0.6, 0.3, 1, 0, 0, 0])),
-        context(previous=None),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "arm would touch the table": (state(), command(), context(), Clearance(0.004, 0.03, 0.03), Reaction.HOLD),
-    "press into the table": (state(), command(), context(), Clearance(0.03, -0.013, 0.03), Reaction.HOLD),
-    "touch the arm": (state(), command(), context(), Clearance(0.03, 0.03, -0.001), Reaction.HOLD),
-    "palm would move": (
-        state(),
-        command(palm=np.array([0.0, 0.006, 0.3, 1, 0, 0, 0])),
-        context(),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "accelerate": (
-        state(),
-        command(arm=np.full(6, 0.02)),
-        context(before=command(arm=np.full(6, 0.16))),
-        FREE,
-        Reaction.HOLD,
-    ),
-    "hand clipped": (state(), command(hand=np.full(4, 2.0)), context(), FREE, Reaction.CLIP),
-    "arm clipped": (state(), command(arm=np.full(6, 0.1)), context(), FREE, Reaction.CLIP),
+    "finite": {"asked": command(arm=np.array([np.nan, 0, 0, 0, 0, 0]))},
+    "arm does not follow": {"at": state(arm=joints(6, status=DeviceStatus.PROTECTIVE_STOP))},
+    "hand does not follow": {"at": state(hand=joints(4, status=DeviceStatus.FAULT))},
+    "arm has been silent": {"around": silent(arm=0.041)},
+    "hand has been silent": {"around": silent(hand=0.11)},
+    "torque of a hand": {"at": state(hand=joints(4, torques=np.full(4, -3.1)))},
+    "far from where": {"at": state(arm=joints(6, positions=np.full(6, 0.36)))},
+    "workspace": {"asked": command(palm=BESIDE), "around": context(previous=None)},
+    "arm would touch the table": {"gap": Clearance(0.004, 0.03, 0.03)},
+    "press into the table": {"gap": Clearance(0.03, -0.013, 0.03)},
+    "touch the arm": {"gap": Clearance(0.03, 0.03, -0.001)},
+    "palm would move": {"asked": command(palm=AHEAD)},
+    "accelerate": {
+        "asked": command(arm=np.full(6, 0.02)),
+        "around": context(before=command(arm=np.full(6, 0.16))),
+    },
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_check_has_its_reaction(name: str) -> None:
-    at, asked, around, gap, reaction = CASES[name]
-    verdict = check_setpoint(at, asked, around, gap)
-    assert verdict.reaction is reaction
-    assert name.split()[-1] in verdict.reason and name.split()[0] in verdict.reason
-    assert check_setpoint(state(), command(), context(), FREE).reaction is Reaction.SEND
+    usual = {"at": state(), "asked": command(), "around": context(), "gap": FREE}
+    assert stopped(**usual) is None
+    stop = stopped(**usual | CASES[name])
+    assert stop is not None and stop.kind is (StopKind.OPEN if "torque" in name else StopKind.HOLD)
+    assert name.split()[-1] in stop.reason and name.split()[0] in stop.reason
+
+
+def test_goals_beyond_limits_are_clipped() -> None:
+    asked = command(arm=np.full(6, 0.1), hand=np.full(4, 2.0))
+    sent = check_setpoint(state(), asked, context(), FREE)
+    np.testing.assert_allclose(sent.arm, 1.5 * PERIOD * TOLERANCE)
+    np.testing.assert_allclose(sent.hand, 6.0 * PERIOD * TOLERANCE)
+    inside = command(arm=np.full(6, 0.01))
+    np.testing.assert_array_equal(check_setpoint(state(), inside, context(), FREE).arm, inside.arm)
 
 
 def test_a_time_stamp_that_stands_still_stops_the_arm() -> None:
-    guard = SafetyGuard(CELL, ARM, HAND, lambda arm, fingers: FREE, PERIOD)
+    guard = SafetyGuard(CELL, {"arm": ARM, "hand": HAND}, lambda arm, fingers: FREE, PERIOD)
     for tick in range(10):
         now = 1.0 + tick * PERIOD
         stamp = min(now, 1.04)
@@ -217,9 +183,8 @@ def test_a_measured_value_that_is_no_number_stops_the_robot(device: str, what: s
     count = 6 if device == "arm" else 4
     value = np.nan if what == "device_time" else np.full(count, np.nan)
     said = state(**{device: joints(count, **{what: value})})
-    verdict = check_setpoint(said, command(), context(), FREE)
-    assert verdict.reaction is Reaction.HOLD
-    assert verdict.reason == f"what the {device} says is not finite"
+    stop = stopped(said, command(), context(), FREE)
+    assert stop is not None and stop.reason == f"what the {device} says is not finite"
 
 
 @pytest.mark.parametrize("change", [{"score": np.nan}, {"captured": np.nan}])

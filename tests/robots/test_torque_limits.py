@@ -15,9 +15,9 @@ from robot_cells import cell_and_hand, grasp_and_object
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.identified_dynamics import identified_dynamics
 from fungrasp.hands import load_hand
+from fungrasp.robots.assembly import driver_torque_limits, limited_hand
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.codecs import allegro as codec
-from fungrasp.robots.torque_limits import driver_torque_limits, limited_hand
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.sim2real.joint_dynamics import (
@@ -51,7 +51,7 @@ def test_a_planner_knows_what_is_sent_on_the_bus(generation: int, share: float, 
     planned = identified_dynamics(cell, hand)[0]
     # What the frames hold where a joint asks for more than any allows.
     frames = codec.encode_torques(units, np.full(16, 100.0))
-    sent = np.concatenate([codec.decode_finger_torques(units, i, data) for i, data in enumerate(frames)])
+    sent = np.frombuffer(b"".join(frames), "<i2") / units.counts_per_torque
     np.testing.assert_allclose(force_limits(planned), np.minimum(force_limits(hand), share * sent), rtol=1e-3)
     assert (force_limits(planned) < force_limits(hand)).all()
     # The model that rollouts run, too.

@@ -16,13 +16,13 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands.arm import Mount, mounting_pose
-from fungrasp.robots.calibration.touched_checks import (
+from fungrasp.robots.calibration.touched import (
+    add_touched,
     check_base,
     check_touched_base,
     check_touched_mount,
     touched_point,
 )
-from fungrasp.robots.calibration.touched_file import add_touched
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
 JOINTS = np.array([[turn, -1.5, 2.0, -2.0, -1.57, 0.0] for turn in (-0.6, 0.0, 0.7)])

@@ -12,19 +12,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from fungrasp.core.errors import FungraspError
-from fungrasp.robots.arms.ur import URSettings, ur_driver
-from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
-from fungrasp.robots.codecs import rtde as codec
-from fungrasp.robots.codecs.ur_primary import decode_kinematics, encode_kinematics
+from fungrasp.robots.arms.ur import URSettings, arm_flange, ur_driver
 from fungrasp.robots.device import DeviceStatus, RobotError
-from fungrasp.robots.kinematics.dh_parameters import DHParameters
-from fungrasp.robots.kinematics.flange_chain import flange_chain
+from fungrasp_emulators import rtde as codec
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.plants import ServoPlant
 from fungrasp_emulators.ur import DASHBOARD_PORT, URControllerEmulator
@@ -39,24 +35,24 @@ ADDRESSES = (f"127.0.{os.getpid() % 200 + 1}.{n}" for n in itertools.count(2))
 
 @contextlib.contextmanager
 def emulated(
-    version: tuple[int, int, int] = (5, 11, 0),
-    tool: tuple[float, ...] = (0.0,) * 6,
-    kinematics: DHParameters | None = None,
-    **settings,
+    version: tuple[int, int, int] = (5, 11, 0), tool: tuple[float, ...] = (0.0,) * 6, **settings
 ) -> Iterator[DeviceUnderTest]:
     address = next(ADDRESSES)
     plant = ServoPlant(HOME, time_constant=0.02)
     driver = ur_driver(URSettings(address, **({"stale_after": 1.0} | settings)))
-    with URControllerEmulator(
-        plant, address, version, release_time=0.0, tool=tool, kinematics=kinematics
-    ) as emulator:
+    with URControllerEmulator(plant, address, version, release_time=0.0, tool=tool) as emulator:
         yield DeviceUnderTest(driver, emulator, plant, HOME + 0.1, 0.005)
         driver.close()
 
 
 class TestUR(DriverContract):
-    def running(self):
-        return emulated()
+    lost = (Fault.KILLED, Fault.STALLED, Fault.RESET, Fault.FROZEN)
+    disturbed = (Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CLOCK_JUMP)
+    # A watchdog of a second: a busy machine keeps packages for longer than 0.2 s.
+    when_disturbed: ClassVar = {"watchdog": 1.0}
+
+    def running(self, **settings):
+        return emulated(**settings)
 
 
 def test_packages():
@@ -150,30 +146,6 @@ def test_a_protective_stop_before_connecting_is_named():
             device.driver.connect()
 
 
-@pytest.mark.parametrize("fault", [Fault.KILLED, Fault.STALLED, Fault.RESET, Fault.FROZEN])
-def test_a_lost_controller_is_seen_by_its_clock(fault: Fault):
-    with emulated(stale_after=0.5) as device:
-        device.driver.connect()
-        reach(device, device.near)
-        device.emulator.inject(fault)
-        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
-        with pytest.raises(RobotError):
-            device.driver.command(device.near)
-        device.emulator.clear()
-        time.sleep(0.1)
-        device.driver.connect()
-        reach(device, device.near)
-
-
-@pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CLOCK_JUMP])
-def test_a_disturbed_connection_still_carries(fault: Fault):
-    # A watchdog of a second: a busy machine keeps packages for longer than 0.2 s.
-    with emulated(watchdog=1.0) as device:
-        device.driver.connect()
-        device.emulator.inject(fault)
-        reach(device, device.near)
-
-
 def test_random_bytes_are_not_believed():
     with emulated() as device:
         device.driver.connect()
@@ -196,7 +168,7 @@ def test_the_controller_stops_when_its_client_dies():
 def test_the_arm_brakes_when_the_process_of_the_policy_dies():
     code = """
 import sys, time, numpy as np
-from fungrasp.robots.arms.ur import URSettings, ur_driver
+from fungrasp.robots.arms.ur import URSettings, arm_flange, ur_driver
 driver = ur_driver(URSettings(sys.argv[1], stale_after=1.0))
 driver.connect()
 driver.command(np.full(6, 3.0))
@@ -223,10 +195,10 @@ while True:
 @pytest.mark.parametrize(("arm", "lengths"), [("ur5", UR5), ("ur5e", UR5E)])
 def test_our_models_put_the_flange_where_the_makers_parameters_do(arm, lengths):
     """Our base_link is half a turn from the controller's Base."""
-    chain = flange_chain(arm)
+    flange = arm_flange(arm)
     for joints in np.random.default_rng(0).uniform(-3, 3, (20, 6)):
         x, y, z, *_ = tool_pose(lengths, joints, np.zeros(6))
-        np.testing.assert_allclose(chain.flange_pose(joints)[:3], [-x, -y, z], atol=1e-6)
+        np.testing.assert_allclose(flange(joints), [-x, -y, z], atol=1e-6)
 
 
 def test_the_stretched_out_ur5_is_where_its_parameters_add_up():
@@ -243,55 +215,6 @@ def test_an_arm_of_another_generation_is_refused(version, arm):
         with pytest.raises(RobotError, match=rf"model '{arm}' the flange is \d\d mm"):
             device.driver.command(device.near)
         assert np.array_equal(device.true_positions(), HOME)
-
-
-def calibrated() -> DHParameters:
-    """A UR5e as it leaves a factory: all parameters a little off, and the common normal of its shoulder and
-    elbow, which are not quite parallel, meters away."""
-    rng = np.random.default_rng(0)
-    values = [v + rng.normal(0, 3e-4, 6) for v in (UR5E.theta, UR5E.a, UR5E.d, UR5E.alpha)]
-    values[2][1:3] += [8.0, -8.0]
-    return DHParameters(*values)
-
-
-def test_an_arm_is_modeled_with_the_kinematics_that_its_controller_tells(tmp_path):
-    truth, path = calibrated(), tmp_path / "mine.xml"
-    with emulated(kinematics=truth) as device:
-        told = read_kinematics(device.emulator.address)
-        change = write_arm_model(path, "ur5e", told)
-        assert 1e-3 < change < 1e-2
-        chain = flange_chain(str(path))
-        for joints in np.random.default_rng(1).uniform(-3, 3, (20, 6)):
-            x, y, z, *_ = tool_pose(truth, joints, np.zeros(6))
-            np.testing.assert_allclose(chain.flange_pose(joints)[:3], [-x, -y, z], atol=1e-6)
-        driver = ur_driver(URSettings(device.emulator.address, stale_after=1.0, arm=str(path)))
-        driver.connect()
-        driver.command(device.near)
-        assert wait_for(lambda: "is 0.0 mm from" in driver.read().message)
-        driver.close()
-
-
-def test_the_kinematics_of_another_arm_are_refused(tmp_path):
-    with pytest.raises(FungraspError, match=r"up to \d+ mm from that of a ur5e"):
-        write_arm_model(tmp_path / "mine.xml", "ur5e", UR5)
-    assert not list(tmp_path.iterdir())
-
-
-def test_kinematics_come_in_any_pieces_and_among_other_messages():
-    other = struct.pack(">iB", 9, 20) + bytes(4)
-    stream, rest, found = other + encode_kinematics(UR5E), b"", None
-    for i in range(len(stream)):
-        found, rest = decode_kinematics(rest + stream[i : i + 1])
-        assert (found is not None) == (i == len(stream) - 1)
-    assert found is not None
-    np.testing.assert_array_equal(found.d, UR5E.d)
-    with pytest.raises(ValueError, match="no messages"):
-        decode_kinematics(b"HTTP/1.1 404")
-
-
-def test_a_controller_without_kinematics_says_so():
-    with pytest.raises(RobotError, match="check address and cable"):
-        read_kinematics(next(ADDRESSES))
 
 
 def test_a_cb3_arm_follows_with_a_tool_on_its_flange():

@@ -29,9 +29,8 @@ from fungrasp.deployment.twin_deployment import reachable_placement
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.control_loop.loop_driver import LoopDriver, worker_environment
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.worker_environment import worker_environment
 from fungrasp_emulators.plants import ServoPlant
 
 rclpy = pytest.importorskip("rclpy")

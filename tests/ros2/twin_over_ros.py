@@ -14,8 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from ros_joints import RosJoints
 
 from fungrasp.hands import load_hand
-from fungrasp.robots.process_priority import raise_priority
-from fungrasp.robots.twin.clocks import RealTimeTwin
+from fungrasp.robots.twin.devices import RealTimeTwin
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
@@ -40,7 +39,6 @@ def main() -> None:
     world = TwinWorld(cell, hand, thing, cell_twin(cell, hand, 0))
     world.settle(placement)
     rest, last, highest, up = float(world.center_of_mass()[2]), None, 0.0, 0.0
-    raise_priority()
     commands = cell.hand_device.options["commands"]
     fingers = RosJoints(TwinHandPlant(world), tuple(hand.actuators), commands)
     with RealTimeTwin(world), RosJoints(TwinArmPlant(world)), fingers:

@@ -12,17 +12,17 @@ from small_training import BATCH, PPO, WORLDS, distilled, hand, run_spec, traine
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
 from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.distill import STUDENT
 from fungrasp.training.export import make_card
 from fungrasp.training.folder import read_checkpoint
-from fungrasp.training.settings import DistillSettings, PredictorSettings, Variety
+from fungrasp.training.settings import DistillSettings, PredictorSettings, PredictorSpec, TrainSpec, Variety
 from fungrasp.training.success_predictor import PlanOutcomes, export_predictor, fit_predictor, try_plans
 from fungrasp.training.train import POLICY
 from fungrasp.training.training_sets import build_plan_library
@@ -34,7 +34,7 @@ SMALL = PredictorSettings(attempts=2, networks=1, hidden=(16, 8), epochs=100, dr
 def predictor(tmp_path_factory) -> Path:
     """One that likes heavy squeezing, whatever comes of it."""
     one = training_set()
-    outcomes, names = try_plans(one.grasps, one.objects, hand(), SMALL, threads=1)
+    outcomes, names = try_plans(one.grasps, one.objects, hand(), PredictorSpec(threads=1, settings=SMALL))
     start = [name for name, _ in names].index("squeeze")
     first = sum(size for _, size in names[:start])
     squeeze = np.abs(outcomes.features[:, first : first + names[start][1]]).mean(axis=1)
@@ -46,9 +46,7 @@ def predictor(tmp_path_factory) -> Path:
         outcomes.contact_ratio,
     )
     path = tmp_path_factory.mktemp("predictor") / "liking.onnx"
-    card = make_card(
-        "liking", "predictor", hand(), names, (), ResidualSettings(), 10.0, Budget(4, 0.0, "test")
-    )
+    card = make_card("liking", "predictor", hand(), names, (), ResidualSettings(), Budget(4, 0.0, "test"))
     export_predictor(fit_predictor(liked, SMALL), path, card)
     return path
 
@@ -57,8 +55,8 @@ def test_a_library_holds_what_the_predictor_likes_best(predictor):
     one = training_set()
     expect = NetworkPredictor(load_policy(predictor), hand(), one.objects)
     arguments = (one.grasps, one.objects, hand())
-    everything = build_plan_library(*arguments, Variety(copies=5), threads=1)
-    few = build_plan_library(*arguments, Variety(copies=2, tries=5), threads=1, predictor=expect)
+    everything = build_plan_library(*arguments, TrainSpec(variety=Variety(copies=5)))
+    few = build_plan_library(*arguments, TrainSpec(variety=Variety(copies=2, tries=5)), predictor=expect)
     for group in range(2):
         expected = [np.sort(expect(part.plans.select(part.group == group))) for part in (everything, few)]
         np.testing.assert_allclose(expected[1], expected[0][-2:], atol=1e-6)

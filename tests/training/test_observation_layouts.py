@@ -58,7 +58,6 @@ def test_a_played_file_acts_as_in_training(tmp_path, layout, sees):
         worlds.student_layout if sees == "history" else worlds.layout,
         worlds.privileged_layout if sees == "contacts" else (),
         worlds.settings.residual,
-        10.0,
         Budget(0, 0.0, ""),
         layout_name=layout,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,16 +13,17 @@ from small_training import hand, training_set
 import fungrasp.training.success_predictor as success_predictor
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import PartStore
+from fungrasp.planning import make_planner
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import make_planner, make_policy
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
+from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.export import halved, make_card
-from fungrasp.training.settings import PredictorSettings
+from fungrasp.training.settings import PredictorSettings, PredictorSpec
 from fungrasp.training.success_predictor import (
     PlanOutcomes,
     PlanTrials,
@@ -32,12 +34,13 @@ from fungrasp.training.success_predictor import (
 )
 
 SMALL = PredictorSettings(attempts=3, networks=2, hidden=(16, 8), chunk=4, hold_time=0.5)
+SPEC = PredictorSpec(threads=1, settings=SMALL)
 
 
 @cache
 def tried() -> tuple[PlanOutcomes, tuple[tuple[str, int], ...]]:
     one = training_set()
-    return try_plans(one.grasps, one.objects, hand(), SMALL, threads=1)
+    return try_plans(one.grasps, one.objects, hand(), SPEC)
 
 
 def made_up(count: int = 600) -> PlanOutcomes:
@@ -62,24 +65,24 @@ def test_every_variation_is_tried_once_whatever_the_chunk():
 
 def test_interrupted_episodes_go_on(tmp_path, monkeypatch):
     one, whole = training_set(), tried()[0]
-    arguments, store = (one.grasps, one.objects, hand(), SMALL), PartStore(tmp_path)
+    arguments, store = (one.grasps, one.objects, hand()), PartStore(tmp_path)
 
     def stop(share: float) -> None:
         if share >= 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        try_plans(*arguments, threads=1, progress=stop, store=store)
+        try_plans(*arguments, SPEC, progress=stop, store=store)
     (file,) = tmp_path.iterdir()
-    assert file.stem == PlanTrials(*arguments, seed=0).key(range(4)) and len(tried()[0].success) == 6
+    assert file.stem == PlanTrials(*arguments, SPEC).key(range(4)) and len(tried()[0].success) == 6
     attempt, again = success_predictor._try, []
     monkeypatch.setattr(success_predictor, "_try", lambda *a: again.append(len(a[0])) or attempt(*a))
-    outcomes, names = try_plans(*arguments, threads=1, store=store)
+    outcomes, names = try_plans(*arguments, SPEC, store=store)
     assert again == [2], "only what was missing is tried"
     np.testing.assert_array_equal(outcomes.features, whole.features)
     np.testing.assert_array_equal(outcomes.success, whole.success)
     assert names == tried()[1]
-    try_plans(*arguments, seed=1, threads=1, store=store)
+    try_plans(*arguments, replace(SPEC, seed=1), store=store)
     assert again == [2, 4, 2], "outcomes of other episodes don't count"
 
 
@@ -120,9 +123,7 @@ def test_a_predictor_chooses_and_its_file_is_a_policy(tmp_path):
         pretended, PredictorSettings(networks=1, hidden=(16, 8), epochs=200, dropout=0.0)
     )
     path = tmp_path / "liking.onnx"
-    card = make_card(
-        "liking", "predictor", hand(), names, (), ResidualSettings(), 10.0, Budget(6, 0.0, "test")
-    )
+    card = make_card("liking", "predictor", hand(), names, (), ResidualSettings(), Budget(6, 0.0, "test"))
     export_predictor(predictor, path, card)
     network = load_policy(path)
     expected = network(outcomes.features)[0][:, 0]

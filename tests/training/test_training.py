@@ -168,8 +168,6 @@ def test_checkpoints_of_other_hands_are_refused(tmp_path):
         check_environment(tmp_path, state | {"hand": load_hand("leap").name}, worlds)
     with pytest.raises(FungraspError, match="other observations"):
         check_environment(tmp_path, state | {"layout": "[]"}, worlds)
-    with pytest.raises(FungraspError, match=r"the observation layout 'paper', not 'full'$"):
-        check_environment(tmp_path, environment_state(environment(layout="paper")), worlds)
     with pytest.raises(FungraspError, match=r"the observation layout 'tiny', not 'full'$"):
         check_environment(tmp_path, state | {"layout_name": "tiny"}, worlds)
 
@@ -196,7 +194,7 @@ def test_the_student_file_does_what_torch_does(tmp_path, layout):
     student.eval()
     path = tmp_path / "student.onnx"
     card = make_card(
-        "s", "student", hand(), worlds.student_layout, (), worlds.settings.residual, 10.0, Budget(0, 0, "")
+        "s", "student", hand(), worlds.student_layout, (), worlds.settings.residual, Budget(0, 0, "")
     )
     export_policy(student, path, card)
     network, graph = load_policy(path), StudentGraph(student)

@@ -29,9 +29,8 @@ from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.assembly import is_twin
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
-from fungrasp.robots.device import JointState
+from fungrasp.robots.device import JointState, RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_ros2.conversions import diagnostic_fields, fill, joint_state_fields
 from fungrasp_ros2.ros_side import ros_module

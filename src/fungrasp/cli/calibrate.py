@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from fungrasp.cli.console import Answer, Answering
-from fungrasp.robots.calibration.board_images import Board
+from fungrasp.robots.calibration.camera import Board
 
 if TYPE_CHECKING:
-    from fungrasp.robots.calibration.hand_eye import CameraCalibration
+    from fungrasp.robots.calibration.camera import CameraCalibration
     from fungrasp.robots.cell import RobotCell
 
 
@@ -37,7 +37,7 @@ class Calibrate(Answering):
 
     def run(self) -> Answer:
         from fungrasp.core.errors import FungraspError
-        from fungrasp.robots.calibration.calibration_file import save_calibration
+        from fungrasp.robots.calibration.camera import save_calibration
         from fungrasp.robots.cell import load_cell
 
         if (self.images is None) == (self.points is None):
@@ -66,8 +66,7 @@ class Calibrate(Answering):
         from fungrasp.hands import load_hand
         from fungrasp.perception.io.image_files import read_color
         from fungrasp.perception.io.intrinsics_files import read_intrinsics
-        from fungrasp.robots.calibration.board_images import find_corners
-        from fungrasp.robots.calibration.hand_eye import BoardView, calibrate_from_board
+        from fungrasp.robots.calibration.camera import BoardView, calibrate_from_board, find_corners
         from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
         arm = ArmKinematics(cell, load_hand(cell.hand))
@@ -94,7 +93,7 @@ class Calibrate(Answering):
 
         from fungrasp.core.errors import FungraspError
         from fungrasp.core.formats.text_files import read_json
-        from fungrasp.robots.calibration.touched_points import calibrate_from_points
+        from fungrasp.robots.calibration.camera import calibrate_from_points
 
         tree = read_json(path, "touched points")
         if not isinstance(tree, dict) or not {"seen", "touched"} <= set(tree):

@@ -42,7 +42,7 @@ class Demo(Answering):
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few, and
     the one in the built-in image."""
     count: int = 3
-    """How many to show if none are picked."""
+    """How many to show if none are picked, the one in the image among them."""
     from_image: Folder = None
     """Show only the grasp in an image with depth of a person holding an object: the built-in one, or that of
     a folder with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --pick and
@@ -71,15 +71,17 @@ class Demo(Answering):
         hand = load_hand(self.hand)
         policy = self.policy or default_policy(hand.name)
         policy_files(policy, hand.name)
-        picked = None if self.from_image is not None else self._picked()
-        folder = self.from_image or (self._usual_image() if picked is not None else None)
+        folder = self.from_image or self._usual_image()
+        picked = None
+        if self.from_image is None:
+            picked = self._picked(self.count if folder is None else max(self.count - 1, 1))
         seen = None
         if folder is not None:
             seen = self._seen(folder, None if picked is None else lambda: _compile(picked, self.hand))
             for note in seen.notes:
                 print(note)
             if not seen.confident:
-                print(f"fungrasp: {seen.verdict.words}: the robot does not try it", file=sys.stderr)
+                print(f"fungrasp: {seen.acceptance.summary()}: the robot does not try it", file=sys.stderr)
                 if picked is None:
                     return self._page_of_low_confidence(seen)
         from fungrasp.media.demonstration import demonstrate
@@ -101,13 +103,13 @@ class Demo(Answering):
         value = {"film": made.film, "page": made.page, "grasps": grasps}
         return Answer(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
 
-    def _picked(self) -> Shown:
+    def _picked(self, count: int) -> Shown:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.grasps.grasp_selection import picked_rows
         from fungrasp.media.demonstration import Shown
 
         everything = load_human_grasps(self.grasps)
-        rows = picked_rows(everything, self.pick, self.count, FAVORITES)
+        rows = picked_rows(everything, self.pick, count, FAVORITES)
         human = everything.select(rows)
         source = {"Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}"}
         return Shown(human, load_objects(human, self.objects), source)
@@ -117,14 +119,14 @@ class Demo(Answering):
         from importlib.util import find_spec
 
         from fungrasp.perception.hand.mediapipe_models import have_weights
-        from fungrasp.perception.image_source import BUILTIN
+        from fungrasp.perception.io.scene_folders import BUILTIN
 
         usual = not self.pick and self.grasps == Demo.grasps
         return BUILTIN if usual and find_spec("ai_edge_litert") and have_weights() else None
 
     def _seen(self, folder: str, meanwhile: Callable[[], None] | None) -> Perceived:
         """What is in an image. meanwhile: done while another process looks at it; None for none."""
-        from fungrasp.perception.builtin_image import perceive_folder
+        from fungrasp.perception.pipeline import perceive_folder
 
         arguments = (folder, self.mesh, self.mass, self.task, self.seed)
         with progress_bar("looking at the image", 1) as show:
@@ -186,8 +188,7 @@ def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) ->
     from fungrasp.grasps import HumanGraspSet
     from fungrasp.media.demonstration import Shown
     from fungrasp.media.perception_page import perception_parts, perception_title, true_errors
-    from fungrasp.perception.builtin_image import builtin_truth
-    from fungrasp.perception.image_source import BUILTIN
+    from fungrasp.perception.io.scene_folders import BUILTIN, builtin_truth
 
     if seen is None:
         assert picked is not None

@@ -17,7 +17,7 @@ from fungrasp.cli.options import STAYS, CellName, wired_cell
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
-    from fungrasp.robots.guarded_driver import GuardedDriver
+    from fungrasp.robots.single_devices import GuardedDriver
 
 STILL = {"arm": 0.005, "hand": 0.06}
 """A joint that is told to stay moves less [rad]: an arm's servos are stiff, a hand's are not."""
@@ -97,8 +97,7 @@ class Touch(Answering):
         import numpy as np
 
         from fungrasp.core.errors import FungraspError
-        from fungrasp.robots.calibration.touched_checks import touched_point
-        from fungrasp.robots.calibration.touched_file import add_touched
+        from fungrasp.robots.calibration.touched import add_touched, touched_point
         from fungrasp.robots.single_devices import arm_at_rest
 
         cell, hand = wired_cell(self.cell)
@@ -167,7 +166,7 @@ class Jog(Answering):
 
     def run(self) -> Answer:
         from fungrasp.core.errors import UnknownNameError
-        from fungrasp.robots.robot_state import SafetyStop
+        from fungrasp.robots.device import SafetyStop
         from fungrasp.robots.single_devices import joint_names
 
         cell, hand = wired_cell(self.cell)

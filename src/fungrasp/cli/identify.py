@@ -54,22 +54,20 @@ class Collect(Answering):
 
         from fungrasp.deployment.observer import ask_before_motion
         from fungrasp.hands import load_hand
-        from fungrasp.robots.assembly import guarded_hand
         from fungrasp.robots.cell import is_wired, load_cell
-        from fungrasp.robots.hands.weaker_hand import with_torque_share
-        from fungrasp.robots.motion_recording import record_motion
+        from fungrasp.robots.single_devices import guarded_driver, record_motion
         from fungrasp.robots.stop_switch import StopSwitch
         from fungrasp.sim2real.identification.excitation import JointRoom, safe_motion
         from fungrasp.sim2real.identification.motion_log import MotionLogWriter
 
-        cell = with_torque_share(load_cell(self.cell), self.torque_share)
+        cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
         joints, gravity = tuple(hand.actuators), np.array(self.gravity)
         with MotionLogWriter(self.log) as writer:
             try:
                 with (
                     StopSwitch(cell.stop_file, keyboard=True) as switch,
-                    guarded_hand(cell, hand, switch) as driver,
+                    guarded_driver("hand", cell, hand, switch, self.torque_share) as driver,
                 ):
                     rest, limits = driver.read().positions, driver.limits
                     speed = np.minimum(limits.velocity, cell.limits.hand_speed)

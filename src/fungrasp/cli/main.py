@@ -25,7 +25,6 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
     "perceive": ("fungrasp.cli.perceive", "turn an image with depth of a held object into a human grasp"),
-    "scan": ("fungrasp.cli.scan", "make a mesh of an object from a few images with depth of it"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
     "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
     "predictor": ("fungrasp.cli.train:TrainPredictor", "learn which variations of a grasp will hold"),
@@ -47,13 +46,21 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "demo --refine": "plans are chosen in simulated rollouts, and --policy reference plays a grasp as it is",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
+    "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
     "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
     "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
     "train --ray": "start one training for each job of your cluster",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "give each value in a loop of your shell, each training its own --out",
+    "perceive --countdown": "--camera takes its image at once",
+    "perceive --frames": "give one image; where it is not sure, give another from elsewhere",
+    "perceive --page": "--camera takes its image at once; --report shows it",
+    "perceive --no-page": "--camera takes its image at once; --report shows it",
+    "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
 }
 """What is used now in place of a command, "command subcommand", "command --option" or "command subcommand
 --option" that has left."""
@@ -222,12 +229,10 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
         with redirect_stderr(said):
             return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
     except SystemExit as stop:
-        error: BaseException | None = stop
-        while error is not None:
-            # A spec has found an impossible value: in one line, as all our errors.
+        # A spec has found an impossible value: in one line, as all our errors.
+        for error in (stop.__context__, getattr(stop.__context__, "__context__", None)):
             if isinstance(error, FungraspError):
                 raise error from None
-            error = error.__context__
         sys.stderr.write(said.getvalue())
         raise
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,14 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from fungrasp.cli.console import Answer, option, suggestion, table, write_json
 from fungrasp.cli.options import JsonOut, json_path, optional_value
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.image_source import REALSENSE, ImageSource
+from fungrasp.perception.io.image_source import REALSENSE, ImageSource
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from fungrasp.objects import ObjectModel
-    from fungrasp.perception.camera.live import LiveView
-    from fungrasp.perception.io.capture import Capture
     from fungrasp.perception.perceived import Perceived
 
 LOW_CONFIDENCE = 3
@@ -32,12 +27,8 @@ LOW_CONFIDENCE = 3
 class CommandSource(ImageSource):
     """The image: three files, or a folder, or a RealSense camera, or a recording of one."""
 
-    camera: Annotated[str | None, optional_value("[realsense|FOLDER]", REALSENSE, "camera")] = None
-    """Instead of files: take an image now, with the RealSense camera that is connected, or out of a FOLDER
-    that has a capture's folder for each frame. What is missing is said; the image is taken when hand, table
-    and object are seen."""
-    page: bool = True
-    """Show the camera's picture on a page that only this computer can open."""
+    camera: Annotated[str | None, optional_value("[realsense]", REALSENSE, "camera")] = None
+    """Instead of files: take an image now, with the RealSense camera that is connected."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +63,6 @@ class Perceive:
     """Let an estimator of another package find the hand: the name of its entry point."""
     object_pose_from: str | None = None
     """Let an estimator of another package find the object's pose: the name of its entry point."""
-    frames: int = 1
-    """Look at so many images of the source, at most, until the verdict on all of them is sure."""
     seed: int = 0
     """The same seed gives the same result."""
     report: Path | None = None
@@ -89,38 +78,20 @@ class Perceive:
         # Read when NumPy is imported, which follows.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         self._check()
-        from fungrasp.objects import resolve_object
-        from fungrasp.perception.pipeline import UNKNOWN, perceive
-        from fungrasp.perception.several_looks import best_of_looks
+        from fungrasp.perception.pipeline import perceive
 
-        plane = parse_plane(self.table)
-        held = None if self.mesh == UNKNOWN else resolve_object(self.mesh, self.mass)
-        model = None if held is None else held.model
-        look = partial(
-            perceive,
-            obj=self.mesh if held is None else held,
-            mass=self.mass if held is None else None,
+        perceived = perceive(
+            self.source,
+            self.mesh,
+            mass=self.mass,
             side=self.hand,
             task=self.task,
-            table=plane,
+            table=parse_plane(self.table),
             hand=self._hand(),
             object_estimate=self._object_pose(),
             seed=self.seed,
             improve_pose=self.improve_pose,
         )
-        with self._watched(model) as (show, say):
-
-            def looked(capture: Capture) -> Perceived:
-                if self.source.camera is not None:
-                    say("the picture is taken")
-                return look(capture)
-
-            def unsure(together: Perceived) -> None:
-                turn = "" if self.source.camera is None else "; turn the hand a little, or move the camera"
-                say(f"look {together.verdict.looks} of {self.frames}: {together.verdict.words}{turn}")
-
-            captures = self.source.looks(model, self.frames, show)
-            perceived = best_of_looks(captures, looked, self.frames, unsure)
         kept = [] if self.source.keep is None else [f"the image: {self.source.keep}"]
         written, fault = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
@@ -129,17 +100,17 @@ class Perceive:
         for warning in perceived.warnings[len(perceived.capture.warnings) :]:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
         lines = [
-            table(perceived.verdict.rows()),
+            table(perceived.acceptance.rows()),
             f"{self.out}: a {perceived.hand.side} hand on '{name}', {touching} links in contact",
             *(*perceived.notes, *kept, *written),
-            perceived.verdict.words,
+            perceived.acceptance.summary(),
         ]
         if perceived.confident:
             folder = Path(self.mesh).parent if Path(self.mesh).is_file() else None
             given = option("--objects", folder)
             lines.append(suggestion("retarget --grasps", self.out, given, "--out robot.npz"))
         else:
-            lines += [f"what would help: {words}" for words in perceived.verdict.help]
+            lines += [f"what would help: {words}" for words in perceived.acceptance.help]
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
         status = 0 if perceived.confident else LOW_CONFIDENCE
         value = {"grasps": self.out, **perceived.as_json()}
@@ -184,43 +155,6 @@ class Perceive:
             return load_object_pose_estimator(self.object_pose_from)
         assert self.object_pose_file is not None
         return read_object_pose(self.object_pose_file, image=self.source.image)
-
-    @contextmanager
-    def _watched(
-        self, model: ObjectModel | None
-    ) -> Iterator[tuple[Callable[[LiveView], None], Callable[[str], None]]]:
-        """Shows what a camera sees, on a page and in words; says on both how far it is."""
-        if self.source.camera is None or model is None:
-            yield lambda view: None, lambda words: print(words, file=sys.stderr, flush=True)
-            return
-        from fungrasp.media.live_page import LivePage
-
-        with ExitStack() as ended:
-            page, said = None, ""
-
-            def show(view: LiveView) -> None:
-                nonlocal page, said
-                # A camera that gives no image has nothing to show.
-                if page is None and self.source.page:
-                    page = ended.enter_context(LivePage(model))
-                    print(
-                        f"the camera's picture: {page.address} (on this computer only); Ctrl-C ends",
-                        flush=True,
-                    )
-                if page is not None:
-                    page.show(view)
-                if view.words != said:
-                    said = view.words
-                    print(said, flush=True)
-
-            def say(words: str) -> None:
-                if page is not None:
-                    page.say(words)
-                print(words, flush=True)
-
-            yield show, say
-            if page is not None:
-                page.say("the picture is taken", done=True)
 
     def _write(self, perceived: Perceived, seconds: float) -> tuple[list[str], str]:
         """Write the files, the grasp first, which stays where another can't be written.

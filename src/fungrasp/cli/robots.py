@@ -48,35 +48,11 @@ class New(Answering):
     """The hand on the arm."""
 
     def run(self) -> Answer:
-        from fungrasp.robots.cell_template import write_cell_template
+        from fungrasp.robots.cell import write_new_cell
 
-        write_cell_template(self.file, self.hand)
+        write_new_cell(self.file, self.hand)
         text = f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'"
         return Answer({"cell": self.file}, text)
-
-
-@dataclass(frozen=True)
-class ArmModel(Answering):
-    """Write the model of a UR arm with the kinematics that its maker has calibrated.
-
-    Its controller tells them, which is only listened to. Name the file as `model` under [arm] of the cell."""
-
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
-    """The cell, with the arm's address and the model of its type."""
-    file: Annotated[Path, tyro.conf.Positional]
-    """Model to write (.xml)."""
-
-    def run(self) -> Answer:
-        from fungrasp.core.errors import FungraspError
-        from fungrasp.robots.calibration.arm_model_file import read_kinematics, write_arm_model
-        from fungrasp.robots.cell import load_cell
-
-        cell = load_cell(self.cell)
-        if cell.arm.driver != "ur-rtde":
-            raise FungraspError(f"cell '{cell.name}': the driver '{cell.arm.driver}' tells no kinematics")
-        change = write_arm_model(self.file, cell.arm.model, read_kinematics(cell.arm.address))
-        text = f"{self.file}: the flange is up to {1e3 * change:.1f} mm from that of the model before"
-        return Answer({"model": self.file, "change": change}, text)
 
 
 @dataclass(frozen=True)
@@ -99,7 +75,7 @@ class Check(Answering):
         from fungrasp.hands import load_hand
         from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
         from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
-        from fungrasp.robots.calibration.touched_checks import check_touched_base, check_touched_mount
+        from fungrasp.robots.calibration.touched import check_touched_base, check_touched_mount
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
@@ -193,7 +169,6 @@ class Emulate:
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.optional_packages import import_emulators
-        from fungrasp.robots.process_priority import raise_priority
         from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
         from fungrasp.task import LiftProtocol
@@ -207,7 +182,6 @@ class Emulate:
         world = TwinWorld(cell, hand, thing, truth)
         world.settle(reachable_placement(cell, hand, thing, grasp))
         rest = world.center_of_mass()[2]
-        raise_priority()
         with emulators.CellEmulation(cell, world, thing.name) as emulation:
             print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
             start, highest, up = time.monotonic(), 0.0, 0.0
@@ -303,7 +277,6 @@ COMMAND = {
     "calibrate": "fungrasp.cli.calibrate:Calibrate",
     "list": ListCells,
     "new": New,
-    "arm-model": ArmModel,
     "check": Check,
     "doctor": "fungrasp.cli.devices:Doctor",
     "read": "fungrasp.cli.devices:Read",

@@ -17,10 +17,9 @@ from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ScriptedMotion
 from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.planning.next_attempt import make_attempts
-from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.planning.attempts import make_attempts
+from fungrasp.robots.device import DeviceStatus, RobotCommand, RobotError, RobotState, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
 from fungrasp.robots.safety import check_action, check_pose
 from fungrasp.task import Policy
 from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict
@@ -70,10 +69,8 @@ class Deployment:
         self._attempts, self._missed, self._why_no_more = 0, False, ""
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
-        """Grasp, lift, hold, put down, go home. Never raises for what goes wrong with the robot.
-
-        Args:
-            grasp: one.
+        """Grasp, lift, hold, put down, go home, with one grasp. Never raises for what goes wrong with the
+        robot.
 
         Raises:
             FungraspError: the grasp can't be planned or reached; nothing has moved.
@@ -302,12 +299,7 @@ class _RobotAttempts:
     """Carries out the attempts of a robot (``AttemptCarrier``): its one world is number 0."""
 
     def __init__(self, deployment: Deployment, grasp: RobotGraspSet, state: RobotState):
-        """
-        Args:
-            deployment: with the first plan.
-            grasp: one.
-            state: of the robot now.
-        """
+        """deployment: with the first plan. state: of the robot now."""
         self._d, self._grasp, self._state = deployment, grasp, state
         self.postures = [state.arm.positions]
         """Of the arm on its way so far, the last one where it is."""

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.hands import Hand
+from fungrasp.robots.assembly import limited_hand
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.torque_limits import limited_hand
 from fungrasp.sim2real.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
 
 

@@ -30,8 +30,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
-from fungrasp.robots.device import JointState
-from fungrasp.robots.robot_state import RobotCommand, RobotState
+from fungrasp.robots.device import JointState, RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation, Policy
 
 if TYPE_CHECKING:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.robots.device import DeviceStatus, RobotError, TrackedPose
+from fungrasp.robots.device import DeviceStatus, RobotError, RobotState, TrackedPose
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotState
 from fungrasp.robots.safety import check_pose
 from fungrasp.task.attempt_judge import average_pose
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.phases import Phase
-from fungrasp.robots.device import StopKind
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.device import RobotCommand, RobotState, SafetyStop, StopKind
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.task import Action, Observation
 

@@ -24,7 +24,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
-from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
+from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
 from fungrasp.policies.slip_response import HIGHEST
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
@@ -142,28 +142,24 @@ class GraspPreparer:
         plans: int = PLANS,
         attempt: int = 0,
     ) -> PreparedGrasp:
-        """Plan a grasp of the object where it is seen.
-
-        Args:
-            grasp: one.
-            object_pose: at rest, world frame, shape [7].
-            arm: joints of the arm now [rad], shape [A].
-            plans: of as many seeds are tried, 1 or more.
-            attempt: how many have failed already; another plan is made, if one is worth trying.
-
-        Raises:
-            UnreachableError: the arm can't follow any of them, or little is expected of them.
-        """
-        start, fingers = self._start(grasp, object_pose)
+        """See ``Preparer.prepare``. plans: of as many seeds are tried, 1 or more."""
         # Before time is spent on planning: can the arm do about this?
-        obstacle = self._reach.possible(self._straight(grasp, object_pose, start, fingers), arm)
+        obstacle = self._obstacle(grasp, object_pose, arm)
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle))
+        start, fingers = self._start(grasp, object_pose)
         belief, blocked = self._belief(grasp, object_pose, start, fingers), False
+
+        def followed(plans: GraspPlan) -> np.ndarray:
+            one = (plans.select(np.array([i])) for i in range(len(plans)))
+            return self._reach.followed([self._path(plan, start, fingers) for plan in one], arm)
+
         for number in range(plans):
-            plan = self._plan(
-                grasp, belief, start, fingers, arm, self._seed + ATTEMPT_SEEDS * attempt + number
-            )
+            seed = self._seed + ATTEMPT_SEEDS * attempt + number
+            if isinstance(self._planner, ConstrainedPlanner):
+                plan = self._planner.plan_within(grasp, belief, followed, seed)
+            else:
+                plan = self._planner.plan(grasp, belief, seed)
             if attempt and not worth_trying(plan)[0]:
                 obstacle = NOT_WORTH_TRYING
                 continue
@@ -180,25 +176,6 @@ class GraspPreparer:
                 "move it by hand to a higher place"
             )
         raise UnreachableError(self._advice(grasp, object_pose, obstacle))
-
-    def _plan(
-        self,
-        grasp: RobotGraspSet,
-        belief: Belief,
-        start: np.ndarray,
-        fingers: np.ndarray,
-        arm: np.ndarray,
-        seed: int,
-    ) -> GraspPlan:
-        """One plan; if the planner has a choice, one that the arm can follow."""
-        if not isinstance(self._planner, ConstrainedPlanner):
-            return self._planner.plan(grasp, belief, seed)
-
-        def followed(plans: GraspPlan) -> np.ndarray:
-            one = (plans.select(np.array([i])) for i in range(len(plans)))
-            return self._reach.followed([self._path(plan, start, fingers) for plan in one], arm)
-
-        return self._planner.plan_within(grasp, belief, followed, seed)
 
     def _start(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
@@ -239,11 +216,11 @@ class GraspPreparer:
             np.concatenate([start[None], palm[1:], up]), np.concatenate([joints, last]), plan.control_period
         )
 
-    def _straight(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray, start: np.ndarray, fingers: np.ndarray
-    ) -> PalmPath:
-        """About the motion that a plan will have: straight to the grasp, then up."""
-        target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
+    def _obstacle(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> str:
+        """Why the arm can't do about the motion that a plan will have, straight to the grasp, then up; "" if
+        it can. arm: its joints at first [rad], shape [A]."""
+        start, fingers = self._start(grasp, object_pose)
+        target = _target(grasp, object_pose)
         share = np.linspace(0.0, 1.0, 9)[:, None]
         # A start that was turned upwards turns back on the way.
         turned = _between(start[3:], target[3:], share[:, 0])
@@ -251,26 +228,20 @@ class GraspPreparer:
         up = np.repeat(there[-1:], 4, axis=0)
         up[:, 2] += np.linspace(0.0, self._protocol.lift_height + HIGHEST, 5)[1:]
         palm = np.concatenate([there, up])
-        return PalmPath(palm, np.tile(fingers, (len(palm), 1)), 0.3)
+        return self._reach.possible(PalmPath(palm, np.tile(fingers, (len(palm), 1)), 0.3), arm)
 
     def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
         """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move
-        first, that as it stands included; each with the move in words.
-
-        Args:
-            grasp: one.
-            object_pose: at rest, world frame, shape [7].
-        """
+        first, that as it stands included; each with the move in words. object_pose: as of ``prepare``."""
         moves = [(x, y, turn) for turn in TURNS for x in SHIFTS for y in SHIFTS]
         moves.sort(key=lambda move: abs(move[0]) + abs(move[1]) + 0.1 * abs(move[2]))
+        home = np.asarray(self._cell.arm.home)
         for x, y, turn in moves[:PLACEMENTS]:
             moved = object_pose.copy()
             moved[:2] += x, y
             rotation = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
             moved[3:] = quaternion_multiply(rotation, moved[3:])
-            start, fingers = self._start(grasp, moved)
-            home = np.asarray(self._cell.arm.home)
-            if not self._reach.possible(self._straight(grasp, moved, start, fingers), home):
+            if not self._obstacle(grasp, moved, home):
                 yield (
                     moved,
                     f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees "
@@ -279,21 +250,14 @@ class GraspPreparer:
 
     def hindrance(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> str:
         """Why the arm can't reach a grasp, however it is planned, and what a person can do about it, as a
-        phrase; "" where it can.
-
-        Args:
-            grasp: one.
-            object_pose: at rest, world frame, shape [7].
-        """
-        start, fingers = self._start(grasp, object_pose)
-        path = self._straight(grasp, object_pose, start, fingers)
-        obstacle = self._reach.possible(path, np.asarray(self._cell.arm.home))
+        phrase; "" where it can. object_pose: as of ``prepare``."""
+        obstacle = self._obstacle(grasp, object_pose, np.asarray(self._cell.arm.home))
         return obstacle and f"{obstacle}; {self._remedy(grasp, object_pose)}"
 
     def _remedy(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> str:
         """What to show instead, as a phrase: a palm that is low beside the object is so wherever that
         stands."""
-        palm = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
+        palm = _target(grasp, object_pose)
         downwards = -rotate(palm[3:], self._hand.palm_normal)[2]
         if palm[2] > LOW_PALM or downwards > FROM_ABOVE:
             return "take another grasp"
@@ -312,6 +276,11 @@ class GraspPreparer:
         if found is None:
             return f"{said}; no placement nearby would do: {self._remedy(grasp, object_pose)}"
         return f"{said}; it would be with the object {found[1]}"
+
+
+def _target(grasp: RobotGraspSet, object_pose: np.ndarray) -> np.ndarray:
+    """Palm at the grasp of an object elsewhere, world frame, shape [7]."""
+    return compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
 
 
 def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:

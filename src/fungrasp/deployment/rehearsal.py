@@ -24,13 +24,14 @@ from fungrasp.robots.device import (
     DeviceStatus,
     JointLimits,
     JointState,
+    RobotCommand,
+    RobotState,
     StopKind,
     TrackedPose,
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
 
 LOOK_TIME = 0.1
@@ -152,22 +153,41 @@ class _SteppedClock:
         self._now = 0.0
 
     def now(self) -> float:
-        """See ``Clock.now``."""
         return self._now
 
     def sleep_until(self, when: float) -> None:
-        """See ``Clock.sleep_until``."""
         self._now = max(self._now, when)
 
 
-class _PerfectJoints:
-    """Joints that are at once where they are told to be, unless something stops them."""
+class _Device:
+    """What needs no connection."""
 
     takes_feedforward = False
     lets_go = ""
 
+    def __init__(self, name: str, clock: _SteppedClock):
+        self.name, self._clock = name, clock
+
+    def connect(self) -> None: ...
+
+    def take_control(self) -> None: ...
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None: ...
+
+    def close(self) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class _PerfectJoints(_Device):
+    """Joints that are at once where they are told to be, unless something stops them."""
+
     def __init__(self, name: str, positions: np.ndarray, limits: JointLimits, clock: _SteppedClock):
-        self.name, self.limits, self._clock = name, limits, clock
+        super().__init__(name, clock)
+        self.limits = limits
         self.positions = np.clip(positions, limits.lower, limits.upper)
         """Where they are [rad]."""
         self._low, self._high = limits.lower, limits.upper
@@ -179,54 +199,22 @@ class _PerfectJoints:
             both = np.array([held, free, self.positions])
             self._low, self._high = both.min(axis=0), both.max(axis=0)
 
-    def connect(self) -> None:
-        """See ``JointDriver.connect``."""
-
-    def take_control(self) -> None:
-        """See ``JointDriver.take_control``."""
-
     def read(self) -> JointState:
-        """See ``JointDriver.read``."""
         now = self._clock.now()
         return JointState(self.positions, np.zeros_like(self.positions), None, now, now, DeviceStatus.READY)
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
-        """See ``JointDriver.command``."""
         sent = np.clip(positions, self.limits.lower, self.limits.upper)
         self.positions = np.clip(sent, self._low, self._high)
         return sent
 
-    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """See ``JointDriver.stop``."""
 
-    def close(self) -> None:
-        """See ``JointDriver.close``."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None: ...
-
-
-class _StandingObject:
+class _StandingObject(_Device):
     """A tracker that sees the object where the plan has it."""
 
-    name = "the plan's object"
-
     def __init__(self, pose: np.ndarray, clock: _SteppedClock):
-        self._pose, self._clock = pose, clock
-
-    def connect(self) -> None:
-        """See ``PoseSource.connect``."""
+        super().__init__("the plan's object", clock)
+        self._pose = pose
 
     def read(self) -> TrackedPose:
-        """See ``PoseSource.read``."""
         return TrackedPose(self._pose, self._clock.now(), 1.0, TrackingStatus.TRACKING)
-
-    def close(self) -> None:
-        """See ``PoseSource.close``."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None: ...

@@ -10,12 +10,10 @@ from fungrasp.deployment.deployment_result import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.geometry.poses import compose
-from fungrasp.planning.withdrawal import way_off
-from fungrasp.policies.open_loop import WaypointPolicy
-from fungrasp.robots.device import StopKind
+from fungrasp.planning.withdrawal import WaypointPolicy, way_off
+from fungrasp.robots.device import SafetyStop, StopKind
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.task import Action, GraspPlan
 
 ARRIVED = 2e-3
@@ -42,11 +40,7 @@ class ScriptedMotion:
     """Moves a robot as told, at the speed that it has been slowed down to, and watches its control steps."""
 
     def __init__(self, robot: Robot, ticks: DeadlineMonitor):
-        """
-        Args:
-            robot: connected.
-            ticks: told of each control step.
-        """
+        """robot: connected. ticks: told of each control step."""
         self._robot, self._ticks = robot, ticks
 
     def move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
@@ -110,12 +104,7 @@ class ScriptedMotion:
             go(back[-1:], prepared.start_fingers[None])
 
     def withdraw(self, plan: GraspPlan, gap: np.ndarray) -> None:
-        """Open the hand over what is not held as it should be, and withdraw.
-
-        Args:
-            plan: that was followed.
-            gap: of the judge's verdict.
-        """
+        """Open the hand over what is not held as it should be, and withdraw. gap: of the judge's verdict."""
         robot = self._robot
         state = robot.state()
         robot.begin(state)
@@ -129,11 +118,7 @@ class ScriptedMotion:
             step += 1
 
     def wait_for_tick(self, start: float, step: int) -> float:
-        """Wait for a control step; the time [s].
-
-        Args:
-            start: of the first one, time of the robot's clock [s].
-            step: its number.
+        """Wait for a control step; the time [s]. start: of the first one, time of the robot's clock [s].
 
         Raises:
             SafetyStop: it begins too late, or the switch is pressed.

@@ -109,7 +109,7 @@ class GraspChoice:
 
     def _of_image(self, folder: str, seed: int) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
         from fungrasp.core.errors import FungraspError
-        from fungrasp.perception.builtin_image import perceive_folder
+        from fungrasp.perception.pipeline import perceive_folder
 
         seen = perceive_folder(folder, self.mesh, self.mass, seed=seed)
         why = why_not_tried(seen)
@@ -126,5 +126,5 @@ def why_not_tried(perceived: Perceived) -> str:
         # A left hand's grasp is one of a right hand on the object's mirror image, which is not on the table.
         return "it shows a left hand, and robots have right ones"
     if not perceived.confident:
-        return "; ".join((perceived.verdict.words, *map(str, perceived.warnings)))
+        return "; ".join((perceived.acceptance.summary(), *map(str, perceived.warnings)))
     return ""

@@ -27,12 +27,10 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import broad_settled_up
 from fungrasp.planning import MotionPlanner
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import WallClock
+from fungrasp.robots.device import RobotCommand, RobotState, WallClock
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import RobotCommand, RobotState
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.clocks import RealTimeTwin, TwinClock
-from fungrasp.robots.twin.devices import TwinArm, TwinHand, TwinTracker
+from fungrasp.robots.twin.devices import RealTimeTwin, TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics

@@ -28,8 +28,7 @@ SOURCES = (
     "geometry/distance_queries.py",
     "geometry/signed_distance.py",
     "optimization/*.py",
-    "perception/*_loops.py",
-    "perception/object_pose/*_loops.py",
+    "perception/compiled_loops.py",
 )
 """Files that the loops are made from."""
 

@@ -15,7 +15,7 @@ from fungrasp.core.provenance import page_provenance
 from fungrasp.evaluation import LiftTestSpec, Trajectory, evaluate, replay, static_quality
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.hands import Hand
-from fungrasp.media.episode_film import episode_film, film_frames
+from fungrasp.media.episode_film import FilmSettings, episode_film, film_frames
 from fungrasp.media.grasp_pages import (
     contacts,
     grasp_pictures,
@@ -29,15 +29,10 @@ from fungrasp.media.page import GraspReport, Page, write_page
 from fungrasp.media.render import render
 from fungrasp.media.video import write_video
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import make_planner
 from fungrasp.retargeting import retarget
 
-FPS, SPEED = 10.0, 2.5
-"""Frames per second of the film, and how much faster than the simulation it runs."""
-
-WIDTH, HEIGHT = 854, 480
-"""Size of the film's picture [pixels]."""
+FILM = FilmSettings(fps=10.0, speed=2.5, width=720, height=406)
+"""Of the demonstration: as wide as its page."""
 
 INSET = 0.24
 """Width of the picture of the person's grasp in the film's corner, in widths of the film."""
@@ -49,7 +44,7 @@ INTRODUCTION = (
     "the robot hand makes of it. The film is the episode in simulation: reach for the object on the table, "
     "close, lift by 15 cm and hold for 3 s. Where the task has a motion, a second film shows what follows: "
     "the wrist pours, strikes or strokes, a finger presses the trigger, or somebody pulls, and the object is "
-    f"to stay in the hand. The films run {SPEED:g} times as fast."
+    f"to stay in the hand. The films run {FILM.speed:g} times as fast."
 )
 
 Stages = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
@@ -123,7 +118,6 @@ def demonstrate(
         with stages(f"retargeting to {hand.name}", 1.0) as show:
             robot = retarget(human, objects, hand, threads=threads, progress=show)
         quality = static_quality(robot, human, objects, hand)
-        selection = SelectionSettings.for_protocol("nominal", for_use=True)
         with stages("lifting and using", 1.0) as show:
             result = evaluate(
                 robot,
@@ -131,7 +125,6 @@ def demonstrate(
                 policy,
                 spec=LiftTestSpec(use=True),
                 human=human,
-                planner=make_planner(policy, hand, objects, selection, threads=threads),
                 threads=threads,
                 record=folder,
                 progress=show,
@@ -182,28 +175,36 @@ def _film(
 ) -> tuple[Path, dict[tuple[int, bool], Path]]:
     """The whole film, and its parts by row of the grasp and whether it is the use."""
     clips: dict[tuple[int, bool], Path] = {}
+    people = [_person(grasp, shown.objects[grasp.object_name]) for grasp in shown.human]
 
     def frames() -> Iterator[np.ndarray]:
         done = 0
         for each in episodes:
             obj, clip, grasp = shown.objects[each.object_name], [], shown.human[each.index]
-            options = {"fps": FPS, "speed": SPEED, "width": WIDTH, "height": HEIGHT, "threads": threads}
-            inset = _person(grasp, obj)
-            for frame in episode_film(each, hand, obj, title=grasp_title(grasp), inset=inset, **options):
+            film = episode_film(
+                each,
+                hand,
+                obj,
+                FILM,
+                title=grasp_title(grasp),
+                inset=people[each.index],
+                threads=threads,
+            )
+            for frame in film:
                 clip.append(frame)
                 yield frame
                 done += 1
                 show(done)
             file = folder / f"{each.index}{'-use' if each.is_use_test else ''}.mp4"
-            clips[each.index, each.is_use_test] = write_video(file, clip, FPS)
+            clips[each.index, each.is_use_test] = write_video(file, clip, FILM.fps)
 
-    with stages("filming", sum(film_frames(each, FPS, SPEED) for each in episodes)) as show:
-        return write_video(out, frames(), FPS), clips
+    with stages("filming", sum(film_frames(each, FILM) for each in episodes)) as show:
+        return write_video(out, frames(), FILM.fps), clips
 
 
 def _person(grasp: HumanGrasp, obj: ObjectModel) -> np.ndarray:
     """The person's grasp, for the film's corner."""
     model, qpos = grasp_scene(grasp, obj)
-    width = round(INSET * WIDTH)
+    width = round(INSET * FILM.width)
     height = round(0.75 * width)
     return render(model, qpos, look_at_grasp(model, width=width, height=height))[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import mujoco
@@ -44,15 +44,26 @@ STEADY = 0.1
 """Half of the time over which contacts are averaged, so that links don't flicker [s]."""
 
 
+@dataclass(frozen=True)
+class FilmSettings:
+    """How a film is made."""
+
+    fps: float = 15.0
+    """Frames per second."""
+    speed: float = 1.5
+    """Seconds of the episode in a second of the film."""
+    width: int = 432
+    """[pixels]"""
+    height: int = 324
+    """[pixels]"""
+
+
 def episode_film(
     trajectory: Trajectory,
     hand: Hand,
     obj: ObjectModel,
+    settings: FilmSettings | None = None,
     *,
-    fps: float = 15.0,
-    speed: float = 1.5,
-    width: int = 432,
-    height: int = 324,
     title: str = "",
     inset: np.ndarray | None = None,
     threads: int = 0,
@@ -64,10 +75,7 @@ def episode_film(
 
     Args:
         trajectory: of ``hand`` and ``obj``.
-        fps: frames per second.
-        speed: seconds of the episode in a second of the film.
-        width: [pixels].
-        height: [pixels].
+        settings: the usual ones if None.
         title: words before the phase.
         inset: picture in the upper left corner, as of the person's grasp: sRGB, shape [h, w, 3] uint8.
         threads: 0 means all CPUs; the film does not depend on it.
@@ -75,16 +83,16 @@ def episode_film(
     Yields:
         sRGB, shape [height, width, 3] uint8.
     """
-    trajectory = _finite_part(trajectory)
+    trajectory, settings = _finite_part(trajectory), settings or FilmSettings()
     wrist, joints, object_poses = trajectory.palm_pose, trajectory.joint_positions, trajectory.object_pose
     model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])
     recorded = robot_scene_states(model, hand, wrist, joints, object_poses)
     times = trajectory.times.astype(float)
-    at = frame_times(times, fps, speed)
+    at = frame_times(times, settings.fps, settings.speed)
     states = interpolate(model, recorded, times, at)
     holding = trajectory.link_contacts[trajectory.phase == trajectory.phase.max()].mean(axis=0) > 0.5
     judged, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0], holding)
-    cameras = _cameras(judged, recorded, trajectory, at, width, height)
+    cameras = _cameras(judged, recorded, trajectory, at, settings)
     colors = robot_scene_colors(model, hand, _steady(trajectory.link_contacts, times, at))
     drawn = _moving(model, states)
     drawn[1:] |= [a != b for a, b in pairwise(cameras)]
@@ -101,7 +109,7 @@ def episode_film(
         yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, phase))), clock)
     done = "used" if trajectory.is_use_test else "lifted and held"
     verdict = done if trajectory.success else f"failed: {trajectory.reason}"
-    for _ in range(round(VERDICT_TIME * fps)):
+    for _ in range(round(VERDICT_TIME * settings.fps)):
         yield captioned(_with_inset(picture, inset), " · ".join(filter(None, (title, verdict))), clock)
 
 
@@ -116,10 +124,10 @@ def _with_inset(picture: np.ndarray, inset: np.ndarray | None) -> np.ndarray:
     return whole
 
 
-def film_frames(trajectory: Trajectory, fps: float = 15.0, speed: float = 1.5) -> int:
+def film_frames(trajectory: Trajectory, settings: FilmSettings) -> int:
     """Number of frames of ``episode_film``."""
     times = _finite_part(trajectory).times.astype(float)
-    return len(frame_times(times, fps, speed)) + round(VERDICT_TIME * fps)
+    return len(frame_times(times, settings.fps, settings.speed)) + round(VERDICT_TIME * settings.fps)
 
 
 def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
@@ -131,7 +139,7 @@ def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
 
 
 def _cameras(
-    model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, width: int, height: int
+    model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, settings: FilmSettings
 ) -> list[Camera]:
     """Cameras of the frames: one that sees all of the motion, and one that sees it from the first touch on.
     An object that gets away is not followed. The model's links that touch during the hold are colored, to be
@@ -140,7 +148,7 @@ def _cameras(
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST
     close[touch] = True
-    size = {"width": width, "height": height, "margin": CAPTION_MARGIN}
+    size = {"width": settings.width, "height": settings.height, "margin": CAPTION_MARGIN}
     near = look_at_grasp(model, states[touch:][close[touch:]], **size)
     wide = frame_geoms(model, states[close], *view_angles(near), **size)
     return [wide if time < trajectory.times[touch] else near for time in at]

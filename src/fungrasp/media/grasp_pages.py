@@ -1,8 +1,11 @@
-"""What pages say about grasps: pictures, contacts, numbers, outcomes; the page of what a verb returned."""
+"""What pages and notebooks say about grasps: pictures, contacts, numbers, outcomes; the page of what a verb
+returned.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +19,13 @@ from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_objects
 from fungrasp.hands import Hand
 from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp, view_angles
-from fungrasp.media.page import Contact, GraspReport, Page, Quantity, text_card, write_page
+from fungrasp.media.page import Contact, GraspReport, Page, Quantity, figure, text_card, write_page
 from fungrasp.media.perception_page import write_perception_page
-from fungrasp.media.pictures import DRAWN_GRASPS, grasp_picture, spread_rows
+from fungrasp.media.pictures import DRAWN_GRASPS, grasp_picture, grid, spread_rows
 from fungrasp.media.render import render
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.perception.perceived import Perceived
+from fungrasp.task import GraspPlan
 from fungrasp.task.use import UseOutcomes
 
 DIGITS = 3
@@ -211,3 +215,72 @@ def quantities(quality: StaticQuality, result: LiftTestResult, row: int) -> list
         Quantity("Slip", round(float(slip), DIGITS), "mm/s", "Of the object in the hand, during the hold."),
         Quantity("Pushed by", round(float(pushed), DIGITS), "mm", "While the hand approached and closed."),
     ]
+
+
+PICTURES = 4
+"""Grasps that are drawn."""
+
+ROWS = 8
+"""Lines of a table."""
+
+
+def notebook_html(value: Any) -> str | None:
+    """HTML of grasps, a plan or a result; None of anything else."""
+    if isinstance(value, HumanGraspSet | RobotGraspSet):
+        return _grasps(value)
+    if isinstance(value, LiftTestResult):
+        return f"{escape(repr(value))}{rates_by_object(value)}<pre>{escape(value.table())}</pre>"
+    if isinstance(value, GraspPlan):
+        return _plans(value)
+    return None
+
+
+def _grasps(grasps: HumanGraspSet | RobotGraspSet) -> str:
+    task = np.full(len(grasps), "") if grasps.task is None else grasps.task
+    rows = [
+        (
+            str(row),
+            str(grasps.object_name[row]),
+            str(task[row]),
+            f"{1e3 * float(grasps.object_mass[row]):.0f} g",
+        )
+        for row in range(min(len(grasps), ROWS))
+    ]
+    words = _table(("row", "object", "task", "mass"), rows, len(grasps))
+    return f"{escape(repr(grasps))}{_pictures(grasps)}{words}"
+
+
+def _pictures(grasps: HumanGraspSet | RobotGraspSet) -> str:
+    """A few of them; none where their objects are not built in."""
+    chosen = spread_rows(grasps.object_name, PICTURES)
+    try:
+        objects = load_objects(grasps.select(np.array(chosen)))
+        drawn = [grasp_picture(grasps, row, objects, 280, 210) for row in chosen]
+    except FungraspError:
+        return ""
+    labels = [str(grasps.object_name[row]) for row in chosen]
+    return figure(grid(drawn, labels, columns=PICTURES), f"{len(chosen)} of {len(grasps)} grasps")
+
+
+def _plans(plans: GraspPlan) -> str:
+    expected = plans.expected_success
+    rows = [
+        (
+            str(row),
+            str(plans.object_name[row]),
+            f"{plans.control_period * int(plans.closing_step[row]):.1f} s",
+            f"{plans.control_period * int(plans.lift_step[row]):.1f} s",
+            "–" if expected is None else f"{100 * float(expected[row]):.0f} %",
+        )
+        for row in range(min(len(plans), ROWS))
+    ]
+    heads = ("row", "object", "closes at", "lifts at", "expected success")
+    return f"{escape(f'<GraspPlan: {len(plans)} plans>')}{_table(heads, rows, len(plans))}"
+
+
+def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]], count: int) -> str:
+    """A table, and how many rows are not in it."""
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in heads)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    more = f"<p>and {count - len(rows)} more</p>" if count > len(rows) else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"

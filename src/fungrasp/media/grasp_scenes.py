@@ -309,7 +309,6 @@ def frame_geoms(
     *,
     width: int = 640,
     height: int = 480,
-    fov_y: float = 30.0,
     margin: float = 1.12,
 ) -> Camera:
     """A camera that frames all drawn geoms but planes and huge ones, tightly.
@@ -318,7 +317,6 @@ def frame_geoms(
         qpos: shape [nq], or [T, nq] for a motion of which all is framed.
         azimuth: of the camera, from the world's x towards y [degrees].
         elevation: above the horizontal [degrees].
-        fov_y: vertical field of view [degrees].
         margin: how much larger than its contents the picture is.
 
     Raises:
@@ -343,7 +341,7 @@ def frame_geoms(
         rotation = data.geom_xmat[chosen].reshape(-1, 3, 3)
         points.append(data.geom_xpos[chosen][:, None] + np.einsum("gij,gpj->gpi", rotation, local))
     everything = np.concatenate(points).reshape(-1, 3)
-    return fit_camera(everything, azimuth, elevation, fov_y=fov_y, width=width, height=height, margin=margin)
+    return fit_camera(everything, azimuth, elevation, width=width, height=height, margin=margin)
 
 
 def view_angles(camera: Camera) -> tuple[float, float]:
@@ -361,6 +359,5 @@ def _shares(mask: np.ndarray) -> np.ndarray:
 def _touching(model: mujoco.MjModel, seen: Views) -> np.ndarray:
     whole = np.flatnonzero(np.all(np.abs(model.geom_rgba[:, :3] - np.asarray(CONTACT)) < 1e-3, axis=1))
     textured = np.flatnonzero(model.geom_matid >= 0)
-    assert seen.color is not None
     orange = seen.color[..., 2] < 0.5 * seen.color[..., 0]
     return np.isin(seen.segmentation, whole) | (np.isin(seen.segmentation, textured) & orange)

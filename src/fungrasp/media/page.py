@@ -167,8 +167,8 @@ class Contact:
     """Name of the link."""
     target: bool
     """Whether the link should touch the object."""
-    reached: bool | None = None
-    """Whether the link touched the object; None if it was not tried."""
+    reached: bool
+    """Whether the link touched the object."""
 
 
 @dataclass(frozen=True)
@@ -187,13 +187,13 @@ class GraspReport:
     """Picture of the human grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     robot_picture: np.ndarray | None = None
     """Picture of the robot grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
-    film: Path | bytes | None = None
-    """Film of the episode: a file of a kind in ``MEDIA_TYPES``, or the bytes of an mp4 file."""
+    film: Path | None = None
+    """Film of the episode: a file of a kind in ``MEDIA_TYPES``."""
     use_success: bool | None = None
     """Whether the use test that followed was passed; None if there was none."""
     use_outcome: str = ""
     """What happened in it, in a sentence."""
-    use_film: Path | bytes | None = None
+    use_film: Path | None = None
     """Film of it, as ``film``."""
     contacts: Sequence[Contact] = ()
     """Links that should touch, and whether they did."""
@@ -304,7 +304,7 @@ def _use_badge(success: bool | None) -> str:
     return " " + (badge("good", "✓ Used") if success else badge("bad", "✗ Use failed"))
 
 
-def _film(film: Path | bytes | None, alt: str, caption: str, play: str) -> str:
+def _film(film: Path | None, alt: str, caption: str, play: str) -> str:
     if film is None:
         return ""
     kind, data = _media(film)
@@ -324,10 +324,8 @@ def _contacts(contacts: Sequence[Contact]) -> str:
         f"<td>{_dot(contact.reached)}</td></tr>"
         for contact in contacts
     )
-    wanted = [c for c in contacts if c.target and c.reached is not None]
-    summary = (
-        f"{sum(bool(c.reached) for c in wanted)} of {len(wanted)} wanted contacts reached" if wanted else ""
-    )
+    wanted = [contact.reached for contact in contacts if contact.target]
+    summary = f"{sum(wanted)} of {len(wanted)} wanted contacts reached" if wanted else ""
     return (
         '<section class="card"><h3>Contacts</h3>'
         + (f"<p>{summary}</p>" if summary else "")
@@ -336,17 +334,13 @@ def _contacts(contacts: Sequence[Contact]) -> str:
     )
 
 
-def _dot(value: bool | None) -> str:
-    if value is None:
-        return '<span class="none">not tried</span>'
+def _dot(value: bool) -> str:
     return (
         '<span class="dot on" title="yes">yes</span>' if value else '<span class="dot" title="no">no</span>'
     )
 
 
-def _media(film: Path | bytes) -> tuple[str, bytes]:
-    if isinstance(film, bytes):
-        return MEDIA_TYPES[".mp4"], film
+def _media(film: Path) -> tuple[str, bytes]:
     kind = MEDIA_TYPES.get(film.suffix.lower())
     if kind is None:
         raise FungraspError(f"{film}: a film on a page must be one of {', '.join(MEDIA_TYPES)}")

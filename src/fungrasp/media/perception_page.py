@@ -20,13 +20,12 @@ from fungrasp.media.perception_pictures import (
 )
 from fungrasp.objects import MIRRORED, ObjectModel
 from fungrasp.perception import Capture
-from fungrasp.perception.builtin_image import BuiltinTruth
-from fungrasp.perception.hand.joint_confidence import SURE, WITHIN
-from fungrasp.perception.object_pose.confidence import CLOSE, RIVAL_DISTANCE, TURNED
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.acceptance import SURE_JOINT, WITHIN, Acceptance
+from fungrasp.perception.io.scene_folders import BuiltinTruth
+from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.pose_error import add, add_s, rotation_error
+from fungrasp.perception.object_pose.pose_evidence import CLOSE, RIVAL_DISTANCE, TURNED
 from fungrasp.perception.perceived import Perceived
-from fungrasp.perception.verdict import PerceptionVerdict
 
 SIDES = ("From the camera's side", "From the right of that", "From behind", "From the left")
 """Captions of the four pictures of the grasp."""
@@ -68,9 +67,7 @@ def perception_title(perceived: Perceived) -> str:
     name = perceived.grasp.object_name.removesuffix(MIRRORED).replace("_", " ")
     name = "unknown object" if perceived.fitted is not None else name
     task = f", to {perceived.grasp.task}" if perceived.grasp.task else ""
-    looks = perceived.verdict.looks
-    where = "one image" if looks == 1 else f"the surest of {looks} images"
-    return f"{name[:1].upper()}{name[1:]}{task}: seen in {where}"
+    return f"{name[:1].upper()}{name[1:]}{task}: seen in one image"
 
 
 def side_words(perceived: Perceived) -> str:
@@ -88,7 +85,7 @@ def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> li
         _verdict(perceived),
         _seen(capture, model, perceived),
         _in_space(model, perceived),
-        _figures(perceived.verdict, truth),
+        _figures(perceived.acceptance, truth),
         _uncertain(capture, model, perceived),
     ]
 
@@ -97,7 +94,7 @@ def true_errors(truth: BuiltinTruth, perceived: Perceived) -> list[Quantity]:
     """How far what was perceived is from the truth."""
     joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
     pose = perceived.object.pose_camera_object
-    points = known_object(perceived.object_model).surface.samples
+    points = object_template(perceived.object_model).surface.samples
     apart = 1e3 * float(add(points, pose, truth.pose_camera_object))
     turned = float(np.degrees(rotation_error(pose, truth.pose_camera_object)))
     return [
@@ -119,13 +116,13 @@ def contact_words(link_contacts: np.ndarray) -> str:
 
 
 def _verdict(perceived: Perceived) -> str:
-    verdict = perceived.verdict
+    verdict = perceived.acceptance
     kind, mark = ("good", "✓") if verdict.sure else ("bad", "?")
     warnings = "".join(f"<li>{escape(_sentence(str(one)))}</li>" for one in perceived.warnings)
     helps = "".join(f"<li>{escape(_sentence(one))}</li>" for one in verdict.help)
     return (
         f'<section class="verdict {kind}" aria-label="Verdict">'
-        f"<p><strong>{mark} {escape(_sentence(verdict.words))}</strong></p>"
+        f"<p><strong>{mark} {escape(_sentence(verdict.summary()))}</strong></p>"
         + (f"<ul>{warnings}</ul>" if warnings else "")
         + (f"<p>What would help:</p><ul>{helps}</ul>" if helps else "")
         + "</section>"
@@ -174,7 +171,7 @@ def _in_space(model: ObjectModel, perceived: Perceived) -> str:
     )
 
 
-def _figures(verdict: PerceptionVerdict, truth: Sequence[Quantity]) -> str:
+def _figures(verdict: Acceptance, truth: Sequence[Quantity]) -> str:
     head, *rows = verdict.rows()
     columns = "".join(f'<th scope="col">{escape(one)}</th>' for one in head)
     lines = []
@@ -207,7 +204,7 @@ def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> st
     """Joints that are not trusted, and the object's other poses."""
     confidence = perceived.hand.confidence
     joints = (
-        f"{int((confidence >= SURE).sum())} of the hand's 21 joints are sure "
+        f"{int((confidence >= SURE_JOINT).sum())} of the hand's 21 joints are sure "
         f"(within {1000 * WITHIN:.0f} mm); {float(confidence.sum()):.0f} are expected to be so near."
     )
     return (
@@ -228,7 +225,7 @@ def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> 
         return '<p class="outcome">No other pose of the object was worth considering.</p>'
     poses = np.stack([thing.pose_camera_object, *(pose for pose, _ in thing.alternatives)])
     scores = [thing.score, *(score for _, score in thing.alternatives)]
-    points = known_object(model).surface.samples[:POINTS]
+    points = object_template(model).surface.samples[:POINTS]
     apart, turned = _differences(points, poses, poses[0])
     rows = [f'<tr><th scope="row">The answer</th><td class="number">{thing.score:.2f}</td></tr>']
     pictures, shown = [], poses[:1]

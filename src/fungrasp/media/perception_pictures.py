@@ -15,8 +15,8 @@ from fungrasp.media.pictures import four_views
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_variants import mirrored_object
 from fungrasp.perception import Capture, HandEstimate, Intrinsics
-from fungrasp.perception.hand.joint_confidence import SURE
-from fungrasp.perception.object_pose.known_object import MeshRays
+from fungrasp.perception.acceptance import SURE_JOINT
+from fungrasp.perception.object_pose.object_template import MeshRays
 
 FINGER_COLORS = {
     "index": (255, 205, 40),
@@ -209,7 +209,7 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
         if shown[joint]:
             disc(joint, 13, _DARK)
             disc(joint, 10, colors[joint])
-            if hand.confidence[joint] < SURE:
+            if hand.confidence[joint] < SURE_JOINT:
                 disc(joint, 5.5, _DARK)
     return np.asarray(sheet.reduce(_FINE))
 

@@ -173,7 +173,7 @@ class RayTracer:
         shape = (rays.height, rays.width)
         received = self._received(points, rays, shadows)
         picture = _lit_table(rays, self._center, self._look).copy()
-        rows = np.flatnonzero((points.surface >= 0) | (received.min(axis=1) < 1))
+        rows = np.flatnonzero((points.surface >= 0) | (received[:, 0] < 1) | (received[:, 1] < 1))
         picture[rows] = self._shade(points.at(rows), received[rows], rays)
         if antialias > 1:
             edge = np.flatnonzero(_edges(points, received[:, 0], shape))
@@ -217,9 +217,10 @@ class RayTracer:
         points.surface[rays], points.distance[rays] = mesh, hits.distance[met]
         if shaded:
             normal = np.einsum("pc,pci->pi", weights, self._normals[self._first[mesh] + triangle])
-            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-            behind = np.einsum("pi,pi->p", normal, points.direction[rays]) > 0
-            points.normal[rays] = np.where(behind[:, None], -normal, normal)
+            # Of unit length, towards the eye.
+            size = np.maximum(np.sqrt(_dot(normal, normal)), 1e-9)
+            normal *= (np.where(_dot(normal, points.direction[rays]) > 0, -1, 1) / size)[:, None]
+            points.normal[rays] = normal
             points.albedo[rays] = self._colors[mesh]
             for i, surface in enumerate(self._surfaces):
                 if surface.texture is not None or surface.color.ndim == 2:
@@ -266,9 +267,9 @@ class RayTracer:
         up = 0.5 + 0.5 * points.normal[:, 2:]
         around = received[:, 1:] * (up * sky + (1 - up) * bounce)
         half = self._light - points.direction
-        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         strength, exponent = self._gloss[points.surface].T
-        shine = np.maximum(np.einsum("pi,pi->p", points.normal, half), 0.0) ** exponent
+        along = _dot(points.normal, half) / np.maximum(np.sqrt(_dot(half, half)), 1e-9)
+        shine = np.maximum(along, 0.0) ** exponent
         shine *= strength * (exponent + 8) / 120.0
         light[rows] = _soft(points.albedo * (lamp * key + around) + shine[:, None] * lamp)
         return light
@@ -379,11 +380,16 @@ def _edges(points: SeenPoints, lit: np.ndarray, shape: tuple[int, int]) -> np.nd
         differs = (surface[a] != surface[b]) | (lit[a] != lit[b])
         same = np.nonzero(~differs & (surface[a] >= 0))
         near, far = distance[a][same], distance[b][same]
-        bend = np.einsum("pi,pi->p", normal[a][same], normal[b][same])
+        bend = _dot(normal[a][same], normal[b][same])
         differs[same] = (np.abs(near - far) > 0.03 * np.minimum(near, far)) | (bend < 0.6)
         edge[a] |= differs
         edge[b] |= differs
     return edge
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products, shape [P]. a, b: shape [P, 3]."""
+    return np.einsum("pi,pi->p", a, b)
 
 
 def _triangle(x: np.ndarray) -> np.ndarray:

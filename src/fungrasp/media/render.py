@@ -29,8 +29,8 @@ class Views:
     centers.
     """
 
-    color: np.ndarray | None
-    """Pictures, sRGB, shape [F, H, W, 3] uint8, or None if not asked for."""
+    color: np.ndarray
+    """Pictures, sRGB, shape [F, H, W, 3] uint8."""
     depth: np.ndarray
     """Distance along the camera's z [m], 0 where nothing is seen, shape [F, H, W] float32."""
     segmentation: np.ndarray
@@ -42,10 +42,8 @@ def render(
     qpos: np.ndarray,
     camera: Camera | Sequence[Camera],
     *,
-    geom_rgba: np.ndarray | None = None,
     look: Look | None = None,
     shadows: bool = True,
-    ground: bool = True,
     antialias: int = 2,
     threads: int = 0,
 ) -> np.ndarray:
@@ -55,16 +53,13 @@ def render(
     Returns:
         sRGB, shape [F, H, W, 3] uint8 (F = 1 for a single state).
     """
-    renderer = Renderer(
-        model, look=look, shadows=shadows, ground=ground, antialias=antialias, threads=threads
-    )
-    return np.stack(list(renderer.stream(qpos, camera, geom_rgba=geom_rgba)))
+    renderer = Renderer(model, look=look, shadows=shadows, antialias=antialias, threads=threads)
+    return np.stack(list(renderer.stream(qpos, camera)))
 
 
 class Renderer:
-    """Draws the geoms of groups 0, 1 and 2 of a model, all as if opaque, except those with an opacity of
-    0.
-    """
+    """Draws the geoms of groups 0, 1 and 2 of a model, but planes, on a table top, the plane z = 0; all as if
+    opaque, except those with an opacity of 0."""
 
     def __init__(
         self,
@@ -72,7 +67,6 @@ class Renderer:
         *,
         look: Look | None = None,
         shadows: bool = True,
-        ground: bool = True,
         antialias: int = 2,
         threads: int = 0,
     ):
@@ -80,7 +74,6 @@ class Renderer:
         Args:
             look: light, table top and backdrop.
             shadows: whether things shade one another.
-            ground: draw the table top, the plane z = 0, instead of the model's planes.
             antialias: n for n x n rays through the pixels on edges; 1 for none.
             threads: 0 means all CPUs; the result does not depend on it.
 
@@ -92,9 +85,9 @@ class Renderer:
         if threads < 0:
             raise FungraspError(f"threads must not be negative, but is {threads}")
         self.model = model
-        self._look, self._shadows, self._ground, self._antialias = look or Look(), shadows, ground, antialias
+        self._look, self._shadows, self._antialias = look or Look(), shadows, antialias
         self._threads = threads or os.cpu_count() or 1
-        self._drawn = drawn_geoms(model, ground=ground)
+        self._drawn = drawn_geoms(model)
         self._materials = model_materials(model)
         self._surfaces = {
             int(geom): geom_surface(model, int(geom), self._materials) for geom in np.flatnonzero(self._drawn)
@@ -123,22 +116,12 @@ class Renderer:
         return (to_bytes(light) for light in self._each(self._light, frames))
 
     def views(
-        self,
-        qpos: np.ndarray,
-        camera: Camera | Sequence[Camera],
-        *,
-        geom_rgba: np.ndarray | None = None,
-        color: bool = True,
+        self, qpos: np.ndarray, camera: Camera | Sequence[Camera], *, geom_rgba: np.ndarray | None = None
     ) -> Views:
-        """Pictures with depth and segmentation. Arguments and errors as ``stream``.
-
-        Args:
-            color: False leaves out the colors, which take most of the time.
-        """
-        frames = self._frames(qpos, camera, geom_rgba)
-        seen = list(self._each(lambda frame: self._view(frame, color), frames))
+        """Pictures with depth and segmentation. Arguments and errors as ``stream``."""
+        seen = list(self._each(self._view, self._frames(qpos, camera, geom_rgba)))
         pictures, depths, segmentations = zip(*seen, strict=True)
-        return Views(np.stack(pictures) if color else None, np.stack(depths), np.stack(segmentations))
+        return Views(np.stack(pictures), np.stack(depths), np.stack(segmentations))
 
     def _light(self, frame: _Frame, points: SeenPoints | None = None) -> np.ndarray:
         """Linear light of a frame, shape [H, W, 3]."""
@@ -146,16 +129,15 @@ class Renderer:
         points = points or frame.tracer.see(rays)
         return frame.tracer.picture(rays, points, shadows=self._shadows, antialias=self._antialias)
 
-    def _view(self, frame: _Frame, color: bool) -> tuple[np.ndarray | None, np.ndarray, np.ndarray]:
+    def _view(self, frame: _Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Picture, depth and segmentation of a frame."""
-        points, camera = frame.tracer.see(frame.camera.rays(), shaded=color), frame.camera
+        points, camera = frame.tracer.see(frame.camera.rays()), frame.camera
         shape = (camera.height, camera.width)
         distance = np.where(points.surface == NOTHING, 0.0, points.distance)
         depth = (distance * (points.direction @ camera.rotation[:, 2])).astype(np.float32)
         # The last two of these are what NOTHING and TABLE take from the end of the array.
         ids = np.array([*frame.geoms, TABLE, NOTHING], np.int32)[points.surface]
-        picture = to_bytes(self._light(frame, points)) if color else None
-        return picture, depth.reshape(shape), ids.reshape(shape)
+        return to_bytes(self._light(frame, points)), depth.reshape(shape), ids.reshape(shape)
 
     def _frames(
         self,
@@ -179,7 +161,7 @@ class Renderer:
         colors = np.broadcast_to(colors, (count, *colors.shape)) if colors.ndim == 2 else colors
         _check("geom_rgba", colors, (count, model.ngeom, 4))
         look = replace(self._look, light=sun_direction(self._look, cameras[0].rotation))
-        center = np.asarray(cameras[0].target[:2]) if self._ground else None
+        center = np.asarray(cameras[0].target[:2])
 
         def frames() -> Iterator[_Frame]:
             data, before = mujoco.MjData(model), None

@@ -16,9 +16,6 @@ VISIBLE_GROUPS = (0, 1, 2)
 SEGMENTS = 48
 """Straight pieces in the circumference of a round primitive."""
 
-INFINITE = 20.0
-"""Half the side of a plane that the model gives no size [m]."""
-
 CREASE = float(np.cos(np.radians(38.0)))
 """Triangles whose normals differ by more than this angle meet in a visible edge (cosine)."""
 
@@ -132,11 +129,10 @@ def linear(color: np.ndarray) -> np.ndarray:
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
 
 
-def drawn_geoms(model: mujoco.MjModel, *, ground: bool) -> np.ndarray:
-    """Geoms that may be drawn: those of ``VISIBLE_GROUPS``, but no planes if the renderer draws a ``ground``
-    of its own. Height fields are not drawn. Returns shape [ngeom] bool."""
-    shapes = mujoco.mjtGeom
-    left_out = [shapes.mjGEOM_HFIELD, *([shapes.mjGEOM_PLANE] if ground else [])]
+def drawn_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Geoms that may be drawn: those of ``VISIBLE_GROUPS``, but no planes, as there is a table top, and no
+    height fields. Returns shape [ngeom] bool."""
+    left_out = [mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_PLANE]
     return np.isin(model.geom_group, VISIBLE_GROUPS) & ~np.isin(model.geom_type, left_out)
 
 
@@ -192,13 +188,9 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray, np.
 def _primitive(kind: mujoco.mjtGeom, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and faces of a primitive, with z along its axis."""
     shapes = mujoco.mjtGeom
-    if kind in (shapes.mjGEOM_BOX, shapes.mjGEOM_PLANE):
-        half = size.copy()
-        if kind == shapes.mjGEOM_PLANE:
-            half = np.array([*np.where(size[:2] > 0, size[:2], INFINITE), 0.0])
-        corners = half * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
+    if kind == shapes.mjGEOM_BOX:
+        corners = size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
         quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-        quads = quads[5:] if kind == shapes.mjGEOM_PLANE else quads
         return corners, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SEGMENTS // 2 + 1)
     radius, height = np.cos(angle), np.sin(angle)

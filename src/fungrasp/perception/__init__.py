@@ -9,8 +9,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fungrasp.perception.estimates import HandEstimate, ObjectEstimate
     from fungrasp.perception.io.capture import Capture, Intrinsics
+    from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate
     from fungrasp.perception.perceived import Perceived
     from fungrasp.perception.pipeline import perceive
 
@@ -18,9 +18,9 @@ __all__ = ["Capture", "HandEstimate", "Intrinsics", "ObjectEstimate", "Perceived
 
 _MODULES = {
     "Capture": "io.capture",
-    "HandEstimate": "estimates",
+    "HandEstimate": "io.estimates",
     "Intrinsics": "io.capture",
-    "ObjectEstimate": "estimates",
+    "ObjectEstimate": "io.estimates",
     "Perceived": "perceived",
     "perceive": "pipeline",
 }

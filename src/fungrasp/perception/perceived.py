@@ -15,29 +15,14 @@ import numpy as np
 from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import HUMAN_LINKS, HumanGrasp, HumanGraspSet
 from fungrasp.objects import ObjectModel, mirrored_object
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
-from fungrasp.perception.hand.contact_evidence import HandSurroundings, link_gaps
+from fungrasp.perception.acceptance import Acceptance
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
+from fungrasp.perception.hand.physical_evidence import HandSurroundings, link_gaps
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.object_pose.estimate import PoseAnswers
 from fungrasp.perception.object_pose.shape_fit import FittedShape
-from fungrasp.perception.verdict import PerceptionVerdict
-
-FARTHEST_OFF = 0.1
-"""Skin is taken to be off by this at most [m]: what is seen there is another thing, but not the hand."""
-
-STEP = 2
-"""Every so many rows and columns are looked at for the object."""
-
-FARTHEST = 0.5
-"""The object has no point farther from its origin [m]."""
-
-OBJECT_NEAR = 0.015
-"""What is seen farther than this from where the object's surface should be [m] is something else."""
-
-OBJECT = 0.004
-"""What is seen so near to the object's surface [m] is the object."""
 
 
 @dataclass(frozen=True)
@@ -55,20 +40,20 @@ class PerceptionQuality:
 
 
 def measure_quality(
-    capture: Capture, hand: HandEstimate, thing: ObjectEstimate, surface: SignedDistanceGrid
+    capture: Capture, hand: HandEstimate, obj: ObjectEstimate, surface: SignedDistanceGrid
 ) -> PerceptionQuality:
     """The figures.
 
     Args:
         capture: the image.
         hand: as it was refined.
-        thing: the object.
+        obj: the object.
         surface: of the object, object's frame.
     """
-    pose = thing.pose_camera_object
+    pose = obj.pose_camera_object
     off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
     surroundings = HandSurroundings(surface, pose)
-    residual = thing.residual_m
+    residual = obj.residual_m
     if not np.isfinite(residual):
         residual = _object_residual(capture, pose, surroundings)
     return PerceptionQuality(
@@ -80,21 +65,22 @@ def measure_quality(
 
 
 def _object_residual(capture: Capture, pose: np.ndarray, surroundings: HandSurroundings) -> float:
-    """Median distance from the surface of what is seen near to it [m]; NaN if there is nothing."""
-    points = capture.points()[::STEP, ::STEP].reshape(-1, 3)
+    """Median distance from the surface of what is seen within 15 mm of it [m]; NaN if there is nothing."""
+    points = capture.points()[::2, ::2].reshape(-1, 3)
     points = points[np.isfinite(points[:, 2])]
-    points = points[np.linalg.norm(points - pose[:3], axis=1) < FARTHEST]
+    points = points[np.linalg.norm(points - pose[:3], axis=1) < 0.5]
     if not len(points):
         return float("nan")
     distance = np.abs(surroundings.object_distance(points)[0])
-    near = distance < OBJECT_NEAR
+    near = distance < 0.015
     return float(np.median(distance[near])) if near.any() else float("nan")
 
 
 def _hand_residual(capture: Capture, joints: np.ndarray, surroundings: HandSurroundings) -> float:
     """How far the skin is from what is seen at its pixels, median [m]; NaN where nothing is seen.
 
-    What the object shows or hides does not count; all else is the hand, as little else is in front of it.
+    What the object shows, within 4 mm of its surface, or hides does not count; all else is the hand, as
+    little else is in front of it. Beyond 0.1 m something else is seen.
     """
     points, _ = SURFACE_SAMPLES.place(joints, np.zeros((21, 3, 1)))
     pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(int)
@@ -103,9 +89,9 @@ def _hand_residual(capture: Capture, joints: np.ndarray, surroundings: HandSurro
     measured = np.zeros(len(points))
     measured[inside] = capture.depth[pixels[inside, 1], pixels[inside, 0]]
     seen = (measured > 0) & in_front(points, SURFACE_SAMPLES.radius)
-    off = np.minimum(np.abs(points[:, 2] - SURFACE_SAMPLES.radius - measured), FARTHEST_OFF)
+    off = np.minimum(np.abs(points[:, 2] - SURFACE_SAMPLES.radius - measured), 0.1)
     distance = surroundings.object_distance(k.deproject(pixels, measured))[0]
-    seen &= distance > OBJECT
+    seen &= distance > 0.004
     return float(np.median(off[seen])) if seen.any() else float("nan")
 
 
@@ -144,11 +130,6 @@ class HandCandidate:
         """The product of the scores of hand and object: of candidates that hold the object, or of those that
         don't where none does, the highest is chosen."""
         return self.object.score * self.hand.score
-
-    @property
-    def evidence(self) -> dict[str, float]:
-        """What the score of the object's pose is made of; empty where nothing was searched for."""
-        return {} if self.object.evidence is None else self.object.evidence.as_dict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +198,7 @@ class Perceived:
     """Residuals and penetration."""
     warnings: tuple[PerceptionWarning, ...]
     """What was uncertain; empty if nothing was."""
-    verdict: PerceptionVerdict
+    acceptance: Acceptance
     """Whether it can be used, the numbers that say so, and what would help. A table that is only guessed
     gives a warning, but the hand on the object does not depend on it; so does the question which way round a
     nearly symmetric object is."""
@@ -232,8 +213,8 @@ class Perceived:
 
     @property
     def confident(self) -> bool:
-        """Whether the verdict is sure."""
-        return self.verdict.sure
+        """Whether the answer is sure."""
+        return self.acceptance.sure
 
     @property
     def grasps(self) -> HumanGraspSet:
@@ -249,12 +230,12 @@ class Perceived:
     def as_json(self) -> dict[str, Any]:
         """All that was found, to be written as JSON. Meters; poses ``[x y z qw qx qy qz]``; what could not be
         measured is null."""
-        grasp, hand, thing = self.grasp, self.hand, self.object
+        grasp, hand, obj = self.grasp, self.hand, self.object
         links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
         return {
-            "version": 2,
+            "version": 3,
             "sure": self.confident,
-            "verdict": self.verdict.as_json(),
+            "acceptance": self.acceptance.as_json(),
             "doubts": [str(warning) for warning in self.warnings],
             "warnings": [{"code": warning.code, "values": dict(warning.values)} for warning in self.warnings],
             "quality": {name: v if isfinite(v) else None for name, v in asdict(self.quality).items()},
@@ -282,12 +263,12 @@ class Perceived:
             else {"name": self.fitted.name, "explained": self.fitted.quality},
             "object_mass_range": self.mass_range,
             "object": {
-                "pose_camera": thing.pose_camera_object.tolist(),
-                "score": thing.score,
-                "accepted": thing.accepted,
-                "note": thing.note,
+                "pose_camera": obj.pose_camera_object.tolist(),
+                "score": obj.score,
+                "accepted": obj.accepted,
+                "note": obj.note,
                 "alternatives": [
-                    {"pose_camera": pose.tolist(), "score": score} for pose, score in thing.alternatives
+                    {"pose_camera": pose.tolist(), "score": score} for pose, score in obj.alternatives
                 ],
             },
         }

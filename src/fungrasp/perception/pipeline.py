@@ -13,7 +13,8 @@ Each step adds its warnings; a result of low confidence is still given, marked a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,21 +25,33 @@ from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.objects import MIRRORED, ObjectModel, ResolvedObject, resolve_object
-from fungrasp.perception.camera.frames import RgbdCamera
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
-from fungrasp.perception.hand.contact_evidence import HandSurroundings, touching_links
+from fungrasp.perception.acceptance import (
+    check_held,
+    check_holdable,
+    doubt_of,
+    joint_probabilities,
+    judge,
+    plausibility_warnings,
+)
 from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands
 from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
-from fungrasp.perception.hand.joint_confidence import joint_confidences, joint_features
-from fungrasp.perception.hand.meant_hands import MeantHand, hands_elsewhere, may_hold, meant_hands, object_box
+from fungrasp.perception.hand.hand_hypotheses import (
+    HandHypothesis,
+    hand_hypotheses,
+    hands_elsewhere,
+    may_hold,
+    object_box,
+)
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-from fungrasp.perception.image_source import ImageSource, as_capture
-from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.io.capture_checks import check_hints
-from fungrasp.perception.object_pose.confidence import ambiguity
-from fungrasp.perception.object_pose.estimate import best_estimate, search_object_pose
-from fungrasp.perception.object_pose.external_pose import score_given_pose
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.hand.physical_evidence import HandSurroundings, touching_links
+from fungrasp.perception.io.capture import Box, Capture, RgbdCamera
+from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
+from fungrasp.perception.io.image_files import check_hints
+from fungrasp.perception.io.image_source import ImageSource, as_capture
+from fungrasp.perception.io.scene_folders import BUILTIN, BUILTIN_CAPTURE, builtin_truth
+from fungrasp.perception.object_pose.estimate import best_estimate, score_given_pose, search_object_pose
+from fungrasp.perception.object_pose.object_template import object_template
+from fungrasp.perception.object_pose.pose_evidence import ambiguity
 from fungrasp.perception.object_pose.shape_fit import FittedShape, fit_shape
 from fungrasp.perception.perceived import (
     HandCandidate,
@@ -46,13 +59,6 @@ from fungrasp.perception.perceived import (
     PerceptionTrace,
     Stopwatch,
     measure_quality,
-)
-from fungrasp.perception.plausibility import (
-    check_held,
-    check_holdable,
-    edge_of_hand,
-    plausibility_doubt,
-    plausibility_warnings,
 )
 from fungrasp.perception.scene.table import (
     NO_TABLE,
@@ -62,7 +68,6 @@ from fungrasp.perception.scene.table import (
     table_under,
     world_from_table,
 )
-from fungrasp.perception.verdict import perception_verdict
 
 if TYPE_CHECKING:
     import trimesh
@@ -93,7 +98,7 @@ def perceive(
     Args:
         capture: color and depth; its mask, box or point says where the object is. Or where they are: a
             folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
-            intrinsics; or a camera, whose image is taken when hand, table and object are seen.
+            intrinsics; or a camera, which gives its image now.
         obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm]; or
             "unknown": a box, cylinder or sphere is fitted to what is seen.
             Colors of the mesh file tell apart the sides of a nearly symmetric object.
@@ -114,37 +119,31 @@ def perceive(
     """
     if seed < 0:
         raise FungraspError(f"the seed must be 0 or more, not {seed}")
-    fitted = None
-    if isinstance(obj, str) and obj == UNKNOWN:
-        if object_estimate is not None:
-            raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
-        capture = capture if isinstance(capture, Capture) else as_capture(capture, None)
-        check_hints(capture)
-        fitted = _fitted_shape(capture, hand, side, table, detector, seed)
-        obj = fitted.name
-        object_estimate = ObjectEstimate(fitted.pose, fitted.quality, fitted.fits)
-    held = obj if isinstance(obj, ResolvedObject) else resolve_object(obj, mass)
-    model = held.model
-    mesh = model if held.colored is None else held.colored
+    unknown = isinstance(obj, str) and obj == UNKNOWN
+    if unknown and object_estimate is not None:
+        raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
+    held = obj if isinstance(obj, ResolvedObject) else None if unknown else resolve_object(obj, mass)
     if not isinstance(capture, Capture):
-        capture = as_capture(capture, model)
+        capture = as_capture(capture)
     check_hints(capture)
     hand = hand(capture) if callable(hand) else hand
-    if callable(object_estimate):
-        object_estimate = object_estimate(capture, mesh)
+    seen = _Image(capture, side, table, detector, seed)
+    fitted = None
+    if held is None:
+        fitted = _fitted_shape(seen, hand)
+        held = resolve_object(fitted.name, mass)
+        object_estimate = ObjectEstimate(fitted.pose, fitted.quality, fitted.fits)
+    model = held.model
+    mesh = model if held.colored is None else held.colored
+    given = object_estimate(capture, mesh) if callable(object_estimate) else object_estimate
     check_holdable(model)
-    given, watch = object_estimate, Stopwatch()
     if given is None or not given.judged:
-        with watch.stage("mesh"):
-            known_object(mesh)
+        with seen.watch.stage("mesh"):
+            object_template(mesh)
+    near = object_box(capture, model, given)
 
-    def scene_of(one: HandEstimate, meant: MeantHand | None = None) -> HandCandidate:
-        return _scene(capture, mesh, one, meant, table, given, seed, improve_pose, watch)
-
-    def scenes_of(found: Sequence[MeantHand], needed: bool = True) -> list[HandCandidate]:
-        with watch.stage("hand"):
-            measured = _fitted_hands(found, capture, needed)
-        return [scene_of(one, meant) for meant, one in measured]
+    def scene_of(one: HandEstimate, of: HandHypothesis | None = None) -> HandCandidate:
+        return _scene(seen, mesh, one, of, given, improve_pose)
 
     # 1, 2: the hand in the image and in meters. Where it is open which of two hands is meant, both go on.
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.
@@ -152,28 +151,25 @@ def perceive(
     if hand is not None:
         scenes = [scene_of(hand)]
     else:
-        detector = detector or MediaPipeHandDetector()
-        with watch.stage("detection"):
-            near = object_box(capture, model, given)
-            detected = find_hands(detector, capture, near)
-        scenes = scenes_of(meant_hands(capture, detected, near, side, detector))
+        with seen.watch.stage("detection"):
+            detected = find_hands(seen.detector, capture, near)
+        scenes = [scene_of(one, of) for of, one in seen.fitted_hands(seen.hypotheses(detected, near))]
         if not any(scene.holds for scene in scenes):
             # The one that holds it may be harder to see than somebody else's.
             known = [scene.detected for scene in scenes if scene.detected is not None]
-            with watch.stage("detection"):
-                others = hands_elsewhere(capture, known, side, detector)
-            scenes += scenes_of(others, needed=False)
+            with seen.watch.stage("detection"):
+                others = hands_elsewhere(capture, known, side, seen.detector)
+            scenes += [scene_of(one, of) for of, one in seen.fitted_hands(others, needed=False)]
     chosen = max(range(len(scenes)), key=lambda i: (scenes[i].holds, scenes[i].worth))
     scene = scenes[chosen]
-    check_held(scene, model, told=object_box(capture, model, given) is not None)
+    check_held(scene.hand, scene.object, model, hinted=near is not None)
     # 5: the hand again, touching the object.
-    with watch.stage("refinement"):
-        refined = _refined_hand(scene, capture, model, side, seed)
-        of_joints = joint_features(capture, scene.hand, refined, scene.object.accepted)
-        confidence = joint_confidences(of_joints, edge_of_hand(capture, refined) is not None)
+    with seen.watch.stage("refinement"):
+        refined = _refined_hand(seen, scene, model)
+        confidence = joint_probabilities(capture, scene.hand, refined, scene.object.accepted)
         refined = replace(refined, confidence=confidence)
     # 6: the grasp in the world.
-    with watch.stage("grasp"):
+    with seen.watch.stage("grasp"):
         plane = scene.table
         if plane is None:
             surface = transform_points(scene.object.pose_camera_object, model.vertices)
@@ -183,6 +179,7 @@ def perceive(
         grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
         quality = measure_quality(capture, refined, scene.object, model.signed_distance)
         warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model, capture))
+    side_score = None if scene.detected is None else scene.detected.side_score
     return Perceived(
         capture=capture,
         object_model=model,
@@ -194,44 +191,105 @@ def perceive(
         table_found=scene.table is not None,
         quality=quality,
         warnings=warnings,
-        verdict=perception_verdict(
+        acceptance=judge(
             scene.object,
             refined,
-            "" if fitted is None else fitted.name,
-            plausibility_doubt(scene, warnings, fitted),
-            given is not None,
+            fitted="" if fitted is None else fitted.name,
+            doubt=doubt_of(warnings, side_score, fitted is not None),
+            given=given is not None,
         ),
         notes=held.notes,
         mass_range=held.mass_range,
         fitted=fitted,
-        trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, watch.seconds),
+        trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, seen.watch.seconds),
     )
 
 
-def _fitted_shape(
-    capture: Capture,
-    hand: HandEstimate | Callable[[Capture], HandEstimate] | None,
-    side: Side | None,
-    table: np.ndarray | None,
-    detector: HandDetector | None,
-    seed: int,
-) -> FittedShape:
+def perceive_folder(
+    folder: str, mesh: str | None, mass: float | None = None, task: str = "", seed: int = 0
+) -> Perceived:
+    """What is in the image of a folder, or in the built-in one, whose object need not be said.
+
+    Args:
+        folder: of the capture, or ``BUILTIN``.
+        mesh: a mesh file, or the name of a built-in object.
+        mass, task, seed: see ``perceive``.
+
+    Raises:
+        FungraspError: the folder or the mesh is bad, no hand is seen, or the hand models are not set up.
+    """
+    if folder == BUILTIN:
+        if mesh is not None or mass is not None:
+            raise FungraspError("the built-in image has its own object: --mesh and --mass need a folder")
+        truth = builtin_truth()
+        return perceive(BUILTIN_CAPTURE, truth.object_name, task=task or truth.task, seed=seed)
+    if mesh is None:
+        raise FungraspError(
+            f"image {folder}: --mesh must say what is held: a mesh file, or a built-in object's name"
+        )
+    return perceive(folder, mesh, mass=mass, task=task, seed=seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """The image, and what was said about it."""
+
+    capture: Capture
+    side: Side | None
+    table: np.ndarray | None
+    given_detector: HandDetector | None
+    seed: int
+    watch: Stopwatch = field(default_factory=Stopwatch)
+
+    @cached_property
+    def detector(self) -> HandDetector:
+        """The one given, or MediaPipe's."""
+        return self.given_detector or MediaPipeHandDetector()
+
+    def hypotheses(self, detected: Sequence[DetectedHand], near: Box | None) -> list[HandHypothesis]:
+        """Of the hands found those that may hold the object. near: box around it [pixels]."""
+        return hand_hypotheses(self.capture, detected, near, self.side, self.detector)
+
+    def fitted_hands(
+        self, found: Sequence[HandHypothesis], needed: bool = True
+    ) -> list[tuple[HandHypothesis, HandEstimate]]:
+        """Each hand in meters, without those that have no depth, as of somebody far away.
+
+        Raises:
+            FungraspError: none has, and one is needed.
+        """
+        measured, problem = [], None
+        with self.watch.stage("hand"):
+            for one in found:
+                try:
+                    measured.append((one, fit_hand(one.detected, self.capture)))
+                except FungraspError as error:
+                    problem = error
+        if needed and problem is not None and not measured:
+            raise problem
+        return measured
+
+    def table_under(self, points: np.ndarray) -> np.ndarray | None:
+        """The table that was given, else the largest plane below points, shape [P, 3]."""
+        if self.table is not None:
+            return self.table
+        with self.watch.stage("table"):
+            return table_under(self.capture, points, np.random.default_rng(self.seed))
+
+
+def _fitted_shape(seen: _Image, hand: HandEstimate | None) -> FittedShape:
     """The shape of an object without a mesh, in the hand for which it explains most of what is seen."""
     if hand is not None:
-        held_by = [hand(capture) if callable(hand) else hand]
+        held_by = [hand]
     else:
-        detector, near = detector or MediaPipeHandDetector(), object_box(capture, None, None)
-        meant = meant_hands(capture, find_hands(detector, capture, near), near, side, detector)
-        held_by = [one for _, one in _fitted_hands(meant, capture)]
+        near = object_box(seen.capture, None, None)
+        found = seen.hypotheses(find_hands(seen.detector, seen.capture, near), near)
+        held_by = [one for _, one in seen.fitted_hands(found)]
     shapes, problem = [], None
     for one in held_by:
-        under = (
-            table
-            if table is not None
-            else table_under(capture, one.joints_camera, np.random.default_rng(seed))
-        )
+        under = seen.table_under(one.joints_camera)
         try:
-            shapes.append(fit_shape(capture, one.joints_camera, under, seed=seed))
+            shapes.append(fit_shape(seen.capture, one.joints_camera, under, seed=seen.seed))
         except FungraspError as error:
             problem = error
     if not shapes:
@@ -240,70 +298,44 @@ def _fitted_shape(
     return max(shapes, key=lambda shape: shape.quality)
 
 
-def _fitted_hands(
-    found: Sequence[MeantHand], capture: Capture, needed: bool = True
-) -> list[tuple[MeantHand, HandEstimate]]:
-    """Each hand in meters, without those that have no depth, as of somebody far away.
-
-    Raises:
-        FungraspError: none has, and one is needed.
-    """
-    measured, problem = [], None
-    for meant in found:
-        try:
-            measured.append((meant, fit_hand(meant.detected, capture)))
-        except FungraspError as error:
-            problem = error
-    if needed and problem is not None and not measured:
-        raise problem
-    return measured
-
-
 def _scene(
-    capture: Capture,
+    seen: _Image,
     mesh: Mesh,
     hand: HandEstimate,
-    meant: MeantHand | None,
-    table: np.ndarray | None,
+    of: HandHypothesis | None,
     given: ObjectEstimate | None,
-    seed: int,
     improve: bool,
-    watch: Stopwatch,
 ) -> HandCandidate:
     """The table under a hand and the object in it, unless they are known."""
-    thing, answers = given, None
-    if table is None:
-        with watch.stage("table"):
-            table = table_under(capture, hand.joints_camera, np.random.default_rng(seed))
+    obj, answers = given, None
+    table = seen.table_under(hand.joints_camera)
     under = NO_TABLE if table is None else table
-    with watch.stage("object"):
-        if thing is None:
-            answers = search_object_pose(capture, mesh, hand, under, seed=seed)
-            thing = best_estimate(answers)
-        elif not thing.judged:
-            thing = score_given_pose(thing, capture, mesh, hand, under, seed=seed, improve=improve)
-    if table is None and thing.accepted:
+    with seen.watch.stage("object"):
+        if obj is None:
+            answers = search_object_pose(seen.capture, mesh, hand, under, seed=seen.seed)
+            obj = best_estimate(answers)
+        elif not obj.judged:
+            obj = score_given_pose(obj, seen.capture, mesh, hand, under, seed=seen.seed, improve=improve)
+    vertices = np.asarray(mesh.vertices)
+    if table is None and obj.accepted:
         # The object tells as well what is below it.
-        with watch.stage("table"):
-            surface = transform_points(thing.pose_camera_object, np.asarray(mesh.vertices))
-            table = table_under(capture, surface, np.random.default_rng(seed))
-    holds = may_hold(hand, thing, np.asarray(mesh.vertices))
-    if meant is None:
-        return HandCandidate(None, hand, table, thing, answers, holds)
-    return HandCandidate(meant.detected, hand, table, thing, answers, holds, meant.warnings)
+        table = seen.table_under(transform_points(obj.pose_camera_object, vertices))
+    holds = may_hold(hand, obj, vertices)
+    detected, warnings = (None, ()) if of is None else (of.detected, of.warnings)
+    return HandCandidate(detected, hand, table, obj, answers, holds, warnings)
 
 
-def _refined_hand(
-    scene: HandCandidate, capture: Capture, model: ObjectModel, side: Side | None, seed: int
-) -> HandEstimate:
+def _refined_hand(seen: _Image, scene: HandCandidate, model: ObjectModel) -> HandEstimate:
     """The hand, touching the object; unchanged where the object's pose is not accepted."""
-    hand, thing = scene.hand, scene.object
-    if not thing.accepted:
+    hand, obj = scene.hand, scene.object
+    if not obj.accepted:
         return hand
-    surroundings = HandSurroundings(model.signed_distance, thing.pose_camera_object, scene.table)
+    surroundings = HandSurroundings(model.signed_distance, obj.pose_camera_object, scene.table)
     if scene.detected is None:
         return refine_hand(hand, surroundings)
-    return fit_held_hand(scene.detected, capture, surroundings, hand.joints_camera, side=side, seed=seed)
+    return fit_held_hand(
+        scene.detected, seen.capture, surroundings, hand.joints_camera, side=seen.side, seed=seen.seed
+    )
 
 
 def _warnings(
@@ -324,20 +356,16 @@ def _warnings(
 
 
 def _grasp(
-    held: ResolvedObject,
-    hand: HandEstimate,
-    thing: ObjectEstimate,
-    pose_world_camera: np.ndarray,
-    task: str,
+    held: ResolvedObject, hand: HandEstimate, obj: ObjectEstimate, pose_world_camera: np.ndarray, task: str
 ) -> HumanGrasp:
-    model, pose = held.model, in_world(pose_world_camera, thing.pose_camera_object)
+    model, pose = held.model, in_world(pose_world_camera, obj.pose_camera_object)
     grasp = HumanGrasp(
         object_name=model.name,
         object_mass=model.mass,
         object_pose=pose,
         object_rest_pose=put_down(model, pose),
         hand_joints=transform_points(pose_world_camera, hand.joints_camera),
-        link_contacts=touching_links(hand.joints_camera, model.signed_distance, thing.pose_camera_object),
+        link_contacts=touching_links(hand.joints_camera, model.signed_distance, obj.pose_camera_object),
         task=task,
         object_mass_spread=held.mass_spread,
     )

@@ -1,8 +1,11 @@
-"""A robot from its cell file: which driver stands for which name."""
+"""A robot from its cell file. Drivers have names: this package's own, and those that other installed packages
+bring by entry points."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
@@ -10,14 +13,91 @@ import numpy as np
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
-from fungrasp.robots.clock import WallClock
-from fungrasp.robots.device import JointDriver, PoseSource
-from fungrasp.robots.driver_registry import DriverRegistry
-from fungrasp.robots.guarded_driver import GuardedDriver
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.device import JointDriver, PoseSource, WallClock
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.safety import check_posture
 from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp.robots.twin.parameters import twin_torque_limits
+from fungrasp.sim2real.joint_dynamics import JointDynamics
+
+OWN = "fungrasp"
+"""Name of the distribution that this package's own drivers come from."""
+
+
+@dataclass(frozen=True)
+class DriverRegistry:
+    """Drivers of one kind of device. A driver is a callable that makes a device from a cell."""
+
+    what: str
+    """The device, as in a cell's file: "arm", "hand_device" or "tracker"."""
+    group: str
+    """Group of the entry points."""
+    own: Mapping[str, Callable[[RobotCell], Any]]
+    """This package's, by name."""
+    twin: str
+    """Name that stands for a device of a twin, which nobody else's may have."""
+    protocol: type
+    """What a driver makes: ``JointDriver`` or ``PoseSource``."""
+
+    def known(self) -> dict[str, str]:
+        """Distribution of each driver by name; several, with commas, where their names clash."""
+        found = dict.fromkeys((*self.own, self.twin), OWN)
+        for entry in entry_points(group=self.group):
+            origin = _distribution(entry)
+            found[entry.name] = f"{found[entry.name]}, {origin}" if entry.name in found else origin
+        return dict(sorted(found.items()))
+
+    def make(self, name: str, cell: RobotCell) -> Any:
+        """The device of a cell.
+
+        Raises:
+            FungraspError: no driver has this name, several have, or it can't be loaded or used; the message
+                names the distribution.
+        """
+        entries = [entry for entry in entry_points(group=self.group) if entry.name == name]
+        if len(entries) + (name in (*self.own, self.twin)) > 1:
+            raise FungraspError(
+                f"'{self.what}.driver': '{name}' is brought by several packages, {self.known()[name]}: "
+                "uninstall all but one"
+            )
+        if name not in self.own and not entries:
+            error = UnknownNameError("driver", name, self.known())
+            raise FungraspError(f"'{self.what}.driver': {error}")
+        try:
+            return self.own[name](cell) if name in self.own else self._make_of_others(entries[0], cell)
+        except FungraspError as error:
+            raise FungraspError(f"[{self.what}] {error}") from error
+
+    def _make_of_others(self, entry: EntryPoint, cell: RobotCell) -> Any:
+        origin = f"the driver '{entry.name}' of the package {_distribution(entry)}"
+        try:
+            driver = entry.load()
+        except Exception as error:
+            # Whatever a module of others does when it is imported.
+            raise FungraspError(f"{origin} can't be loaded: {_line(error)}") from error
+        try:
+            device = driver(cell)
+        except FungraspError:
+            raise
+        except Exception as error:
+            raise FungraspError(f"{origin} can't be made from cell '{cell.name}': {_line(error)}") from error
+        missing = [name for name in _members(self.protocol) if not hasattr(device, name)]
+        if missing:
+            raise FungraspError(f"{origin} is no {self.protocol.__name__}: it has no '{missing[0]}'")
+        return device
+
+
+def _members(protocol: type) -> list[str]:
+    names = [name for name in vars(protocol) if not name.startswith("_")]
+    return [*protocol.__annotations__, *names]
+
+
+def _distribution(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else entry.value
+
+
+def _line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
 
 TWIN = "twin"
 """Driver of a device of a twin in the same process."""
@@ -60,11 +140,7 @@ def arm_driver(cell: RobotCell) -> JointDriver:
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
     """The driver of a cell's hand, without a guard: to look at. What moves is ``wired_robot``'s or
-    ``guarded_hand``'s.
-
-    Args:
-        cell: the robot.
-        hand: the model of its hand.
+    ``guarded_driver``'s.
 
     Raises:
         FungraspError: no such driver, bad options, or a driver of another hand.
@@ -88,6 +164,44 @@ def pose_source(cell: RobotCell) -> PoseSource:
     return TRACKERS.make(cell.tracker.driver, cell)
 
 
+def driver_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
+    """Largest torques that a cell's driver asks of its hand's servos [N m], shape [U]; infinite where it
+    leaves that to the hand. Nothing is connected.
+
+    Raises:
+        FungraspError: the cell's driver of the hand, or its options, can't be.
+    """
+    if cell.hand_device.driver == TWIN:
+        return twin_torque_limits(cell, hand)
+    return hand_driver(cell, hand).limits.torque
+
+
+def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = None) -> Hand:
+    """The hand as a planner has to know it: no servo makes more torque than its model says, or the file of
+    identified dynamics where that says it, nor more than the cell's driver sends.
+
+    Args:
+        dynamics: identified; their torque limits replace the model's, where they have some.
+
+    Raises:
+        FungraspError: as ``driver_torque_limits``, or no torque is left to a servo.
+    """
+    limits = driver_torque_limits(cell, hand)
+    servos = {}
+    for i, (name, servo) in enumerate(hand.actuators.items()):
+        own = servo.force_limit
+        if dynamics is not None and dynamics.torque_limit is not None and name in dynamics.joints:
+            own = float(dynamics.torque_limit[dynamics.joints.index(name)])
+        largest = min(own, float(limits[i]))
+        if not largest > 0:
+            raise FungraspError(
+                f"cell '{cell.name}': no torque is left to '{name}': look at the options of the hand's "
+                "driver and at the file of its dynamics"
+            )
+        servos[name] = replace(servo, force_limit=largest)
+    return replace(hand, actuators=servos)
+
+
 def wired_robot(
     cell: RobotCell,
     hand: Hand,
@@ -101,7 +215,6 @@ def wired_robot(
 
     Args:
         cell: the robot; no twin.
-        hand: the model of its hand.
         stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
         compensate: whether the hand's own weight is carried.
         dry_run: read everything, send nothing.
@@ -122,41 +235,6 @@ def wired_robot(
         dry_run=dry_run,
         switch=switch,
     )
-
-
-def guarded_hand(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -> GuardedDriver:
-    """The hand of a cell alone, not connected; the arm may be off.
-
-    Args:
-        cell: the robot; no twin.
-        hand: the model of its hand.
-        switch: stops the hand; that of the cell's stop file if None.
-
-    Raises:
-        FungraspError: an unknown driver, bad options, or another hand.
-    """
-    return GuardedDriver(hand_driver(cell, hand), cell, "hand", switch=switch)
-
-
-def guarded_arm(cell: RobotCell, hand: Hand, switch: StopSwitch | None = None) -> GuardedDriver:
-    """The arm of a cell alone, not connected; the hand on it may be off, and counts as open.
-
-    Args:
-        cell: the robot; no twin.
-        hand: the model of its hand.
-        switch: stops the arm; that of the cell's stop file if None.
-
-    Raises:
-        FungraspError: an unknown driver or bad options.
-    """
-    kinematics, clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
-    fingers = hand.open_joints
-
-    def wrong(joints: np.ndarray) -> str:
-        gap = clearance.measure(joints, fingers)
-        return check_posture(kinematics.palm_pose(joints), gap, cell.workspace)
-
-    return GuardedDriver(arm_driver(cell), cell, "arm", clear=wrong, switch=switch)
 
 
 def _ur(cell: RobotCell) -> JointDriver:
@@ -186,8 +264,7 @@ def _leap(cell: RobotCell) -> JointDriver:
 def _camera(cell: RobotCell) -> PoseSource:
     """Our own tracker on a RealSense camera: options ``object`` and, for a mesh, ``mass`` and ``folder``."""
     from fungrasp.objects import load_object
-    from fungrasp.robots.pose.camera_tracker import CameraTracker
-    from fungrasp.robots.pose.frames import RealSenseFrames
+    from fungrasp.robots.pose.camera import CameraTracker, RealSenseFrames
 
     check_calibrated(cell)
     options = dict(cell.tracker.options)
@@ -231,9 +308,6 @@ def _settings(kind: type, device: DeviceSettings, address: str = "address", **mo
     """Settings of a driver from the address and the options of a cell.
 
     Args:
-        kind: of the settings.
-        device: of the cell.
-        address: name of the address's field.
         more: values that the cell says elsewhere; options may say another one.
     """
     given: dict[str, Any] = {address: device.address, **more, **device.options}

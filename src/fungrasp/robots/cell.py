@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -10,10 +11,11 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.text_files import read_toml
+from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.hands.arm import Mount, arm_spec
-from fungrasp.robots.cell_units import obstacle_faults, unit_faults
 
 Vector = tuple[float, ...]
 """Numbers as a TOML file gives them."""
@@ -21,6 +23,58 @@ Vector = tuple[float, ...]
 SHIPPED = Path(__file__).parent / "cells"
 """Folder of the cells that come with the package."""
 
+
+RETIRED = ("limits.arm_torque", "arm.options.torque_limits")
+"""What cells of before may say and nothing measures: no driver of an arm reads its torques."""
+
+NEW_CELL = SHIPPED / "new.template"
+"""What ``write_new_cell`` fills in."""
+
+LARGEST_LIMITS = {
+    "palm_speed": 0.25,
+    "palm_acceleration": 0.3,
+    "palm_rotation_speed": 1.0,
+    "arm_speed": 3.14,
+    "setpoint_acceleration": 400.0,
+    "setpoint_lead": 0.35,
+}
+"""Limits above what the paper and the data sheets allow are refused, not clipped silently."""
+
+OTHER_UNITS = {
+    "m": ("meters", "mm", 1e-3),
+    "s": ("seconds", "ms", 1e-3),
+    "rad": ("radians", "degrees", np.pi / 180),
+    "rad/s": ("rad/s", "degrees/s", np.pi / 180),
+}
+"""Name of a unit, the other one that is likely, and how large that is."""
+
+LARGEST = {
+    "arm.pose_world_base": (5.0, "m"),
+    "tracker.pose_world_camera": (5.0, "m"),
+    "mount.pose_flange_hand": (0.5, "m"),
+    "mount.adapter_radius": (0.3, "m"),
+    "mount.adapter_length": (0.5, "m"),
+    "workspace.lower": (5.0, "m"),
+    "workspace.upper": (5.0, "m"),
+    "workspace.hand_depth": (0.1, "m"),
+    "obstacles.center": (10.0, "m"),
+    "obstacles.size": (20.0, "m"),
+    "limits.goal_distance": (2.0, "m"),
+    "limits.hand_speed": (20.0, "rad/s"),
+    "watchdog.arm_silence": (5.0, "s"),
+    "watchdog.hand_silence": (5.0, "s"),
+    "watchdog.pose_stale": (5.0, "s"),
+    "watchdog.overrun": (5.0, "s"),
+    "watchdog.pose_jump": (0.5, "m"),
+    "watchdog.pose_turn": (np.pi, "rad"),
+}
+"""Numbers beyond these are in another unit, by our judgment, as a UR5 reaches 0.95 m; and a limit in another
+unit would be none."""
+
+BASE_AXIS = np.array([[0.0, 0.0, z] for z in (0.02, 0.08, 0.14)])
+"""Points within an arm's base and shoulder, on its first axis [m]; the pedestal below ends at zero."""
+
+UPRIGHT: Vector = (1.0, 0.0, 0.0, 0.0)
 
 LARGEST_RESIDUAL = 0.005
 """A camera's calibration that misses by more is refused [m]."""
@@ -47,7 +101,7 @@ class ArmSettings(DeviceSettings):
     """The arm."""
 
     model: str = "ur5e"
-    """Name of the arm's model, or an MJCF file, relative to the cell's (``fungrasp robots arm-model``)."""
+    """Name of the arm's model, or an MJCF file, relative to the cell's."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0. The base is
     ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
@@ -118,8 +172,6 @@ class MotionLimits:
     without a ramp; the driver smooths them within the arm's own limits."""
     hand_speed: float = 6.0
     """Largest speed of a hand joint's setpoint [rad/s]."""
-    arm_torque: float = 150.0
-    """Largest measured torque of an arm joint [N m]."""
     hand_torque: float = 3.0
     """Largest measured torque of a hand joint [N m]."""
     goal_distance: float = 0.3
@@ -225,6 +277,32 @@ def load_cell(name: str | Path) -> RobotCell:
     return cell
 
 
+def write_new_cell(path: str | Path, hand: str) -> None:
+    """Write a slow cell for a real robot to begin with: what has to be measured is empty, and refused.
+
+    Args:
+        path: TOML file, which must not exist.
+        hand: that it carries.
+
+    Raises:
+        FungraspError: the file exists, is no TOML file, or no device is known for the hand.
+    """
+    path = Path(path)
+    # "#: name" begins the lines of a hand, "#: end" the rest.
+    head, *parts = re.split(r"^#: (\w+)\n", NEW_CELL.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    devices = dict(zip(parts[::2], parts[1::2], strict=True))
+    rest = devices.pop("end")
+    if hand not in devices:
+        raise UnknownNameError("hand with a driver", hand, devices)
+    if path.suffix != ".toml":
+        raise FungraspError(f"{path}: a cell is a .toml file")
+    if path.exists():
+        raise FungraspError(f"{path} exists already")
+    text = (head + devices[hand] + rest).replace("HAND", hand).replace("NAME", path.stem)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def check_calibrated(cell: RobotCell) -> None:
     """Raises: FungraspError: it is not known where the cell's camera stands."""
     if cell.tracker.calibration_residual < 0:
@@ -232,6 +310,142 @@ def check_calibrated(cell: RobotCell) -> None:
             f"cell '{cell.name}': no calibration of the camera: run 'fungrasp robots calibrate' and name its "
             "file as 'calibration' under [tracker]"
         )
+
+
+def is_wired(cell: RobotCell) -> bool:
+    """Whether a cell's arm is a real one: neither a twin nor an emulator, which is on the loopback."""
+    return cell.arm.driver != "twin" and not cell.arm.address.startswith("127.")
+
+
+def cell_faults(cell: RobotCell) -> list[str]:
+    """What can't be in a cell, one phrase each."""
+    faults = [*_unit_faults(cell), *_limit_faults(cell)]
+    box, mount, residual = cell.workspace, cell.mount, cell.tracker.calibration_residual
+    faults += [
+        f"'workspace.{name}' must have 3 numbers"
+        for name in ("lower", "upper")
+        if len(getattr(box, name)) != 3
+    ]
+    if not faults and not all(a < b for a, b in zip(box.lower, box.upper, strict=True)):
+        faults.append("'workspace.lower' must be below 'workspace.upper' along all axes")
+    if residual > LARGEST_RESIDUAL:
+        faults.append(
+            f"'tracker.calibration_residual' is {1e3 * residual:.1f} mm, more than "
+            f"{1e3 * LARGEST_RESIDUAL:g} mm: calibrate the camera anew"
+        )
+    if is_wired(cell):
+        faults += _wired_faults(cell)
+    if min(mount.adapter_radius, mount.adapter_length) < 0 or (
+        (mount.adapter_radius > 0) != (mount.adapter_length > 0)
+    ):
+        faults.append("'mount.adapter_radius' and 'mount.adapter_length' go together, and are positive")
+    for name, pose in (
+        ("arm.pose_world_base", cell.arm.pose_world_base),
+        ("tracker.pose_world_camera", cell.tracker.pose_world_camera),
+        ("mount.pose_flange_hand", mount.pose_flange_hand or (0.0, 0.0, 0.0, *UPRIGHT)),
+    ):
+        if len(pose) != 7 or not _unit(pose[3:]):
+            faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
+    if len(cell.arm.home) == 0:
+        faults.append("'arm.home' is missing: joints where the arm waits [rad]")
+    for number, one in enumerate(cell.obstacles, 1):
+        lengths = len(one.center), len(one.size), len(one.rotation)
+        if lengths != (3, 3, 4) or min(one.size) <= 0 or not _unit(one.rotation):
+            faults.append(
+                f"obstacle {number} needs a center of 3 numbers, a size of 3 positive ones, and a unit "
+                "quaternion wxyz"
+            )
+    try:
+        arm_spec(cell.arm.model)
+    except FungraspError as error:
+        faults.append(str(error))
+    if cell.guard not in ("on", "off"):
+        faults.append(f"'guard' must be \"on\" or \"off\", not '{cell.guard}'")
+    if cell.watchdog.late_tick >= cell.watchdog.overrun:
+        faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
+    return faults or _obstacle_faults(cell)
+
+
+def _limit_faults(cell: RobotCell) -> list[str]:
+    faults = []
+    for section in (cell.limits, cell.watchdog):
+        for f in fields(section):
+            value = getattr(section, f.name)
+            if not (np.isfinite(value) and value > 0):
+                faults.append(f"'{f.name}' must be positive, not {value:g}")
+    for name, largest in LARGEST_LIMITS.items():
+        value = getattr(cell.limits, name)
+        if value > largest:
+            faults.append(f"'{name}' may be at most {largest:g}, not {value:g}")
+    return faults
+
+
+def _wired_faults(cell: RobotCell) -> list[str]:
+    """What can't be in a cell of real devices."""
+    faults = []
+    if not cell.arm.address:
+        faults.append("'arm.address' is missing: where the arm's controller is")
+    for name, largest in REAL_ARM_OPTIONS.items():
+        value = cell.arm.options.get(name, 0.0)
+        if isinstance(value, int | float) and value > largest:
+            faults.append(
+                f"'arm.options.{name}' may be at most {largest:g} on a real arm, not {value:g}: that is "
+                "an emulator's; begin with 'fungrasp robots new'"
+            )
+    if not cell.mount.pose_flange_hand:
+        faults.append(
+            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 metres and "
+            "a unit quaternion wxyz"
+        )
+    return faults
+
+
+def _unit_faults(cell: RobotCell) -> list[str]:
+    """What must be a mistake of units in a cell."""
+    faults = []
+    for name, (most, sign) in LARGEST.items():
+        section, _, key = name.partition(".")
+        part = getattr(cell, section)
+        word, other, size = OTHER_UNITS[sign]
+        for one in part if isinstance(part, tuple) else (part,):
+            values = np.atleast_1d(np.array(getattr(one, key), dtype=float))
+            # Of poses the position.
+            largest = float(np.abs(values[:3] if key.startswith("pose_") else values).max(initial=0.0))
+            if largest > most:
+                faults.append(
+                    f"'{name}' is in {word}, and {largest:g} {sign} can't be: is it {largest:g} {other}, "
+                    f"{largest * size:.4g} {sign}?"
+                )
+    turned = max((abs(q) for q in cell.arm.home), default=0.0)
+    if turned > 2 * np.pi:
+        faults.append(
+            f"'arm.home' is in radians, and {turned:g} is beyond a whole turn: is it {turned:g} degrees, "
+            f"{np.deg2rad(turned):.4f} rad?"
+        )
+    payload = cell.arm.options.get("payload", 0.0)
+    if isinstance(payload, int | float) and payload > 20.0:
+        faults.append(
+            f"'arm.options.payload' is in kilograms, and {payload:g} kg can't be: is it {payload:g} g?"
+        )
+    return faults
+
+
+def _obstacle_faults(cell: RobotCell) -> list[str]:
+    """Obstacles that go through the arm's own base."""
+    base, faults = np.array(cell.arm.pose_world_base), []
+    for number, box in enumerate(cell.obstacles, 1):
+        frame = np.array([*box.center, *box.rotation])
+        points = transform_points(invert(frame), transform_points(base, BASE_AXIS))
+        if (np.abs(points) < np.array(box.size) / 2).all(axis=1).any():
+            faults.append(
+                f"obstacle {number} goes through the arm's base: 'center' is the middle of the box in the "
+                "world, and a pedestal ends at the height of 'arm.pose_world_base'"
+            )
+    return faults
+
+
+def _unit(quaternion: Vector) -> bool:
+    return bool(np.isclose(np.linalg.norm(quaternion), 1.0, atol=1e-3))
 
 
 def _calibrated(tracker: TrackerSettings, folder: Path) -> TrackerSettings:
@@ -251,130 +465,40 @@ def _calibrated(tracker: TrackerSettings, folder: Path) -> TrackerSettings:
     )
 
 
-def is_wired(cell: RobotCell) -> bool:
-    """Whether a cell's arm is a real one: neither a twin nor an emulator, which is on the loopback."""
-    return cell.arm.driver != "twin" and not cell.arm.address.startswith("127.")
-
-
-def cell_faults(cell: RobotCell) -> list[str]:
-    """What can't be in a cell, one phrase each."""
-    faults = unit_faults(cell)
-    for section in (cell.limits, cell.watchdog):
-        for f in fields(section):
-            value = getattr(section, f.name)
-            if not (np.isfinite(value) and value > 0):
-                faults.append(f"'{f.name}' must be positive, not {value:g}")
-    # Limits above what the paper and the data sheets allow are refused, not clipped silently.
-    most = {
-        "palm_speed": 0.25,
-        "palm_acceleration": 0.3,
-        "palm_rotation_speed": 1.0,
-        "arm_speed": 3.14,
-        "arm_torque": 150.0,
-        "setpoint_acceleration": 400.0,
-        "setpoint_lead": 0.35,
-    }
-    for name, largest in most.items():
-        value = getattr(cell.limits, name)
-        if value > largest:
-            faults.append(f"'{name}' may be at most {largest:g}, not {value:g}")
-    for name in ("lower", "upper"):
-        if len(getattr(cell.workspace, name)) != 3:
-            faults.append(f"'workspace.{name}' must have 3 numbers")
-    if not faults and not all(a < b for a, b in zip(cell.workspace.lower, cell.workspace.upper, strict=True)):
-        faults.append("'workspace.lower' must be below 'workspace.upper' along all axes")
-    residual = cell.tracker.calibration_residual
-    if residual > LARGEST_RESIDUAL:
-        faults.append(
-            f"'tracker.calibration_residual' is {1e3 * residual:.1f} mm, more than "
-            f"{1e3 * LARGEST_RESIDUAL:g} mm: calibrate the camera anew"
-        )
-    if is_wired(cell):
-        if not cell.arm.address:
-            faults.append("'arm.address' is missing: where the arm's controller is")
-        for name, largest in REAL_ARM_OPTIONS.items():
-            value = cell.arm.options.get(name, 0.0)
-            if isinstance(value, int | float) and value > largest:
-                faults.append(
-                    f"'arm.options.{name}' may be at most {largest:g} on a real arm, not {value:g}: that is "
-                    "an emulator's; begin with 'fungrasp robots new'"
-                )
-    mount = cell.mount
-    if not mount.pose_flange_hand and is_wired(cell):
-        faults.append(
-            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 metres and "
-            "a unit quaternion wxyz"
-        )
-    if min(mount.adapter_radius, mount.adapter_length) < 0 or (
-        (mount.adapter_radius > 0) != (mount.adapter_length > 0)
-    ):
-        faults.append("'mount.adapter_radius' and 'mount.adapter_length' go together, and are positive")
-    for name, pose in (
-        ("arm.pose_world_base", cell.arm.pose_world_base),
-        ("tracker.pose_world_camera", cell.tracker.pose_world_camera),
-        *([("mount.pose_flange_hand", mount.pose_flange_hand)] if mount.pose_flange_hand else ()),
-    ):
-        if len(pose) != 7 or not np.isclose(np.linalg.norm(pose[3:]), 1.0, atol=1e-3):
-            faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
-    if len(cell.arm.home) == 0:
-        faults.append("'arm.home' is missing: joints where the arm waits [rad]")
-    for number, box in enumerate(cell.obstacles, 1):
-        lengths = len(box.center), len(box.size), len(box.rotation)
-        if (
-            lengths != (3, 3, 4)
-            or min(box.size) <= 0
-            or not np.isclose(np.linalg.norm(box.rotation), 1.0, atol=1e-3)
-        ):
-            faults.append(
-                f"obstacle {number} needs a center of 3 numbers, a size of 3 positive ones, and a unit "
-                "quaternion wxyz"
-            )
-    try:
-        arm_spec(cell.arm.model)
-    except FungraspError as error:
-        faults.append(str(error))
-    if cell.guard not in ("on", "off"):
-        faults.append(f"'guard' must be \"on\" or \"off\", not '{cell.guard}'")
-    if cell.watchdog.late_tick >= cell.watchdog.overrun:
-        faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
-    return faults or obstacle_faults(cell)
-
-
 def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
     """A dataclass from a table: unknown keys and wrong types are refused."""
     hints = get_type_hints(kind)
     values: dict[str, Any] = {}
     for key, value in tree.items():
         name = f"{where}{key}"
+        if name in RETIRED:
+            continue
         if key not in hints:
             raise FungraspError(f"{path}: {UnknownNameError('field', name, (where + k for k in hints))}")
-        hint = hints[key]
-        if is_dataclass(hint):
-            if not isinstance(value, Mapping):
-                raise FungraspError(f"{path}: '{name}' must be a table")
-            values[key] = _build(hint, value, path, f"{name}.")  # pyright: ignore[reportArgumentType]
-        elif hint == tuple[Obstacle, ...]:
-            if not isinstance(value, list) or not all(isinstance(one, Mapping) for one in value):
-                raise FungraspError(f"{path}: '{name}' must be tables, each begins with [[{name}]]")
-            values[key] = tuple(_build(Obstacle, one, path, f"{name}.") for one in value)
-        elif hint is float:
-            values[key] = _number(value, path, name)
-        elif hint is str:
-            if not isinstance(value, str):
-                raise FungraspError(f"{path}: '{name}' must be a text, not {value!r}")
-            values[key] = value
-        elif hint == Vector:
-            if not isinstance(value, list):
-                raise FungraspError(f"{path}: '{name}' must be a list of numbers, not {value!r}")
-            values[key] = tuple(_number(v, path, name) for v in value)
-        else:
-            if not isinstance(value, Mapping):
-                raise FungraspError(f"{path}: '{name}' must be a table, not {value!r}")
-            values[key] = dict(value)
+        values[key] = _value(hints[key], value, path, name)
     for f in fields(kind):
         if f.default is MISSING and f.default_factory is MISSING and f.name not in values:
             raise FungraspError(f"{path}: the field '{where}{f.name}' is missing")
     return kind(**values)
+
+
+def _value(hint: Any, value: Any, path: str, name: str) -> Any:
+    """The value of a field from what a table says."""
+    if hint is float:
+        return _number(value, path, name)
+    boxes = hint == tuple[Obstacle, ...]
+    kind, words = {str: (str, "a text"), Vector: (list, "a list of numbers")}.get(hint, (Mapping, "a table"))
+    if boxes:
+        kind, words = list, f"tables, each begins with [[{name}]]"
+    if not isinstance(value, kind) or (boxes and not all(isinstance(one, Mapping) for one in value)):
+        raise FungraspError(f"{path}: '{name}' must be {words}, not {value!r}")
+    if boxes:
+        return tuple(_build(Obstacle, one, path, f"{name}.") for one in value)
+    if is_dataclass(hint):
+        return _build(hint, value, path, f"{name}.")  # pyright: ignore[reportArgumentType]
+    if hint == Vector:
+        return tuple(_number(v, path, name) for v in value)
+    return value if hint is str else {k: v for k, v in value.items() if f"{name}.{k}" not in RETIRED}
 
 
 def _number(value: Any, path: str, name: str) -> float:

@@ -7,6 +7,7 @@ library: a state is as old as the device's own time stamp says.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, Self
@@ -192,3 +193,69 @@ class PoseSource(Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *error: object) -> None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """What all devices said last."""
+
+    time: float
+    """Time of the robot's clock [s]."""
+    arm: JointState
+    """Of the arm."""
+    hand: JointState
+    """Of the hand."""
+    tracked: TrackedPose | None
+    """Of the tracker; None before its first pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotCommand:
+    """Setpoints of all servos."""
+
+    arm: np.ndarray
+    """Joints of the arm [rad], shape [A]."""
+    hand: np.ndarray
+    """Independent joints of the hand [rad], shape [U]; without any offset against gravity."""
+    feedforward: np.ndarray
+    """Torques that carry the hand's weight [N m], shape [U]."""
+    palm: np.ndarray
+    """Pose of the palm that the arm's joints stand for, world frame, shape [7]."""
+
+
+class SafetyStop(RobotError):
+    """The robot was stopped by its guard."""
+
+    def __init__(self, reason: str, kind: StopKind = StopKind.HOLD):
+        """
+        Args:
+            reason: what was wrong, as a phrase.
+        """
+        super().__init__(f"the robot was stopped ({kind}): {reason}")
+        self.reason, self.kind = reason, kind
+
+
+class Clock(Protocol):
+    """Tells the time and waits."""
+
+    def now(self) -> float:
+        """Time [s], of an origin of its own; it never goes back."""
+        ...
+
+    def sleep_until(self, when: float) -> None:
+        """Return at a time [s], at once if it has passed."""
+        ...
+
+
+class WallClock:
+    """``time.monotonic``."""
+
+    def now(self) -> float:
+        """See ``Clock.now``."""
+        return time.monotonic()
+
+    def sleep_until(self, when: float) -> None:
+        """See ``Clock.sleep_until``."""
+        left = when - time.monotonic()
+        if left > 0:
+            time.sleep(left)

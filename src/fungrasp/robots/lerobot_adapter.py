@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.device import RobotError, StopKind
+from fungrasp.robots.device import RobotError, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.robot_state import SafetyStop
 from fungrasp.robots.safety import check_action
 from fungrasp.task import Action
 

@@ -12,7 +12,6 @@ def import_client(module: str, extra: str, device: str) -> ModuleType:
     """Import a client library.
 
     Args:
-        module: name of the module.
         extra: the extra of this package that installs it.
         device: what needs it, for the message.
 

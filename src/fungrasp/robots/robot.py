@@ -13,19 +13,21 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import Clock
 from fungrasp.robots.device import (
+    Clock,
     DeviceStatus,
     JointDriver,
     PoseSource,
+    RobotCommand,
     RobotError,
+    RobotState,
+    SafetyStop,
     StopKind,
     TrackedPose,
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.differential import PalmFollower
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.kinematics.inverse import PalmFollower
 from fungrasp.robots.safety import SafetyGuard, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset
@@ -62,12 +64,6 @@ class Robot:
     ):
         """
         Args:
-            cell: limits, and what stands where.
-            hand: the model of the hand.
-            arm: driver of the arm.
-            hand_driver: driver of the hand.
-            tracker: source of the object's pose.
-            clock: of the devices.
             stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
             compensate: whether the hand's own weight is carried.
             dry_run: read everything, send nothing.
@@ -91,8 +87,7 @@ class Robot:
         """Stops the robot."""
         self.guard = SafetyGuard(
             cell,
-            arm.limits,
-            hand_driver.limits,
+            {"arm": arm.limits, "hand": hand_driver.limits},
             ClearanceModel(cell, hand).measure,
             self.setpoints.period,
             moving=not dry_run,
@@ -175,7 +170,6 @@ class Robot:
         """Begin a plan where the robot stands: its clock is zero from now on.
 
         Args:
-            state: as it is now.
             lift_height: by how much the palm's goal rises once an action lifts [m].
         """
         self._began = state.time

@@ -14,7 +14,6 @@ robot's own controller, with its limits set, and an emergency stop within reach.
 | palm outside the workspace box | hold |
 | arm near the table, hand below its top | hold |
 | arm or hand near the arm itself, or near an obstacle of the cell | hold |
-| torque of an arm joint | hold |
 | torque of a hand joint | open |
 | device reports that it does not follow | hold |
 | time stamp of a device stands still | hold |
@@ -28,113 +27,129 @@ opens. After either the robot is in the state of fault until a person starts ane
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fungrasp.geometry.poses import relative, rotation_vector
 from fungrasp.robots.cell import RobotCell, Workspace
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, StopKind, TrackedPose
-from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance
-from fungrasp.robots.robot_state import RobotCommand, RobotState, SafetyStop
+from fungrasp.robots.device import (
+    DeviceStatus,
+    JointLimits,
+    JointState,
+    RobotCommand,
+    RobotState,
+    SafetyStop,
+    StopKind,
+    TrackedPose,
+)
+from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance, outside
 from fungrasp.task import Action
+from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 _log = logging.getLogger(__name__)
 
 TOLERANCE = 1.02
 """Commanded speeds may exceed their limits by this factor, for rounding."""
 
-
-class Reaction(StrEnum):
-    """What the filter does with a setpoint."""
-
-    SEND = "send"
-    """Nothing."""
-    CLIP = "clip"
-    """Another setpoint is sent, within the limits."""
-    HOLD = "hold"
-    """The arm brakes and keeps its position, the hand keeps its targets."""
-    OPEN = "open"
-    """The arm brakes and keeps its position, the hand opens."""
-
-
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """What the filter says of a setpoint."""
-
-    command: RobotCommand
-    """What may be sent."""
-    reaction: Reaction
-    """What to do."""
-    reason: str = ""
-    """Why, as a phrase; "" where nothing was wrong."""
+LONGEST_STEP = 0.1
+"""A goal of a device alone is as far from the one before as the joints get within this time, however long ago
+that was [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class SafetyContext:
-    """What a verdict depends on besides state and setpoint."""
+    """What is said of a setpoint depends on this besides the state."""
 
     cell: RobotCell
     """Limits, workspace and watchdog."""
-    arm: JointLimits
-    """What the arm's driver accepts."""
-    hand: JointLimits
-    """What the hand's driver accepts."""
+    limits: Mapping[str, JointLimits]
+    """What the drivers of "arm" and "hand" accept."""
     previous: RobotCommand | None
     """What was sent last; None at the beginning."""
     before: RobotCommand | None
     """What was sent before that."""
     period: float
     """Time between the last setpoint and this [s]."""
-    arm_silence: float = 0.0
-    """How long the arm's time stamp has stood still [s]."""
-    hand_silence: float = 0.0
-    """How long the hand's time stamp has stood still [s]."""
+    silence: Mapping[str, float] = field(default_factory=lambda: {"arm": 0.0, "hand": 0.0})
+    """How long the time stamps of "arm" and "hand" have stood still [s]."""
     moving: bool = True
     """Whether setpoints really are sent: in a dry run the arm does not follow."""
 
 
 def check_setpoint(
     state: RobotState, command: RobotCommand, context: SafetyContext, clearance: Clearance
-) -> Verdict:
-    """The verdict on a setpoint. A pure function.
+) -> RobotCommand:
+    """What may be sent of a setpoint: within the limits of position and speed. A pure function.
 
     Args:
-        state: what the devices say.
-        command: the setpoint.
         context: limits and the setpoints before.
         clearance: of the robot with the arm as commanded and the fingers as measured.
+
+    Raises:
+        SafetyStop: nothing may be sent.
     """
-    c, limits, dog = context, context.cell.limits, context.cell.watchdog
+    c = context
     for values in (command.arm, command.hand, command.feedforward, command.palm):
         if not np.isfinite(values).all():
-            return Verdict(command, Reaction.HOLD, "a setpoint is not finite")
-    for name, joint, silence, most in (
-        ("arm", state.arm, c.arm_silence, dog.arm_silence),
-        ("hand", state.hand, c.hand_silence, dog.hand_silence),
-    ):
-        if not joint_state_finite(joint):
-            return Verdict(command, Reaction.HOLD, f"what the {name} says is not finite")
-        if joint.status is not DeviceStatus.READY:
-            said = f": {joint.message}" if joint.message else ""
-            return Verdict(command, Reaction.HOLD, f"the {name} does not follow ({joint.status}{said})")
-        if silence > most:
-            return Verdict(command, Reaction.HOLD, f"the {name} has been silent for {1e3 * silence:.0f} ms")
-    if torque_beyond(state.arm.torques, limits.arm_torque):
-        return Verdict(command, Reaction.HOLD, "the torque of an arm joint is beyond its limit")
-    if torque_beyond(state.hand.torques, limits.hand_torque):
-        return Verdict(command, Reaction.OPEN, "the torque of a hand joint is beyond its limit")
-    if c.moving and np.abs(command.arm - state.arm.positions).max() > limits.setpoint_lead:
-        return Verdict(command, Reaction.HOLD, "the arm's setpoint is far from where the arm is")
-    problem = check_posture(command.palm, clearance, context.cell.workspace)
+            raise SafetyStop("a setpoint is not finite")
+    for part, joints in (("arm", state.arm), ("hand", state.hand)):
+        if joints.status is not DeviceStatus.READY:
+            said = f": {joints.message}" if joints.message else ""
+            raise SafetyStop(f"the {part} does not follow ({joints.status}{said})")
+        check_reading(part, joints, c.silence[part], c.cell)
+    if c.moving and np.abs(command.arm - state.arm.positions).max() > c.cell.limits.setpoint_lead:
+        raise SafetyStop("the arm's setpoint is far from where the arm is")
+    problem = check_posture(command.palm, clearance, c.cell.workspace) or _too_fast(command, c)
     if problem:
-        return Verdict(command, Reaction.HOLD, problem)
-    too_fast = _too_fast(command, c)
-    if too_fast:
-        return Verdict(command, Reaction.HOLD, too_fast)
-    return _clipped(command, c)
+        raise SafetyStop(problem)
+    parts = {}
+    for part, limits in c.limits.items():
+        given = getattr(command, part)
+        allowed = np.clip(given, limits.lower, limits.upper)
+        if c.previous is not None:
+            allowed = within_speed(part, allowed, getattr(c.previous, part), c.period, limits, c.cell)
+        if np.abs(allowed - given).max(initial=0.0) > 1e-9:
+            parts[part] = allowed
+    return replace(command, **parts)
+
+
+def check_reading(part: str, state: JointState, silence: float, cell: RobotCell) -> None:
+    """Refuse what a device says of itself.
+
+    Args:
+        part: "arm" or "hand".
+        silence: for how long its time stamp has stood still [s].
+
+    Raises:
+        SafetyStop: a value is not finite or beyond its limit, or the device is silent.
+    """
+    # Comparisons with limits don't notice what is not finite.
+    values = state.positions, state.velocities, state.device_time, state.torques
+    if not all(np.isfinite(v).all() for v in values if v is not None):
+        raise SafetyStop(f"what the {part} says is not finite")
+    if silence > (cell.watchdog.arm_silence if part == "arm" else cell.watchdog.hand_silence):
+        raise SafetyStop(f"the {part} has been silent for {1e3 * silence:.0f} ms")
+    measured = np.zeros(0) if part == "arm" or state.torques is None else state.torques
+    if np.abs(measured).max(initial=0.0) > cell.limits.hand_torque:
+        raise SafetyStop("the torque of a hand joint is beyond its limit", StopKind.OPEN)
+
+
+def within_speed(
+    part: str, goal: np.ndarray, last: np.ndarray, elapsed: float, limits: JointLimits, cell: RobotCell
+) -> np.ndarray:
+    """A goal that is no farther from the last one than the joints get meanwhile [rad], shape [U].
+
+    Args:
+        part: "arm" or "hand".
+        goal: [rad], shape [U].
+        last: [rad], shape [U].
+        elapsed: since the last one [s].
+    """
+    most = cell.limits.arm_speed if part == "arm" else cell.limits.hand_speed
+    reach = TOLERANCE * np.minimum(limits.velocity, most) * elapsed
+    return np.clip(goal, last - reach, last + reach)
 
 
 def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str:
@@ -142,20 +157,8 @@ def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str
 
     Args:
         palm: world frame, shape [7].
-        clearance: of the robot there.
-        box: where it may be.
     """
-    if (palm[:3] < box.lower).any() or (palm[:3] > box.upper).any():
-        return "the palm would leave the workspace box"
-    if clearance.table < box.table_clearance:
-        return "the arm would touch the table"
-    if clearance.hand < -box.hand_depth:
-        return "the hand would press into the table, or come too near to it"
-    if clearance.obstacle < box.table_clearance:
-        return "the arm or the hand would touch an obstacle"
-    if clearance.itself < 0.0:
-        return "the arm or the hand would touch the arm"
-    return ""
+    return outside(palm, box) or clearance.fault(box)
 
 
 def _too_fast(command: RobotCommand, c: SafetyContext) -> str:
@@ -174,24 +177,6 @@ def _too_fast(command: RobotCommand, c: SafetyContext) -> str:
     return ""
 
 
-def _clipped(command: RobotCommand, c: SafetyContext) -> Verdict:
-    """The setpoint within the limits of position and speed."""
-    parts = {}
-    speeds = {"arm": c.cell.limits.arm_speed, "hand": c.cell.limits.hand_speed}
-    for name, limits in (("arm", c.arm), ("hand", c.hand)):
-        given = getattr(command, name)
-        allowed = np.clip(given, limits.lower, limits.upper)
-        if c.previous is not None:
-            last = getattr(c.previous, name)
-            reach = np.minimum(limits.velocity, speeds[name]) * c.period * TOLERANCE
-            allowed = np.clip(allowed, last - reach, last + reach)
-        if np.abs(allowed - given).max(initial=0.0) > 1e-9:
-            parts[name] = allowed
-    if not parts:
-        return Verdict(command, Reaction.SEND)
-    return Verdict(replace(command, **parts), Reaction.CLIP, f"{' and '.join(parts)} clipped to limits")
-
-
 def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell) -> str:
     """What is wrong with a tracked pose, from before planning until the fingers close, as a phrase; "" for
     nothing.
@@ -200,7 +185,6 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
         tracked: the last pose; None where there was none.
         reference: where the object is taken to be, world frame, shape [7].
         time: of the robot's clock [s].
-        cell: with the watchdog.
     """
     if tracked is None:
         return "the tracker has not seen the object"
@@ -225,25 +209,12 @@ def check_action(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     ``check_setpoint``.
 
     Args:
-        action: of one robot.
         palm: where it is measured, world frame, shape [7].
-        cell: with the limits.
     """
     far = float(np.linalg.norm(action.palm_goal[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
     return ""
-
-
-def joint_state_finite(state: JointState) -> bool:
-    """Whether all that a device measures is finite: comparisons with limits don't notice what is not."""
-    values = state.positions, state.velocities, state.device_time, state.torques
-    return all(np.isfinite(v).all() for v in values if v is not None)
-
-
-def torque_beyond(torques: np.ndarray | None, limit: float) -> bool:
-    """Whether a measured torque is beyond a limit [N m]. torques: shape [U]; None where none is measured."""
-    return torques is not None and bool(np.abs(torques).max(initial=0.0) > limit)
 
 
 def warn_unguarded(cell: RobotCell) -> None:
@@ -266,53 +237,42 @@ class StandingStamp:
 
 
 class SafetyGuard:
-    """Sees every command before it is sent, and remembers what ``check_setpoint`` needs to know."""
+    """Sees every command before it is sent, and remembers what ``check_setpoint`` needs to know. One device
+    alone, as one that is tried before anything is grasped, is checked by ``joints``."""
 
     def __init__(
         self,
         cell: RobotCell,
-        arm: JointLimits,
-        hand: JointLimits,
-        clearance: Callable[[np.ndarray, np.ndarray], Clearance],
-        period: float,
+        limits: Mapping[str, JointLimits],
+        clearance: Callable[[np.ndarray, np.ndarray], Clearance] = lambda arm, fingers: Clearance(),
+        period: float = SETPOINT_PERIOD,
         moving: bool = True,
     ):
         """
         Args:
-            cell: limits, workspace and watchdog.
-            arm: what the arm's driver accepts.
-            hand: what the hand's driver accepts.
+            limits: what the drivers of "arm" and "hand" accept, or that of one alone.
             clearance: of a posture: joints of the arm [A] and of the hand [U].
             period: time between setpoints [s].
-            moving: whether setpoints really are sent.
         """
-        self._cell, self._arm, self._hand, self._clearance = cell, arm, hand, clearance
+        self._cell, self._limits, self._clearance = cell, limits, clearance
         self._period, self._moving = period, moving
-        self._sent: tuple[RobotCommand | None, RobotCommand | None] = (None, None)
-        self._stamps = {"arm": StandingStamp(), "hand": StandingStamp()}
-        self.verdict: Verdict | None = None
-        """The last one."""
-        self.longest_silence = {"arm": 0.0, "hand": 0.0}
+        self.longest_silence = dict.fromkeys(limits, 0.0)
         """Longest time that a device's time stamp has stood still between setpoints [s]."""
+        self.reset()
 
     def reset(self) -> None:
         """Forget the setpoints before: the robot stands still."""
-        self._sent = (None, None)
-        self._stamps = {"arm": StandingStamp(), "hand": StandingStamp()}
+        self._sent: tuple[RobotCommand | None, RobotCommand | None] = (None, None)
+        self._stamps = {part: StandingStamp() for part in self._limits}
+        self._last: tuple[np.ndarray, float] | None = None
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
         """What may be sent of a command. Raises: SafetyStop: nothing may."""
         before, previous = self._sent
+        silence = {"arm": self._silence("arm", state.arm, state.time)}
+        silence["hand"] = self._silence("hand", state.hand, state.time)
         context = SafetyContext(
-            self._cell,
-            self._arm,
-            self._hand,
-            previous,
-            before,
-            self._period,
-            self._silence("arm", state.arm.device_time, state.time),
-            self._silence("hand", state.hand.device_time, state.time),
-            self._moving,
+            self._cell, self._limits, previous, before, self._period, silence, self._moving
         )
         # Targets of squeezing fingers lie inside what they touch: where the fingers are is what counts.
         fingers = state.hand.positions
@@ -321,15 +281,35 @@ class SafetyGuard:
         if not self._moving:
             # In a dry run the fingers stay open, so that where the hand would be is not known.
             gap = replace(gap, hand=MARGIN)
-        self.verdict = verdict = check_setpoint(state, command, context, gap)
-        if verdict.reaction in (Reaction.HOLD, Reaction.OPEN):
-            kind = StopKind.OPEN if verdict.reaction is Reaction.OPEN else StopKind.HOLD
-            raise SafetyStop(verdict.reason, kind)
-        self._sent = previous, verdict.command
-        return verdict.command
+        allowed = check_setpoint(state, command, context, gap)
+        self._sent = previous, allowed
+        return allowed
 
-    def _silence(self, name: str, stamp: float, now: float) -> float:
+    def joints(self, part: str, state: JointState, goal: np.ndarray, now: float) -> np.ndarray:
+        """What may be sent of the goal of one device alone, whenever it comes [rad], shape [U].
+
+        Args:
+            part: "arm" or "hand".
+            goal: finite [rad], shape [U].
+            now: time of the robot's clock [s].
+
+        Raises:
+            SafetyStop: nothing may.
+        """
+        silence = self._silence(part, state, now)
+        last, when = self._last or (state.positions, -np.inf)
+        dog = self._cell.watchdog
+        # Between goals nothing is read, so that an old stamp says nothing.
+        recent = now - when < (dog.arm_silence if part == "arm" else dog.hand_silence)
+        check_reading(part, state, silence if recent else 0.0, self._cell)
+        limits, elapsed = self._limits[part], min(now - when, LONGEST_STEP)
+        goal = np.clip(goal, limits.lower, limits.upper)
+        allowed = within_speed(part, goal, last, elapsed, limits, self._cell)
+        self._last = allowed, now
+        return allowed
+
+    def _silence(self, part: str, state: JointState, now: float) -> float:
         """How long a device's time stamp has stood still [s]."""
-        silence = self._stamps[name].age(stamp, now)
-        self.longest_silence[name] = max(self.longest_silence[name], silence)
+        silence = self._stamps[part].age(state.device_time, now)
+        self.longest_silence[part] = max(self.longest_silence[part], silence)
         return silence

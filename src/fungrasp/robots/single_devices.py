@@ -1,30 +1,36 @@
 """Devices of a cell one by one, before anything is grasped: whether each answers, what it measures, whether
-it holds where it is, whether a joint moves as asked."""
+it holds where it is, whether a joint moves as asked; an excitation of a hand for identification."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
-from fungrasp.robots.assembly import (
-    arm_driver,
-    guarded_arm,
-    guarded_hand,
-    hand_driver,
-    is_twin,
-    pose_source,
-)
+from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.clock import Clock, WallClock
-from fungrasp.robots.device import DeviceStatus, JointDriver, JointState, RobotError
-from fungrasp.robots.guarded_driver import GuardedDriver
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.device import (
+    Clock,
+    DeviceStatus,
+    JointDriver,
+    JointState,
+    RobotError,
+    SafetyStop,
+    StopKind,
+    WallClock,
+)
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.safety import SafetyGuard, check_posture, warn_unguarded
 from fungrasp.robots.stop_switch import StopSwitch
+from fungrasp.sim2real.identification.excitation import ExcitationMotion
+from fungrasp.sim2real.identification.motion_log import MotionHeader, MotionLog, MotionSample, motion_log
 
 PARTS = ("arm", "hand")
 """Devices of a cell that move."""
@@ -67,9 +73,120 @@ def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
     return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
 
 
-def guarded_driver(part: str, cell: RobotCell, hand: Hand, switch: StopSwitch) -> GuardedDriver:
-    """The driver of an arm or a hand behind guard and switch, to move. part: one of ``PARTS``."""
-    return (guarded_arm if part == "arm" else guarded_hand)(cell, hand, switch)
+class GuardedDriver:
+    """A ``JointDriver`` around that of an arm or a hand, to move it alone: what it is told passes the stop
+    switch and the guard. Whatever is wrong stops the device."""
+
+    def __init__(
+        self,
+        driver: JointDriver,
+        cell: RobotCell,
+        part: str,
+        *,
+        clearance: Callable[[np.ndarray], str] = lambda joints: "",
+        clock: Clock | None = None,
+        switch: StopSwitch | None = None,
+    ):
+        """
+        Args:
+            part: one of ``PARTS``.
+            clearance: what is wrong with a posture [rad], shape [U], as a phrase; "" for nothing.
+            clock: of the device; that of the wall if None.
+            switch: stops the device; that of the cell's stop file if None.
+        """
+        self.name, self.limits, self.takes_feedforward = driver.name, driver.limits, driver.takes_feedforward
+        self.lets_go = driver.lets_go
+        self.switch = StopSwitch(cell.stop_file) if switch is None else switch
+        """Stops the device."""
+        self._driver, self._cell, self._part, self._clear = driver, cell, part, clearance
+        self._clock = clock or WallClock()
+        self._guard = SafetyGuard(cell, {part: driver.limits})
+
+    def connect(self) -> None:
+        """See ``JointDriver.connect``. A cell without a guard is warned of."""
+        warn_unguarded(self._cell)
+        self._driver.connect()
+        self._guard.reset()
+
+    def take_control(self) -> None:
+        """See ``JointDriver.take_control``."""
+        self._driver.take_control()
+
+    def read(self) -> JointState:
+        """See ``JointDriver.read``."""
+        return self._driver.read()
+
+    def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
+        """See ``JointDriver.command``.
+
+        Raises:
+            SafetyStop: the guard or the switch stopped the device.
+            RobotError: the device follows no more, or a value is not finite.
+        """
+        goal = np.asarray(positions, dtype=float)
+        try:
+            if self.switch.reason:
+                raise SafetyStop(self.switch.reason)
+            if self._cell.guard != "off" and np.isfinite(goal).all():
+                goal = self._guard.joints(self._part, self._driver.read(), goal, self._clock.now())
+                problem = self._clear(goal)
+                if problem:
+                    raise SafetyStop(problem)
+            return self._driver.command(goal, feedforward)
+        except RobotError as error:
+            self.stop(error.kind if isinstance(error, SafetyStop) else StopKind.HOLD)
+            raise
+
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        """See ``JointDriver.stop``."""
+        self._driver.stop(kind)
+
+    def close(self) -> None:
+        """See ``JointDriver.close``."""
+        self._driver.close()
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self.close()
+
+
+def guarded_driver(
+    part: str,
+    cell: RobotCell,
+    hand: Hand,
+    switch: StopSwitch | None = None,
+    torque_limit: float = 1.0,
+    clock: Clock | None = None,
+) -> GuardedDriver:
+    """The driver of an arm or a hand of a cell behind guard and switch, not connected; the other one may be
+    off, and the hand on an arm counts as open.
+
+    Args:
+        part: one of ``PARTS``.
+        cell: the robot; no twin.
+        switch: stops the device; that of the cell's stop file if None.
+        torque_limit: a hand is told to make no more than this share of the torque that the cell says.
+        clock: of the device; that of the wall if None.
+
+    Raises:
+        FungraspError: an unknown driver, bad options, or another hand.
+    """
+    driver = bare_driver(part, cell, hand)
+    if part == "hand":
+        if isinstance(driver, LoopDriver):
+            driver.torque_limit(torque_limit)
+        return GuardedDriver(driver, cell, part, clock=clock, switch=switch)
+    kinematics, clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand)
+
+    def wrong(joints: np.ndarray) -> str:
+        gap = clearance.measure(joints, hand.open_joints)
+        return check_posture(kinematics.palm_pose(joints), gap, cell.workspace)
+
+    return GuardedDriver(driver, cell, part, clearance=wrong, clock=clock, switch=switch)
 
 
 def joint_names(part: str, cell: RobotCell, hand: Hand) -> list[str]:
@@ -84,7 +201,6 @@ def examine_devices(cell: RobotCell, hand: Hand) -> Iterator[DeviceReport]:
 
     Args:
         cell: the robot; no twin.
-        hand: on its arm.
     """
     for part in PARTS:
         try:
@@ -120,7 +236,6 @@ def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
 
     Args:
         cell: the robot; no twin.
-        hand: on its arm.
 
     Raises:
         FungraspError: no arm answers, or it moves.
@@ -155,7 +270,6 @@ def jog(
 
     Args:
         driver: connected.
-        joint: its number.
         by: angle [rad].
         clock: of the device; that of the wall if None.
 
@@ -202,3 +316,56 @@ def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None)
     if state.status is not DeviceStatus.READY:
         raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
     return state
+
+
+def record_motion(
+    driver: JointDriver,
+    joints: tuple[str, ...],
+    motion: ExcitationMotion,
+    rate: float,
+    gravity: np.ndarray,
+    clock: Clock | None = None,
+    weight: float = 0.0,
+    keep: Callable[[MotionHeader, MotionSample], None] = lambda header, sample: None,
+) -> MotionLog:
+    """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong. In
+    the end, however it comes, the device is told to hold.
+
+    Args:
+        driver: connected.
+        joints: names of its joints, length U.
+        rate: [Hz].
+        gravity: in the palm's frame [m/s^2], shape [3].
+        clock: of the device; that of the wall if None.
+        weight: mass that is fixed to each fingertip [kg].
+        keep: called with each row at once.
+
+    Raises:
+        RobotError: the device stopped.
+    """
+    clock = clock or WallClock()
+    header, samples = MotionHeader(joints, gravity, weight, driver.limits.velocity), []
+    try:
+        # A device that must be made ready first is not waited for while it moves.
+        driver.take_control()
+        began = clock.now()
+        for row, goal in enumerate(motion.commands):
+            clock.sleep_until(began + row / rate)
+            now = clock.now()
+            sent = driver.command(goal)
+            state = driver.read()
+            if state.status is not DeviceStatus.READY:
+                raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
+            sample = MotionSample(
+                now - began,
+                state.device_time,
+                state.received - began,
+                tuple(np.flatnonzero(motion.moving[row]).tolist()),
+                sent,
+                state.positions,
+            )
+            keep(header, sample)
+            samples.append(sample)
+    finally:
+        driver.stop()
+    return motion_log(header, samples)

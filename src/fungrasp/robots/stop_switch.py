@@ -53,7 +53,6 @@ class StopSwitch:
         """Ask the person at the keyboard; the next line is the answer, and stops nothing.
 
         Args:
-            question: shown on the terminal.
             meanwhile: called again and again until there is an answer; what it raises ends the question.
 
         Raises:

@@ -208,7 +208,6 @@ def train_student(
         environment.student_layout,
         (),
         environment.settings.residual,
-        1 / environment.protocol.control_period,
         Budget(trainer.steps + done.steps, trainer.seconds + done.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=teacher.data,

@@ -18,6 +18,7 @@ from fungrasp.policies.checkpoint.card import ActionPart, Budget, Part, PolicyCa
 from fungrasp.policies.checkpoint.checkpoint_file import hand_digest, save_policy, servo_gains
 from fungrasp.policies.residual_action import WRIST_ACTIONS, ResidualSettings
 from fungrasp.policies.residual_policy import ACTION_PARTS
+from fungrasp.task import LiftProtocol
 from fungrasp.training.environment import HISTORY
 from fungrasp.training.networks import StudentGraph, StudentModel
 
@@ -103,7 +104,6 @@ def make_card(
     observation: tuple[tuple[str, int], ...],
     privileged: tuple[tuple[str, int], ...],
     residual: ResidualSettings,
-    rate: float,
     budget: Budget,
     **more: Any,
 ) -> PolicyCard:
@@ -112,7 +112,6 @@ def make_card(
     Args:
         kind: "teacher", "student" or "predictor".
         privileged: layout of the privileged observation; empty but for a teacher.
-        rate: of control [Hz].
     """
     gains = servo_gains(hand)
     sizes = (3, WRIST_ACTIONS - 3, len(gains))
@@ -126,7 +125,7 @@ def make_card(
         hand_digest=hand_digest(hand),
         joint_names=tuple(gains),
         gains=gains,
-        rate_hz=rate,
+        rate_hz=1 / LiftProtocol().control_period,
         observation=tuple(Part(*part) for part in observation),
         privileged=tuple(Part(*part) for part in privileged),
         action=tuple(ActionPart(*part) for part in zip(parts, sizes, scales, strict=True)),

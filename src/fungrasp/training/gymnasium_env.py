@@ -21,7 +21,7 @@ from fungrasp.retargeting import retarget
 from fungrasp.sim2real import preset
 from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.settings import EnvironmentSettings, Variety
+from fungrasp.training.settings import EnvironmentSettings, TrainSpec, Variety
 from fungrasp.training.training_sets import build_plan_library
 
 try:
@@ -73,7 +73,8 @@ def lift_worlds(
     if isinstance(grasps, HumanGraspSet):
         grasps = retarget(grasps, objects, hand, threads=threads)
     grasps.check_hand(hand)
-    library = build_plan_library(grasps, objects, hand, Variety(copies), seed, threads)
+    spec = TrainSpec(seed=seed, threads=threads, variety=Variety(copies))
+    library = build_plan_library(grasps, objects, hand, spec)
     settings = settings or EnvironmentSettings()
     settings = replace(settings, worlds=count, randomization=preset(worlds), history=False)
     return TrainingEnvironment(library, objects, hand, settings, seed, threads)

@@ -135,7 +135,9 @@ class Worlds(VecEnv):
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
         """One control period."""
-        step = self.environment.step(played(self.environment, actions))
+        # The runner calls under inference mode, whose tensors nothing else might change in place.
+        with torch.inference_mode(False), torch.no_grad():
+            step = self.environment.step(played(self.environment, actions.clone()))
         self.recent.extend(self.environment.ended.success.tolist())
         self._rewards.append(step.reward.mean())
         self._terms.append(step.terms)
@@ -392,9 +394,7 @@ class Trainer(OnPolicyRunner):
         """Begin new episodes with new noise."""
         if self._processes.count > 1:
             self._begin_random_numbers()
-        # What the runner has collected are tensors of inference.
-        with torch.inference_mode():
-            self.environment.restart()
+        self.environment.restart()
         self._restart_noise()
 
     def _begin_random_numbers(self) -> None:

@@ -15,10 +15,10 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.provenance import git_revision, machine
 from fungrasp.hands import Hand, as_hand, hand_files
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
 from fungrasp.policies import policy_files
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import BufferSizes, SceneSettings, found_device
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph
@@ -243,7 +243,6 @@ def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], s
         environment.student_layout if trainer.settings.sees == "history" else environment.layout,
         environment.privileged_layout if teacher else (),
         spec.environment.residual.shrunk(spec.shrink),
-        1 / environment.protocol.control_period,
         Budget(trainer.steps, trainer.seconds, machine()),
         layout_name=environment.settings.layout,
         training_data=tuple(TrainingData(s.name, s.terms, len(s.grasps)) for s in sets),

@@ -18,12 +18,12 @@ from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.candidates import vary, with_settings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
-from fungrasp.planning.selection.variations import vary, with_settings
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
 from fungrasp.simulation import build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment
-from fungrasp.training.settings import TrainSpec, Variety
+from fungrasp.training.settings import TrainSpec
 
 _log = logging.getLogger(__name__)
 
@@ -165,9 +165,7 @@ def build_plan_library(
     grasps: RobotGraspSet,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
-    variety: Variety,
-    seed: int = 0,
-    threads: int = 0,
+    spec: TrainSpec,
     progress: Callable[[int], None] = lambda done: None,
     predictor: SuccessPredictor | None = None,
 ) -> PlanLibrary:
@@ -179,15 +177,15 @@ def build_plan_library(
     Raises:
         FungraspError: no grasp of the set has a finite plan, or the predictor was made for another hand.
     """
-    tries = variety.planned(predictor is not None)
+    tries, seed = spec.variety.planned(predictor is not None), spec.seed
     group, attempt = np.repeat(np.arange(len(grasps)), tries), np.tile(np.arange(tries), len(grasps))
     start, scene = with_settings(grasps), build_scene(hand, objects)
     planner = MotionPlanner(hand, objects)
     parts, expected = [], []
     for first in range(0, len(group), CHUNK):
         rows = slice(first, first + CHUNK)
-        part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, variety.spread)
-        belief = LiftEnvironment(scene, len(part), threads=threads).settle(part)
+        part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, spec.variety.spread)
+        belief = LiftEnvironment(scene, len(part), threads=spec.threads).settle(part)
         parts.append(planner.plan(part, belief))
         if predictor is not None:
             expected.append(predictor(parts[-1]))
@@ -196,7 +194,7 @@ def build_plan_library(
     chosen = _usable(plans)
     if predictor is not None:
         score = np.where(chosen, np.concatenate(expected), -1.0).reshape(len(grasps), tries)
-        best = np.argsort(-score, axis=1, kind="stable")[:, : variety.copies]
+        best = np.argsort(-score, axis=1, kind="stable")[:, : spec.variety.copies]
         among = np.zeros(score.shape, dtype=bool)
         np.put_along_axis(among, best, True, axis=1)
         chosen &= among.ravel()
@@ -235,9 +233,7 @@ def planned_sets(
                 one.grasps,
                 one.objects,
                 hand,
-                spec.variety,
-                spec.seed + number,
-                spec.threads,
+                replace(spec, seed=spec.seed + number),
                 lambda count, before=done: progress(before + count),
                 predictor,
             )

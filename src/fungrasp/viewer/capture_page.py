@@ -85,10 +85,11 @@ class CapturePage(BrowserPage):
         self._say(seen)
 
     def _say(self, seen: Perceived) -> None:
-        head, *rows = seen.verdict.rows()
-        warnings = "\n".join(f"- {warning}" for warning in (*seen.warnings, *seen.notes, *seen.verdict.help))
-        mark = "✓" if seen.verdict.sure else "?"
-        self._words.content = f"**{mark} {seen.verdict.words}**\n\n{values_table(rows, head)}\n\n{warnings}"
+        judged = seen.acceptance
+        head, *rows = judged.rows()
+        warnings = "\n".join(f"- {warning}" for warning in (*seen.warnings, *seen.notes, *judged.help))
+        mark = "✓" if judged.sure else "?"
+        self._words.content = f"**{mark} {judged.summary()}**\n\n{values_table(rows, head)}\n\n{warnings}"
 
     def _add_points(self, camera: np.ndarray, target: np.ndarray | None = None) -> None:
         """The points, from the camera's side. target: what is in the middle [m]; their median if None."""

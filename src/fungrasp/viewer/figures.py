@@ -263,7 +263,7 @@ class RobotFigure:
         self._joints = np.array([self._model.joint(j).qposadr[0] for j in hand.joint_names])
         owner = {body: k for k, bodies in enumerate(hand.links) for body in bodies}
         materials = model_materials(self._model)
-        drawn = drawn_geoms(self._model, ground=True) & (materials.colors[:, 3] > 0)
+        drawn = drawn_geoms(self._model) & (materials.colors[:, 3] > 0)
         if collision:
             drawn = (self._model.geom_contype | self._model.geom_conaffinity) > 0
         drawn = np.flatnonzero(drawn)

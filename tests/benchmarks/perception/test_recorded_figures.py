@@ -13,10 +13,9 @@ from benchmarks.perception.recorded_figures import (
     recorded_rows,
     recorded_table,
     smaller_mask,
+    wrong_meshes,
 )
-from benchmarks.perception.tracking import measure_tracking
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps import load_human_grasps
 from fungrasp.objects import load_object
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.capture import Box
@@ -63,7 +62,8 @@ def test_a_set_is_measured_with_every_hint(tmp_path: Path) -> None:
     right = {answer.hint: answer.right for answer in result.objects}
     assert right["mask"] and right["box"]
     assert result.hand_found is True and result.pixel_error < 1e-6
-    figures = recorded_figures([result])
+    figures = recorded_figures([result], [True])
+    assert figures["lifted"]["rate"] == 1.0
     assert figures["object"]["mask"]["right"]["rate"] == 1.0
     assert figures["hand"]["found"]["rate"] == 1.0
     assert len(recorded_table(figures)) == 1 + len(hints)
@@ -108,17 +108,14 @@ def test_an_empty_folder_is_said(tmp_path: Path) -> None:
         recorded_folders(tmp_path)
 
 
+def test_wrong_meshes_are_other_shapes() -> None:
+    sizes = [float(np.linalg.norm(one.size / MUG.size)) for one in wrong_meshes(MUG)]
+    assert len(sizes) == 9 and min(abs(size - 3**0.5) for size in sizes) > 0.1
+
+
 def test_smaller_masks_do_not_vanish() -> None:
     thick, thin = np.zeros((2, 60, 60), dtype=bool)
     thick[10:50, 10:50] = True
     thin[20:24, 5:55] = True
     assert smaller_mask(thick).sum() == 28 * 28, "6 pixels less on each side"
     assert 0.3 * thin.sum() <= smaller_mask(thin).sum() < thin.sum()
-
-
-def test_tracking_is_measured() -> None:
-    grasps = load_human_grasps("builtin")
-    row = int(np.flatnonzero(grasps.object_name == "mug")[0])
-    result = measure_tracking(grasps[row], MUG, 4)
-    assert result.right == 1.0 and result.followed == 1.0
-    assert result.add_s_mm < 3.0 and result.seconds > 0

@@ -10,7 +10,7 @@ from benchmarks.perception.capture_files import write_capture
 from benchmarks.perception.recorded_captures import read_recorded
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
-from benchmarks.synthetic_captures.render_capture import capture_at, render_capture, render_captures
+from benchmarks.synthetic_captures.render_capture import render_capture, render_captures
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.mesh_file import read_colored_mesh
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
@@ -98,22 +98,6 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_count(noisy):
     np.testing.assert_array_equal(again.capture.depth, noisy[0].capture.depth)
     np.testing.assert_array_equal(again.labels, noisy[0].labels)
     assert not np.array_equal(other.capture.color, noisy[0].capture.color)
-
-
-def test_another_look_sees_the_same_scene_from_a_turned_camera(noisy):
-    grasps = builtin_grasps()
-    objects = {name: builtin_object(name) for name in np.unique(grasps.object_name).tolist()}
-    first = noisy[0]
-    looks = [capture_at(0, grasps, objects, 4, SMALL, look) for look in range(3)]
-    assert looks[0].capture.depth.tobytes() == first.capture.depth.tobytes()
-    middle = first.grasp.hand_joints.mean(axis=0)
-    around = [np.degrees(np.arctan2(*(one.pose_world_camera[:3] - middle)[1::-1])) for one in looks]
-    for one, azimuth, side in zip(looks[1:], around[1:], (1, -1), strict=True):
-        np.testing.assert_array_equal(one.grasp.object_pose, first.grasp.object_pose)
-        np.testing.assert_array_equal(one.grasp.hand_joints, first.grasp.hand_joints)
-        # The angle is about a point between hand and object.
-        assert 10 < side * ((azimuth - around[0] + 180) % 360 - 180) < 50
-        assert one.object_mask.sum() > 100 and one.hand_mask.sum() > 100
 
 
 def test_every_grasp_has_its_turn():

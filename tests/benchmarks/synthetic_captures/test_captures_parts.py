@@ -3,9 +3,9 @@ import pytest
 import trimesh
 from flat_hand import FLAT_HAND
 
-from benchmarks.synthetic_captures.capture_camera import posed_rays
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from benchmarks.synthetic_captures.painted_mesh import EDGE, PaintedMesh, painted_object
+from benchmarks.synthetic_captures.render_capture import posed_rays
 from benchmarks.synthetic_captures.skin_and_sleeve import (
     CLEARANCE,
     FOREARM,

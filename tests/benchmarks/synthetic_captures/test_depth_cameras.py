@@ -2,18 +2,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from benchmarks.perception.depth_statistics import beside, depth_statistics, edge_widths, plane_noise
 from benchmarks.synthetic_captures.capture_settings import camera_settings
 from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_depth
 from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
-from benchmarks.synthetic_captures.render_capture import capture_at
-from benchmarks.synthetic_captures.varied_hand import vary_hand
+from benchmarks.synthetic_captures.render_capture import capture_at, vary_hand
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import builtin_grasps
 from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.objects import builtin_object
 from fungrasp.perception import Intrinsics
+from fungrasp.perception.scene.pixel_classes import edge_width
 
 LENS = Intrinsics(320, 240, 300.0, 300.0, 160.0, 120.0)
 EXACT = {"noise": 0.0, "waves": 0.0, "subpixel": 0.0, "axial": (0.0, 0.0), "scale": 0.0, "speckle": 1e-9}
@@ -32,10 +32,8 @@ def seen(name: str, depth: np.ndarray, brightness: np.ndarray | None = None, **c
 
 
 def test_outlines_of_filtered_stereo_melt_and_those_of_structured_light_do_not():
-    mixed = {name: edge_widths(seen(name, a_board()))[0] for name in ("d435i_filtered", "xtion")}
-    assert len(mixed["d435i_filtered"]) > 25
-    assert np.median(mixed["d435i_filtered"]) >= 3
-    assert np.median(mixed["xtion"]) <= 1
+    mixed = {name: edge_width(seen(name, a_board())) for name in ("d435i_filtered", "xtion")}
+    assert mixed["d435i_filtered"] >= 3 > mixed["xtion"]
 
 
 def test_the_shadow_is_on_the_side_that_the_second_camera_cannot_see():
@@ -56,11 +54,9 @@ def test_filters_fill_shadows():
 def test_noise_of_stereo_grows_with_the_square_of_distance():
     off = []
     for distance in (0.5, 1.0):
-        depth = seen("d435i", np.full((240, 320), distance, np.float32), unit=1e-5)
-        off.append(np.median(plane_noise(depth, LENS, 13)[1]))
-    assert off[1] / off[0] == pytest.approx(4.0, rel=0.15)
-    # sigma = z^2 / (f b) * disparity noise; half of it here, as the image is half as wide; subpixel steps
-    # add. assert off[1] == pytest.approx(1.0 / (300 * 0.05) * 0.5 * 0.035, rel=0.25)
+        depth = seen("d435i", np.full((240, 320), distance, np.float32), unit=1e-5).astype(float)
+        off.append(np.median(np.abs(depth - ndimage.uniform_filter(depth, 13))[depth > 0]))
+    assert off[1] / off[0] == pytest.approx(4.0, rel=0.2)
 
 
 def test_dark_and_shiny_surfaces_are_lost():
@@ -70,39 +66,6 @@ def test_dark_and_shiny_surfaces_are_lost():
     assert lost[:, :90].mean() > 0.95
     assert lost[:, 230:].mean() > 0.5
     assert lost[:, 110:210].mean() < 0.02
-
-
-def test_statistics_of_a_known_ramp():
-    depth = np.full((60, 200), 0.8)
-    depth[:, 100:] = 0.9
-    depth[:, 96:104] = np.linspace(0.8, 0.9, 10)[1:-1]
-    mixed, lost = edge_widths(depth)
-    assert (mixed == 8).all()
-    assert len(mixed) == 60
-    assert (lost == 0).all()
-    depth[:, 98:102] = 0
-    mixed, lost = edge_widths(depth)
-    assert (mixed == 4).all()
-    assert (lost == 4).all()
-
-
-def test_a_sloped_plane_has_neither_edges_nor_noise():
-    rays = LENS.rays()
-    normal = np.array([0.0, -0.6, -0.8])
-    depth = -0.56 / (rays @ normal)
-    assert len(edge_widths(depth)[0]) == 0
-    assert len(edge_widths(depth.T)[0]) == 0
-    distance, off = plane_noise(depth, LENS, 13)
-    assert len(distance) > 100
-    assert off.max() < 1e-9
-
-
-def test_statistics_are_set_side_by_side():
-    stat = depth_statistics([(a_board(), LENS)])
-    assert stat.holes.tolist() == [0.0]
-    rows = beside([("board", stat), ("again", stat)])
-    assert rows[0] == ("", "board", "again")
-    assert all(row[1] == row[2] for row in rows[1:])
 
 
 def test_wrong_exposure_blows_out_what_is_bright_and_jpeg_loses_little():

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from benchmarks.synthetic_captures import perceived_grasps as room
+from benchmarks.synthetic_captures import perceived_grasps as module
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import PartStore
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
@@ -22,19 +22,19 @@ def test_images_are_numbered_and_doubtful_ones_refused(monkeypatch, tmp_path) ->
         grasp = human[number // 2]
         grasps = HumanGraspSet.of([grasp])
         warnings = ("the depth is noisy",)
-        verdict = SimpleNamespace(words="not sure: 40 %")
+        judged = SimpleNamespace(summary=lambda: "not sure: 40 %")
         return SimpleNamespace(
-            grasp=grasp, grasps=grasps, confident=number != 2, warnings=warnings, verdict=verdict
+            grasp=grasp, grasps=grasps, confident=number != 2, warnings=warnings, acceptance=judged
         )
 
-    monkeypatch.setattr(room, "render_capture", lambda *args: SimpleNamespace(capture=None))
-    monkeypatch.setattr(room, "MediaPipeHandDetector", lambda: None)
-    monkeypatch.setattr(room, "perceive", perceive)
-    monkeypatch.setattr(room, "retarget", lambda human, *args, **options: human)
+    monkeypatch.setattr(module, "render_capture", lambda *args: SimpleNamespace(capture=None))
+    monkeypatch.setattr(module, "MediaPipeHandDetector", lambda: None)
+    monkeypatch.setattr(module, "perceive", perceive)
+    monkeypatch.setattr(module, "retarget", lambda human, *args, **options: human)
 
-    def images(rows: list[int] | None = None) -> room.PerceivedGrasps:
+    def images(rows: list[int] | None = None) -> module.PerceivedGrasps:
         store, objects = PartStore(tmp_path / "seen"), load_objects(human)
-        return room.PerceivedGrasps(human, objects, load_hand("allegro"), 2, 0, store, rows, threads=1)
+        return module.PerceivedGrasps(human, objects, load_hand("allegro"), 2, 0, store, rows, threads=1)
 
     source = images()
     assert source.names == [n for n in human.object_name.tolist() for _ in range(2)]

@@ -14,12 +14,8 @@ from recorded import (
 )
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps import HUMAN_JOINTS
-from fungrasp.grasps.human_hand import MANO, OPENPOSE
 from fungrasp.perception.adapters import read_hand_estimate
-from fungrasp.perception.adapters.hand_fields import read_fields
-from fungrasp.perception.adapters.hand_file import hands_of
-from fungrasp.perception.adapters.hand_placement import _common_factor
+from fungrasp.perception.adapters.hand_file import hands_of, read_fields
 
 JOINTS = true_hand()
 
@@ -33,21 +29,9 @@ def worst(hand, joints=JOINTS):
     return np.linalg.norm(hand.joints_camera - joints, axis=1).max()
 
 
-def test_orders_are_those_of_the_programs():
-    openpose = ["wrist", "thumb_cmc", "thumb_mcp", "thumb_ip", "thumb_tip", "index_mcp"]
-    assert [HUMAN_JOINTS[i] for i in np.argsort(OPENPOSE)[:6]] == openpose
-    named = [HUMAN_JOINTS[i] for i in np.argsort(MANO)]
-    assert named[:4] == ["wrist", "index_mcp", "index_pip", "index_dip"]
-    assert [name.split("_")[0] for name in named[7:16:3]] == ["pinky", "ring", "thumb"]
-    assert named[16:] == [f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring", "pinky")]
-
-
-@pytest.mark.parametrize("write", [write_npz, write_json])
-@pytest.mark.parametrize("size", [0.85, 1.0, 1.2])
+@pytest.mark.parametrize(("write", "size"), [(write_npz, 0.85), (write_json, 1.0), (write_npz, 1.2)])
 def test_hamer_is_put_where_depth_is_whatever_size_it_guessed(tmp_path, capture, write, size):
-    path = write(
-        tmp_path / f"hand.{'npz' if write is write_npz else 'json'}", hamer_fields(JOINTS, size=size)
-    )
+    path = write(tmp_path / f"hand.{write.__name__.removeprefix('write_')}", hamer_fields(JOINTS, size=size))
     hand = read_hand_estimate(path, capture)
     assert worst(hand) < 0.008
     assert hand.side == "right" and hand.score > 0.9
@@ -73,17 +57,6 @@ def test_an_object_in_front_of_half_the_hand_does_not_pull_it(tmp_path, capture)
     path = write_npz(tmp_path / "h.npz", hamer_fields(JOINTS, size=1.15))
     assert worst(read_hand_estimate(path, held)) < 0.012
     assert worst(read_hand_estimate(path, dataclasses.replace(held, mask=hidden))) < 0.012
-
-
-def test_two_depths_that_are_as_likely_are_told_apart_by_chance():
-    size = 0.88**-0.5
-    # 30 points agree on a nearer hand, of which 10 others would be seen through; both sizes are as usual.
-    factor, certainty = _common_factor(np.repeat([0.88, 1.0], [30, 10]), 0.6, size)
-    assert certainty == pytest.approx(0.5) and factor == pytest.approx(0.88)
-    factor, certainty = _common_factor(np.repeat([0.88, 1.0], [30, 12]), 0.6, size)
-    # 12 * 0.5 against 30 * 0.5 - 12 * 1.
-    assert factor == pytest.approx(1.0) and certainty == pytest.approx(1 / (1 + np.exp(-3)))
-    assert _common_factor(np.full(40, 0.9), 0.6, 1.0) == (pytest.approx(0.9), 1.0)
 
 
 def test_a_hand_where_none_is_scores_low(tmp_path):

@@ -6,13 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.adapters import (
-    entry_point,
-    load_hand_estimator,
-    load_object_pose_estimator,
-    read_object_pose,
-)
-from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception import adapters
+from fungrasp.perception.acceptance import ACCEPT
+from fungrasp.perception.adapters import load_hand_estimator, load_object_pose_estimator, read_object_pose
 
 TURN = Rotation.from_rotvec([0.4, -1.2, 2.0])
 PLACE = np.array([0.05, -0.02, 0.62])
@@ -142,7 +138,7 @@ def test_estimators_of_other_packages(monkeypatch):
         ],
         "fungrasp.object_pose_estimators": [],
     }
-    monkeypatch.setattr(entry_point, "entry_points", lambda group: entries[group])
+    monkeypatch.setattr(adapters, "entry_points", lambda group: entries[group])
     assert load_hand_estimator("my-hands")("an image") == "a hand in an image"
     with pytest.raises(FungraspError, match=r"unknown hand estimator 'my-hand'. Did you mean 'my-hands'"):
         load_hand_estimator("my-hand")

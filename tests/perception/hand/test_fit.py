@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from hand_scenes import CAMERA, hand_scene
 
-from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
-from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
+from fungrasp.perception import HandEstimate
 from fungrasp.perception.hand.fit import fit_hand, refine_hand
 from fungrasp.perception.hand.fit_problem import image_agreement
+from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.hand.skeleton import HandEvidence
 
 ROWS = range(0, 24, 4)
@@ -49,29 +48,6 @@ def test_confidence_falls_where_the_covariance_grows(scenes):
     assert fit_hand(vague, scene.capture).score < hand.score
 
 
-def test_a_left_hand_is_the_mirror_image_of_a_right_one(scenes):
-    scene, detected = scenes[1]
-    right = fit_hand(detected, scene.capture)
-    mirror = np.array([-1.0, 1.0, 1.0])
-    seen = Capture(
-        scene.capture.color,
-        np.ascontiguousarray(scene.capture.depth[:, ::-1]),
-        dataclasses.replace(CAMERA, cx=CAMERA.width - 1 - CAMERA.cx),
-    )
-    left = fit_hand(
-        dataclasses.replace(
-            detected,
-            pixels=[CAMERA.width - 1, 0] + detected.pixels * mirror[:2],
-            shape_camera=detected.shape_camera * mirror,
-            side="left",
-        ),
-        seen,
-    )
-    assert left.side == "left"
-    np.testing.assert_allclose(left.joints_camera, right.joints_camera * mirror, atol=1e-6)
-    np.testing.assert_allclose(left.covariance[:, 0, 1], -right.covariance[:, 0, 1], atol=1e-9)
-
-
 def test_agreement_counts_landmarks_and_skin_that_is_seen_through():
     none = np.zeros((4, 1))
     landmarks = HandEvidence(np.zeros(4), none, outlier=4.0, group=2)
@@ -79,23 +55,6 @@ def test_agreement_counts_landmarks_and_skin_that_is_seen_through():
     assert image_agreement(landmarks, half) == 0.5
     assert image_agreement(landmarks, HandEvidence(np.zeros(0), np.zeros((0, 1)), outlier=np.zeros(0))) == 0.0
     assert image_agreement(HandEvidence(np.full(4, 99.0), none, outlier=4.0, group=2), half) < 1e-3
-
-
-def test_no_depth_at_the_hand_is_an_error(scenes):
-    scene, detected = scenes[0]
-    depth = scene.capture.depth.copy()
-    u, v = detected.pixels.mean(axis=0).astype(int)
-    depth[max(v - 150, 0) : v + 150, max(u - 150, 0) : u + 150] = 0
-    with pytest.raises(FungraspError, match="no depth where the hand is"):
-        fit_hand(detected, Capture(scene.capture.color, depth, CAMERA))
-
-
-def test_metres_come_from_depth_alone(scenes):
-    """Scaling depth and nothing else moves the hand away; its size follows as far as anatomy allows."""
-    scene, detected = scenes[2]
-    near = fit_hand(detected, scene.capture)
-    far = fit_hand(detected, Capture(scene.capture.color, scene.capture.depth * np.float32(1.06), CAMERA))
-    assert far.joints_camera[0, 2] / near.joints_camera[0, 2] == pytest.approx(1.06, abs=0.025)
 
 
 @pytest.fixture(scope="module")

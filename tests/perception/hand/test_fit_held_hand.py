@@ -12,19 +12,13 @@ from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture
 from fungrasp.perception.hand import fit
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
-from fungrasp.perception.hand.fit import fit_held_hand as fit_held
-from fungrasp.perception.hand.fit import skeleton_through
+from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, explained_part, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import hand_view
 from fungrasp.perception.hand.image_evidence import point_evidence
+from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.hand.skeleton import SIZE
-
-
-def fit_held_hand(detected, capture, surroundings, joints, **options):
-    """The hand of least cost."""
-    return fit_held(detected, capture, surroundings, joints, **options)
 
 
 @pytest.fixture(scope="module")
@@ -48,18 +42,6 @@ def test_distance_of_a_point_from_a_capsule():
     np.testing.assert_allclose(along, [0.5, 0.0, 0.5])
     np.testing.assert_allclose(normal[0], [0, 0, -1])
     assert not which.any()
-
-
-def test_the_nearest_of_several_capsules_of_several_hands():
-    first = np.array([[[0.0, 0, 1], [0.0, 0.1, 1]], [[0.0, 0.1, 1], [0.0, 0, 1]]])
-    last = first + np.array([0.1, 0, 0])
-    points, nowhere = np.array([[0.05, 0, 0.95], [0.05, 0.1, 0.96]]), np.full((1, 3), np.nan)
-    radius = np.full((2, 2), 0.01)
-    which, distance, _, normal = nearest_capsules(points, first, last, radius)
-    np.testing.assert_array_equal(which, [[0, 1], [1, 0]])
-    np.testing.assert_allclose(distance, [[0.04, 0.03], [0.04, 0.03]])
-    assert normal.shape == (2, 2, 3)
-    assert np.isnan(nearest_capsules(nowhere, first, last, radius)[1]).all()
 
 
 def test_derivatives_of_points_on_the_skin(held):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,18 +28,11 @@ from fungrasp.perception.hand.mediapipe_detector import (
     consensus,
 )
 from fungrasp.perception.hand.mediapipe_models import have_weights
-from fungrasp.perception.hand.palm_windows import (
-    Window,
-    anchor_centers,
-    box_overlap,
-    decode_palms,
-    exposed,
-    window_of_landmarks,
-    window_of_palm,
-)
+from fungrasp.perception.hand.palm_windows import Window, anchor_centers, decode_palms, exposed
 
 needs_weights = pytest.mark.skipif(
-    not have_weights(), reason="the hand models are not in the cache; run 'fungrasp setup perception'"
+    not have_weights() or find_spec("ai_edge_litert") is None,
+    reason="the hand models are not in the cache, or ai-edge-litert is not installed",
 )
 
 
@@ -62,12 +57,7 @@ def test_overlapping_answers_are_one_palm_weighted_by_score():
     assert decode_palms(offsets, logits - 50, 0.5) == []
 
 
-def test_overlap_of_boxes():
-    boxes = np.array([[0, 0, 1, 1], [0.5, 0, 1.5, 1], [2, 2, 3, 3]])
-    np.testing.assert_allclose(box_overlap(boxes[0], boxes), [1, 1 / 3, 0])
-
-
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 @given(
     u=st.floats(60, 240),
     v=st.floats(60, 180),
@@ -89,21 +79,6 @@ def test_windows_show_what_they_say(u, v, size, angle, at):
     places = (np.arange(64) + 0.5) / 64
     found = np.array([cut.sum(axis=0) @ places, cut.sum(axis=1) @ places]) / cut.sum()
     np.testing.assert_allclose(found, [at, 1 - at], atol=0.012)
-
-
-@settings(deadline=None)
-@given(angle=st.floats(-3.1, 3.1))
-def test_windows_show_hands_upright(angle):
-    up = np.array([np.sin(angle), -np.cos(angle)])
-    wrist = np.array([200.0, 150.0])
-    window = window_of_palm(np.array([150, 100, 250, 200.0]), wrist, wrist + 60 * up)
-    above = window.to_image(np.array([0.5, 0.0])) - window.to_image(np.array([0.5, 1.0]))
-    np.testing.assert_allclose(above / np.linalg.norm(above), up, atol=1e-9)
-    assert window.size == 260
-    pixels = wrist + np.random.default_rng(0).normal(size=(21, 2)) * 20
-    pixels[0], pixels[[5, 9, 13]] = wrist, wrist + 50 * up
-    again = window_of_landmarks(pixels)
-    np.testing.assert_allclose(np.cos(again.angle - angle), 1, atol=1e-9)
 
 
 def hand_at(u, v, size=100.0, side="right", score=0.9):
@@ -146,7 +121,6 @@ def picture():
 
 @needs_weights
 def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
-    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
     detector, color = MediaPipeHandDetector(), picture.capture.color
     truth = picture.capture.intrinsics.project(picture.joints_camera)
     (hand,) = detector.detect(color)
@@ -161,7 +135,6 @@ def test_a_rendered_hand_is_found_and_told_from_a_left_one(picture):
 
 @needs_weights
 def test_no_hand_in_noise():
-    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
     noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
     assert MediaPipeHandDetector().detect(noise) == []
 
@@ -230,7 +203,6 @@ def test_underexposed_images_are_made_brighter():
 
 @needs_weights
 def test_a_hand_in_the_dark_is_found(picture):
-    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
     truth = picture.capture.intrinsics.project(picture.joints_camera)
     dark = (picture.capture.color * 0.15).astype(np.uint8)
     (hand,) = MediaPipeHandDetector().detect(dark)
@@ -239,7 +211,6 @@ def test_a_hand_in_the_dark_is_found(picture):
 
 @needs_weights
 def test_depth_finds_a_hand_whose_palm_is_seen_at_a_wrong_place(picture):
-    pytest.importorskip("ai_edge_litert", reason="ai-edge-litert is not installed")
     capture = picture.capture
     truth = capture.intrinsics.project(picture.joints_camera)
     lengths = hand_lengths(capture.depth, capture.intrinsics.fx)

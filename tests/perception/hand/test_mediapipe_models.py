@@ -1,9 +1,11 @@
-"""Fetching, checking and keeping the weights of the hand models."""
+"""Fetching, checking and keeping the weights of the hand models; what native libraries write to stderr."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
+import sys
 import zipfile
 
 import pytest
@@ -11,7 +13,13 @@ import pytest
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.hand import mediapipe_models as hand_weights
-from fungrasp.perception.hand.mediapipe_models import WeightFile, fetch_weights, have_weights, load_weights
+from fungrasp.perception.hand.mediapipe_models import (
+    WeightFile,
+    fetch_weights,
+    filtered_native_output,
+    have_weights,
+    load_weights,
+)
 
 CONTENT = {"palm": b"a palm model", "landmarks": b"a landmark model"}
 
@@ -92,3 +100,22 @@ def test_pip_is_asked_for_one_wheel_and_its_failure_told(wheel, monkeypatch):
     monkeypatch.setattr(subprocess, "run", serves)
     fetch_weights()
     assert load_weights() == CONTENT
+
+
+def test_only_small_talk_is_left_out(capfd):
+    with filtered_native_output():
+        os.write(2, b"INFO: all is well\nWARNING: odd\nERROR: INFO: not at the beginning\n")
+        print("INFO: from Python", file=sys.__stderr__)
+        os.write(2, b"no newline at the end")
+    print("after", file=sys.__stderr__)
+    assert capfd.readouterr().err == (
+        "WARNING: odd\nERROR: INFO: not at the beginning\nno newline at the endafter\n"
+    )
+
+
+def test_errors_pass_and_stderr_is_given_back(capfd):
+    with pytest.raises(ValueError, match="bad"), filtered_native_output():
+        os.write(2, b"INFO: starting\nERROR: model\n")
+        raise ValueError("bad")
+    os.write(2, b"INFO: again\n")
+    assert capfd.readouterr().err == "ERROR: model\nINFO: again\n"

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps import load_human_grasps
 from fungrasp.grasps.human_hand import ADULT_BONES, bone_lengths, joint_bends
-from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
 from fungrasp.perception.hand.fit import skeleton_through
 from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES, direction_evidence
+from fungrasp.perception.hand.physical_evidence import anatomy_evidence
 from fungrasp.perception.hand.skeleton import (
     ANGLE_LOW,
     ANGLE_MEAN,

@@ -1,12 +1,18 @@
+"""Captures and lenses, estimates and warnings are checked."""
+
+from __future__ import annotations
+
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fungrasp.core.errors import FungraspError
-from fungrasp.perception import Capture, Intrinsics
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.perception import Capture, HandEstimate, Intrinsics, ObjectEstimate
+from fungrasp.perception.io.estimates import MESSAGES, PerceptionWarning
 
 LENS = Intrinsics(64, 48, 60.0, 61.0, 31.0, 24.5)
 
@@ -25,13 +31,6 @@ def a_capture(**changes) -> Capture:
 def test_deprojecting_what_was_projected_gives_the_point(x, y, z):
     point = np.array([x, y, z])
     np.testing.assert_allclose(LENS.deproject(LENS.project(point), z), point, atol=1e-9)
-
-
-def test_projection_is_that_of_the_matrix():
-    point = np.array([0.2, -0.1, 0.8])
-    homogeneous = LENS.matrix @ point
-    np.testing.assert_allclose(LENS.project(point), homogeneous[:2] / homogeneous[2])
-    np.testing.assert_allclose(LENS.project(np.array([0, 0, 2.0])), [31.0, 24.5])
 
 
 def test_points_behind_the_camera_have_no_pixel():
@@ -71,6 +70,7 @@ def test_points_are_in_the_camera_frame_and_holes_are_nan():
         ({"mask": np.ones((48, 64), np.uint8)}, "array of bool"),
         ({"box": (10, 10, 5, 20)}, "x0 < x1"),
         ({"box": (100, 10, 120, 20)}, "outside the image"),
+        ({"box": (0.3, 0.2, 0.7, 0.6)}, "smaller than a pixel: it must be in pixels"),
     ],
 )
 def test_what_is_no_capture_is_refused_in_words(changes, words):
@@ -92,9 +92,58 @@ def test_what_is_no_lens_is_refused_in_words(field, value, words):
         dataclasses.replace(LENS, **{field: value})
 
 
-def test_the_object_may_be_marked_later():
-    mask = np.zeros((48, 64), bool)
-    mask[5:9, 5:9] = True
-    marked = a_capture().with_object(mask=mask, box=(5, 5, 9, 9))
-    assert marked.mask is mask
-    assert marked.box == (5, 5, 9, 9)
+POSE = np.array([0, 0, 0.6, 1, 0, 0, 0.0])
+
+
+def a_hand(**changes) -> HandEstimate:
+    fields = {
+        "joints_camera": np.ones((21, 3)),
+        "pixels": np.ones((21, 2)),
+        "confidence": np.ones(21),
+        "covariance": np.tile(np.eye(3), (21, 1, 1)),
+        "side": "right",
+        "score": 0.9,
+    }
+    return HandEstimate(**{**fields, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"joints_camera": np.ones((20, 3))}, r"joints_camera must have shape \[21, 3\], not \[20, 3\]"),
+        ({"covariance": np.ones((21, 3))}, "covariance"),
+        ({"pixels": np.full((21, 2), np.nan)}, "pixels has non-finite"),
+        ({"side": "Right"}, "side"),
+        ({"score": 1.2}, "score"),
+    ],
+)
+def test_a_hand_is_checked(changes, words):
+    assert a_hand().side == "right"
+    with pytest.raises(FungraspError, match=words):
+        a_hand(**changes)
+
+
+def test_an_object_and_its_alternatives_are_checked():
+    estimate = ObjectEstimate(POSE, 0.8, True, ((POSE, 0.4),), residual_m=0.001)
+    assert estimate.alternatives[0][1] == 0.4
+    with pytest.raises(FungraspError, match="score"):
+        ObjectEstimate(POSE, 0.8, True, ((POSE, 1.4),))
+    with pytest.raises(FungraspError, match="pose"):
+        ObjectEstimate(POSE[:6], 0.8, True)
+
+
+def test_a_warning_reads_as_a_sentence():
+    given = PerceptionWarning.of("low_own_score", score=0.314)
+    assert str(given) == "the estimator's own score is 0.31"
+    assert given.code == "low_own_score" and given.values == {"score": 0.314}
+
+
+def test_every_sentence_takes_its_values():
+    for code, message in MESSAGES.items():
+        values = dict.fromkeys(re.findall(r"{(\w+)", message), 1.5)
+        assert str(PerceptionWarning(code, values))
+
+
+def test_an_unknown_code_is_refused():
+    with pytest.raises(UnknownNameError, match="low_own_score"):
+        PerceptionWarning.of("low_own_scor")

@@ -81,14 +81,6 @@ def test_intrinsics_of_many_images_need_a_number(tmp_path):
         read_intrinsics(path, SIZE)
 
 
-def test_distortion_is_not_passed_over_in_silence(tmp_path, caplog):
-    path = tmp_path / "K.json"
-    path.write_text(json.dumps({**REAL_SENSE, "coeffs": [0.1, -0.2, 0, 0, 0]}))
-    with caplog.at_level(logging.WARNING):
-        read_intrinsics(path, SIZE)
-    assert "distortion" in caplog.text
-
-
 def test_a_matrix_with_an_image_size_is_held_to_it_and_its_distortion_named(tmp_path, caplog):
     path = tmp_path / "camera_info.json"
     path.write_text(json.dumps({"K": FLAT, "width": SIZE[0], "height": SIZE[1], "D": [0.1, -0.2, 0, 0, 0]}))

@@ -2,21 +2,13 @@ import json
 
 import numpy as np
 import pytest
-from capture_files import HEIGHT, OURS, WIDTH, scene, write_scene
+from capture_files import HEIGHT, OURS, WIDTH, scene
 from PIL import Image
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.image_source import ImageSource
 from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.image_source import ImageSource
 from fungrasp.perception.io.scene_folders import read_bop, read_dexycb, read_folder, write_folder
-
-
-def test_our_own_folder(tmp_path):
-    write_scene(tmp_path)
-    assert read_folder(tmp_path).mask is None
-    Image.fromarray(np.eye(HEIGHT, WIDTH, dtype=np.uint8)).save(tmp_path / "mask.png")
-    mask = read_folder(tmp_path).mask
-    assert mask is not None and mask.sum() == HEIGHT
 
 
 def a_bop_scene(folder):
@@ -69,8 +61,8 @@ def test_a_unit_that_is_given_counts_for_every_kind_of_folder(tmp_path):
         (tmp_path / "own", 1e-4),
         (a_dexycb_camera(tmp_path / "dexycb"), 1e-3),
     ):
-        as_it_says = ImageSource(folder=folder).read(None)
-        doubled = ImageSource(folder=folder, depth_unit=2 * unit).read(None)
+        as_it_says = ImageSource(folder=folder).read()
+        doubled = ImageSource(folder=folder, depth_unit=2 * unit).read()
         np.testing.assert_allclose(doubled.depth, 2 * as_it_says.depth, rtol=1e-5)
 
 

@@ -1,9 +1,15 @@
+"""How wrong a pose is, and the rays that meet a mesh."""
+
+from __future__ import annotations
+
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
+from fungrasp.perception.object_pose.object_template import MeshRays
 from fungrasp.perception.object_pose.pose_error import add, add_s, rotation_error
 
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) * 0.05
@@ -60,3 +66,31 @@ def test_moving_the_whole_scene_changes_nothing(turn: list[float], shift: list[f
         before, after = error(CORNERS, pose, HOME), error(CORNERS, compose(scene, pose), compose(scene, HOME))
         assert after == pytest.approx(before, abs=1e-9)
     assert rotation_error(compose(scene, pose), compose(scene, HOME)) == pytest.approx(0.4, abs=1e-6)
+
+
+BOX = trimesh.creation.box((0.2, 0.1, 0.06))
+
+
+def test_depth_of_a_box_seen_straight_on() -> None:
+    rays = MeshRays(BOX.vertices, BOX.faces)
+    pose = np.array([[0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]])
+    directions = np.array([[0.0, 0.0, 1.0], [0.1, 0.05, 1.0], [0.3, 0.0, 1.0]])
+    seen = rays.cast(pose, directions)
+    assert seen[0, :2] == pytest.approx([0.47, 0.47])
+    assert np.isinf(seen[0, 2])
+
+
+def test_off_center_meshes_stay_where_they_are() -> None:
+    # A mesh whose own center is far from its origin, turned by 90 degrees about y.
+    rays = MeshRays(BOX.vertices + np.array([0.0, 0.0, 0.3]), BOX.faces)
+    turned = np.concatenate([[-0.3, 0.0, 0.6], quaternion_from_rotation_vector(np.array([0, np.pi / 2, 0]))])
+    seen = rays.cast(turned[None], np.array([[0.0, 0.0, 1.0]]))
+    assert seen[0, 0] == pytest.approx(0.6 - 0.1)
+
+
+def test_each_pose_has_its_own_image() -> None:
+    rays = MeshRays(BOX.vertices, BOX.faces)
+    poses = np.array([[0.0, 0.0, z, 1.0, 0.0, 0.0, 0.0] for z in (0.4, 0.7, -0.5)])
+    seen = rays.cast(poses, np.array([[0.0, 0.0, 1.0], [0.02, 0.0, 1.0]]))
+    assert seen[:2] == pytest.approx(np.array([[0.37, 0.37], [0.67, 0.67]]))
+    assert np.isinf(seen[2]).all(), "what is behind the camera is not seen"

@@ -16,50 +16,31 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded
 from fungrasp.grasps.human_hand import HAND_SIZE_SPREAD, hand_size
-from fungrasp.perception.adapters.hand_fields import read_fields
-from fungrasp.perception.adapters.hand_file import hands_of, turn_to
-from fungrasp.perception.estimates import HandEstimate, Side
+from fungrasp.perception.adapters.hand_file import hands_of, read_fields, turn_to
 from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand
 from fungrasp.perception.hand.fit_problem import joint_confidence
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
+from fungrasp.perception.hand.hand_hypotheses import object_box
 from fungrasp.perception.hand.hand_measurements import HandMeasurements
-from fungrasp.perception.hand.meant_hands import object_box
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.estimates import HandEstimate, Side
 
+# Depths so near to each other [m] agree: thickness of the hand, errors of shape and camera.
 AGREEMENT = 0.012
-"""Depths so near to each other [m] agree: thickness of the hand, errors of shape and camera."""
-
-SEEN_THROUGH = 0.03
-"""What is measured so far behind the skin [m] shows that no hand is there."""
-
-SAMPLE_WEIGHT = 0.5
-"""Weight of a surface sample that agrees [logarithm of likelihood]; neighbors err alike."""
-
-THROUGH_WEIGHT = 1.0
-"""Weight of a sample that is seen through, against the hand."""
-
-LEAST_AGREEING = 0.3
-"""Part of the visible hand that must agree on a depth for full trust."""
-
-LANDMARK_SPREAD = 0.03
-"""Standard deviation of a landmark across the ray, as a part of the hand's extent."""
-
-SHAPE_SPREAD = 0.007
-"""Standard deviation of a joint along the ray against the rest of the hand [m]."""
-
-HIDDEN = 1.4
-"""Factor on these for a joint where nothing agrees."""
+SEEN_THROUGH = 0.03  # What is measured so far behind the skin [m] shows that no hand is there.
+SAMPLE_WEIGHT = 0.5  # Weight of a surface sample that agrees [logarithm of likelihood]; neighbors err alike.
+THROUGH_WEIGHT = 1.0  # Weight of a sample that is seen through, against the hand.
+LEAST_AGREEING = 0.3  # Part of the visible hand that must agree on a depth for full trust.
+LANDMARK_SPREAD = 0.03  # Standard deviation of a landmark across the ray, as a part of the hand's extent.
+SHAPE_SPREAD = 0.007  # Standard deviation of a joint along the ray against the rest of the hand [m].
+HIDDEN = 1.4  # Factor on these for a joint where nothing agrees.
 
 _log = logging.getLogger(__name__)
 
 
 @guarded("hand file")
 def read_hand_estimate(
-    path: str | Path,
-    capture: Capture,
-    *,
-    side: Side | None = None,
-    hand: int | None = None,
+    path: str | Path, capture: Capture, *, side: Side | None = None, hand: int | None = None
 ) -> HandEstimate:
     """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
 
@@ -67,7 +48,6 @@ def read_hand_estimate(
     are not taken from it but measured in the depth image (see ``place_hand``), unless it says ``metric``.
 
     Args:
-        path: the file.
         capture: the image that the program saw, with its depth.
         side: which hand is meant, if the file has several.
         hand: which one, counted from 0; by default the one nearest to the capture's mask, box or

@@ -12,9 +12,9 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded, read_text
 from fungrasp.core.formats.numpy_files import read_npy
 from fungrasp.core.formats.text_files import read_json
-from fungrasp.perception.estimates import ObjectEstimate, PerceptionWarning
+from fungrasp.perception.acceptance import ACCEPT
 from fungrasp.perception.io.capture import DEPTH_LIMIT
-from fungrasp.perception.object_pose.confidence import ACCEPT
+from fungrasp.perception.io.estimates import ObjectEstimate, PerceptionWarning
 
 SUFFIXES = (".txt", ".npy", ".json")
 
@@ -22,14 +22,10 @@ NO_SCORE = PerceptionWarning.of("no_score", said="the file gives no score; the p
 FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's score is no probability")
 
 
+# How far a rotation may be from one, in any element of ``R^T R - 1``; then the nearest rotation is taken.
 TOLERANCE = 0.02
-"""How far a rotation may be from one, in any element of ``R^T R - 1``; then the nearest rotation is taken."""
-
-UNIT_TOLERANCE = 0.001
-"""How far a quaternion's length may be from 1."""
-
-NEAREST = 0.02
-"""No camera sees an object nearer than this [m]."""
+UNIT_TOLERANCE = 0.001  # How far a quaternion's length may be from 1.
+NEAREST = 0.02  # No camera sees an object nearer than this [m].
 
 
 @guarded("object's pose")
@@ -49,7 +45,6 @@ def read_object_pose(path: str | Path, *, image: int | str | None = None) -> Obj
     is, and a warning. A score of another range than 0 to 1 is no probability and treated likewise.
 
     Args:
-        path: the file or folder.
         image: which image: name or number of FoundationPose's file, or row of an array; may be None if there
             is only one.
 
@@ -152,7 +147,6 @@ def pose_from_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
 
     Args:
         numbers: 4 x 4, 3 x 4, 16 or 12 in a row (a matrix, row by row), or 7: ``[x y z qw qx qy qz]``; [m].
-        where: name of the file and the row, for messages.
 
     Raises:
         FungraspError: another number of them, not finite, no rotation, or not where a camera could see it.

@@ -11,33 +11,23 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.human_hand import joint_bends
-from fungrasp.perception.camera.frames import CameraFrame
-from fungrasp.perception.estimates import PerceptionWarning, Side
-from fungrasp.perception.io.capture import Box, Capture
+from fungrasp.perception.io.capture import Box, CameraFrame, Capture
+from fungrasp.perception.io.estimates import PerceptionWarning, Side
 
-HAND_LENGTH = 0.19
-"""Length of an adult's hand from wrist to fingertips [m]."""
-
+HAND_LENGTH = 0.19  # Length of an adult's hand from wrist to fingertips [m].
+# What is shorter in the image is blurred in the models' windows, some of which then show hands in lenses,
+# paws and parts of hands [pixels]. An adult's hand is 36 pixels wide then. At the far end of the range, 0.9
+# m, it is so long for a camera of 640 pixels and 80 degrees.
 CLEAR_LENGTH = 80.0
-"""What is shorter in the image is blurred in the models' windows, some of which then show hands in lenses,
-paws and parts of hands [pixels]. An adult's hand is 36 pixels wide then. At the far end of the range, 0.9 m,
-it is so long for a camera of 640 pixels and 80 degrees."""
-
+# Below this part of its windows' votes the landmark model is overruled by how the fingers bend.
 UNDECIDED = 0.6
-"""Below this part of its windows' votes the landmark model is overruled by how the fingers bend."""
-
+# Fingers bent back by more, on average over their joints, are those of the other hand [rad].
 BENT_BACK = np.radians(8.0)
-"""Fingers bent back by more, on average over their joints, are those of the other hand [rad]."""
-
+# If the landmark model is confident of the side, fingers bent back by more say that its landmarks are wrong
+# [rad].
 IMPOSSIBLE = np.radians(20.0)
-"""If the landmark model is confident of the side, fingers bent back by more say that its landmarks are wrong
-[rad]."""
-
-DISTRUST = 0.5
-"""Factor of the hand's score in that case."""
-
-MIRROR_X = np.array([-1.0, 1.0, 1.0])
-"""Reflection that swaps left and right of the image, by coordinate."""
+DISTRUST = 0.5  # Factor of the hand's score in that case.
+MIRROR_X = np.array([-1.0, 1.0, 1.0])  # Reflection that swaps left and right of the image, by coordinate.
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,9 +134,7 @@ def choose_hand(
     """The hand that is meant.
 
     Args:
-        hands: those found.
         near: box around the object, or around the hand [pixels].
-        side: which hand it should be, if known.
 
     Returns:
         The hand of that side, if there is one, nearest to the box; without a box, the one largest in the
@@ -194,10 +182,6 @@ def settle_side(hand: DetectedHand, side: Side | None = None) -> tuple[DetectedH
     The landmark model tells the side from the picture, and is at times wrong about a hand behind an object.
     The same landmarks in 3D, taken for a hand of the other side, bend their fingers backwards.
 
-    Args:
-        hand: as it was found.
-        side: which hand it is, if that is known.
-
     Returns:
         The hand, and a warning if the side was uncertain.
     """
@@ -217,9 +201,9 @@ def settle_side(hand: DetectedHand, side: Side | None = None) -> tuple[DetectedH
     return hand, []
 
 
+# Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 170 rendered hands, most of
+# them bent about an object, all were between 0.46 and 1.03.
 EXTENTS = (0.4, 1.2)
-"""Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 170 rendered hands, most
-of them bent about an object, all were between 0.46 and 1.03."""
 
 
 def length_at(pixels: np.ndarray, lengths: np.ndarray | None, otherwise: float) -> float:

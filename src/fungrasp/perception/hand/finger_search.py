@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.grasps.human_hand import FINGER_RADII
-from fungrasp.perception.hand.anatomy_evidence import finger_overlap
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import HandView
+from fungrasp.perception.hand.physical_evidence import finger_overlap
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -25,23 +25,12 @@ from fungrasp.perception.hand.skeleton import (
     Skeleton,
 )
 
-TRIES = 256
-"""Postures tried of each finger."""
-
-ORDER = (4, 0, 1, 2, 3)
-"""Order in which fingers are searched: the thumb first."""
-
-OPPOSED_NEAR = 0.025
-"""Only fingertips so near to the object [m] say where others touch it."""
-
-MOST_POINTS = 80
-"""Measured points that a finger is compared with."""
-
-WIDE = 1.3
-"""Factor on the usual spread of postures for those that are tried."""
-
-SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])
-"""Parts of each link that are looked at."""
+TRIES = 256  # Postures tried of each finger.
+ORDER = (4, 0, 1, 2, 3)  # Order in which fingers are searched: the thumb first.
+OPPOSED_NEAR = 0.025  # Only fingertips so near to the object [m] say where others touch it.
+MOST_POINTS = 80  # Measured points that a finger is compared with.
+WIDE = 1.3  # Factor on the usual spread of postures for those that are tried.
+SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Parts of each link that are looked at.
 
 
 @dataclass(frozen=True)
@@ -116,11 +105,7 @@ def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def search_fingers(
-    hand: Skeleton,
-    view: HandView,
-    landmarks: np.ndarray,
-    spread: float | None,
-    rng: np.random.Generator,
+    hand: Skeleton, view: HandView, landmarks: np.ndarray, spread: float | None, rng: np.random.Generator
 ) -> Skeleton:
     """The hand with every finger in the best posture of those tried; its own is among them.
 
@@ -129,7 +114,6 @@ def search_fingers(
         view: what is seen.
         landmarks: [pixels], shape [21, 2].
         spread: standard deviation of a landmark [pixels], if it is known.
-        rng: chooses the postures.
     """
     settings = FingerSearchSettings()
     if spread is None:

@@ -17,9 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.human_hand import FINGER_RADII, WRIST_RADIUS
-from fungrasp.perception.estimates import HandEstimate, Side
-from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit_problem import (
@@ -28,12 +25,8 @@ from fungrasp.perception.hand.fit_problem import (
     HandParameters,
     joint_confidence,
 )
-from fungrasp.perception.hand.hand_measurements import (
-    HandMeasurements,
-    HandView,
-    hand_view,
-    mirror_estimate,
-)
+from fungrasp.perception.hand.hand_measurements import HandMeasurements, HandView, hand_view, mirror_estimate
+from fungrasp.perception.hand.physical_evidence import HandSurroundings, anatomy_evidence
 from fungrasp.perception.hand.skeleton import (
     BASES,
     SIZE,
@@ -43,39 +36,24 @@ from fungrasp.perception.hand.skeleton import (
     normal_equations,
 )
 from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.estimates import HandEstimate, Side
 
+# Stages of a fit without the object.
 FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03)))
-"""Stages of a fit without the object."""
-
+# Stages of a fit with the object, before the fingers are searched.
 PALM_STAGES = (HandFitStage((0.06, 0.06), 0.05), HandFitStage((0.02, 0.04), 0.03))
-"""Stages of a fit with the object, before the fingers are searched."""
-
+# Stages of a fit with the object, after the fingers are searched.
 HELD_STAGES = tuple(HandFitStage((0.02, 0.03), far, contact=True, late=True) for far in (0.02, 0.015))
-"""Stages of a fit with the object, after the fingers are searched."""
-
+# How candidates are compared and the final estimate is judged.
 COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
-"""How candidates are compared and the final estimate is judged."""
-
-STAGE_ITERATIONS = 5
-"""Gauss-Newton steps of a stage."""
-
-REFINE_ITERATIONS = 10
-"""Gauss-Newton steps of ``refine_hand``."""
-
+STAGE_ITERATIONS = 5  # Gauss-Newton steps of a stage.
+REFINE_ITERATIONS = 10  # Gauss-Newton steps of ``refine_hand``.
+# Detections whose landmarks differ by less, on average and as a part of the hand's extent, are one.
 SAME_GUESS = 0.035
-"""Detections whose landmarks differ by less, on average and as a part of the hand's extent, are one."""
-
-SEARCHED = 3
-"""Number of the best candidates whose fingers are searched."""
-
-MOST_GUESSES = 8
-"""Largest number of detections that are fitted."""
-
-FITTED_SPREAD = 0.004
-"""How near a candidate begins to joints that are given [m]."""
-
-OTHER_SIDE = 0.8
-"""If a side is less probable than this, the other is tried, too."""
+SEARCHED = 3  # Number of the best candidates whose fingers are searched.
+MOST_GUESSES = 8  # Largest number of detections that are fitted.
+FITTED_SPREAD = 0.004  # How near a candidate begins to joints that are given [m].
+OTHER_SIDE = 0.8  # If a side is less probable than this, the other is tried, too.
 
 _PALM_JOINTS = np.array([0, 1, 5, 9, 13])
 _AGREEMENT = 0.012
@@ -91,10 +69,6 @@ class _Candidate:
 
 def fit_hand(detected: DetectedHand, capture: Capture) -> HandEstimate:
     """The hand in metres, without knowledge of the object.
-
-    Args:
-        detected: landmarks in the color image.
-        capture: the same image with depth.
 
     Returns:
         Joints in the camera frame; a left hand is not mirrored.
@@ -126,11 +100,7 @@ def fit_held_hand(
 
     Args:
         detected: landmarks in the color image, and those in other windows.
-        capture: the same image with depth.
-        surroundings: object and table.
         joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
-        side: which hand it is, if that is known.
-        seed: of the search of fingers.
 
     Raises:
         FungraspError: there is no depth where the hand is.
@@ -163,10 +133,6 @@ def refine_hand(hand: HandEstimate, surroundings: HandSurroundings) -> HandEstim
     """A hand from another estimator that then touches what it nearly touches and is inside of nothing.
 
     The joints are evidence as good as their covariances say.
-
-    Args:
-        hand: the estimate.
-        surroundings: object and table.
 
     Returns:
         The same hand with other joints, covariances and confidences.
@@ -276,7 +242,6 @@ def skeleton_through(points: np.ndarray, spread: float, iterations: int = 8) -> 
     Args:
         points: [m], shape [21, 3].
         spread: standard deviation of the points [m]: how far anatomy may overrule them.
-        iterations: Gauss-Newton steps.
     """
     template = np.vstack([np.zeros(3), BASES[:4]])
     placed = points[_PALM_JOINTS] - points[_PALM_JOINTS].mean(axis=0)

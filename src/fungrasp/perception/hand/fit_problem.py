@@ -12,13 +12,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
-from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand.anatomy_evidence import anatomy_evidence, overlap_evidence
-from fungrasp.perception.hand.contact_evidence import (
-    HandContactSettings,
-    HandSurroundings,
-    contact_evidence,
-)
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, explained_part
 from fungrasp.perception.hand.hand_measurements import HandMeasurements, HandView
 from fungrasp.perception.hand.image_evidence import (
@@ -31,6 +24,13 @@ from fungrasp.perception.hand.image_evidence import (
     project,
     silhouette_evidence,
 )
+from fungrasp.perception.hand.physical_evidence import (
+    HandContactSettings,
+    HandSurroundings,
+    anatomy_evidence,
+    contact_evidence,
+    overlap_evidence,
+)
 from fungrasp.perception.hand.skeleton import (
     SIZE,
     HandEvidence,
@@ -40,13 +40,12 @@ from fungrasp.perception.hand.skeleton import (
     robust_cost,
     robust_weights,
 )
+from fungrasp.perception.io.estimates import HandEstimate
 
-TRUSTED_ERROR = 0.015
-"""A joint's confidence is the probability that its error is smaller than this [m]."""
-
+TRUSTED_ERROR = 0.015  # A joint's confidence is the probability that its error is smaller than this [m].
+# Factor from the covariance of least squares to that of the errors: neighboring measurements err alike.
+# Measured on rendered scenes with known truth.
 COVARIANCE_FACTOR = 1.3
-"""Factor from the covariance of least squares to that of the errors: neighboring measurements err alike.
-Measured on rendered scenes with known truth."""
 
 
 @dataclass(frozen=True)

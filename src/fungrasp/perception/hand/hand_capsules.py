@@ -9,24 +9,14 @@ import numpy as np
 from fungrasp.grasps.human_hand import FINGER_RADII, PALM_BALL_RADIUS, PALM_RADIUS, WRIST_RADIUS
 from fungrasp.perception.hand.skeleton import Skeleton
 
-TIP_END = 0.7
-"""The tip joint is on the skin: the last link's capsule ends at this part of it."""
-
+TIP_END = 0.7  # The tip joint is on the skin: the last link's capsule ends at this part of it.
+# A camera sees no skin that faces away from it: cosine to the viewing ray from which a point is not taken for
+# a capsule's.
 FAR_SIDE = 0.3
-"""A camera sees no skin that faces away from it: cosine to the viewing ray from which a point is not taken
-for a capsule's."""
-
-FAR_SIDE_PENALTY = 0.02
-"""Distance that is added for such a point [m]."""
-
-ARM_LENGTH = 0.25
-"""Length of the forearm that is looked at [m]."""
-
-EXPLAINED = 0.012
-"""Measured points so near to the skin [m] are explained by the hand."""
-
-ARM_NEAR = 0.05
-"""Points nearer to the wrist than this [m] don't say where the arm goes."""
+FAR_SIDE_PENALTY = 0.02  # Distance that is added for such a point [m].
+ARM_LENGTH = 0.25  # Length of the forearm that is looked at [m].
+EXPLAINED = 0.012  # Measured points so near to the skin [m] are explained by the hand.
+ARM_NEAR = 0.05  # Points nearer to the wrist than this [m] don't say where the arm goes.
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +53,7 @@ def _capsules() -> HandCapsules:
     return HandCapsules(near, far, end, np.stack([first, last], axis=1), finger)
 
 
-HAND_CAPSULES = _capsules()
-"""Four in the palm, three in each finger; the thumb's first is its ball."""
+HAND_CAPSULES = _capsules()  # Four in the palm, three in each finger; the thumb's first is its ball.
 
 
 def offsets_from_lines(
@@ -104,14 +93,14 @@ def nearest_capsules(
     """
     # Importing Numba takes half a second: not before it is needed.
     from fungrasp.geometry.compiling import plain
-    from fungrasp.perception import capsule_loops
+    from fungrasp.perception import compiled_loops
 
     hands = first.shape[:-2]
     shape = (int(np.prod(hands)), len(points))
     which = np.empty(shape, np.int64)
     distance, along, normal = np.empty(shape), np.empty(shape), np.empty((*shape, 3))
     ends = (plain(end.reshape(-1, *end.shape[-2:])) for end in (first, last))
-    capsule_loops.nearest_capsules(
+    compiled_loops.nearest_capsules(
         plain(points), *ends, plain(radius), FAR_SIDE, FAR_SIDE_PENALTY, which, distance, along, normal
     )
     whole = (*hands, len(points))
@@ -189,11 +178,10 @@ def _surface_samples() -> SurfaceSamples:
     return SurfaceSamples(np.array(near), np.array(far), np.array(part), np.array(radius))
 
 
+# One at the wrist, three along each bone of the palm, four along each link of the fingers.
 SURFACE_SAMPLES = _surface_samples()
-"""One at the wrist, three along each bone of the palm, four along each link of the fingers."""
-
+# Those on each finger's last link.
 FINGERTIP_SAMPLES = [np.flatnonzero(SURFACE_SAMPLES.near == 3 + 4 * finger) for finger in range(5)]
-"""Those on each finger's last link."""
 
 
 def in_front(points: np.ndarray, radius: np.ndarray) -> np.ndarray:

@@ -9,49 +9,29 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps.human_hand import BONES
-from fungrasp.perception.estimates import HandEstimate
-from fungrasp.perception.hand.contact_evidence import HandSurroundings
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.hand.hand_capsules import offsets_from_lines
 from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES
+from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.estimates import HandEstimate
 
+# Largest depth of a hand, nearest to farthest joint [m]: now and then the landmark model says a quarter of a
+# metre.
 DEEPEST = 0.16
-"""Largest depth of a hand, nearest to farthest joint [m]: now and then the landmark model says a quarter of a
-metre."""
-
-REACH = 0.12
-"""What is seen farther than this from every joint of a first guess [m] is not this hand."""
-
-OBJECT_NEAR = 0.006
-"""What is seen so near to the known object's surface [m] is the object."""
-
-TABLE_NEAR = 0.008
-"""What is seen so low above the table [m] is the table."""
-
+REACH = 0.12  # What is seen farther than this from every joint of a first guess [m] is not this hand.
+OBJECT_NEAR = 0.006  # What is seen so near to the known object's surface [m] is the object.
+TABLE_NEAR = 0.008  # What is seen so low above the table [m] is the table.
+# Where neighboring pixels differ by more [m], a depth camera sees the mean of what is on both sides.
 EDGE = 0.015
-"""Where neighboring pixels differ by more [m], a depth camera sees the mean of what is on both sides."""
-
-POINTS = 400
-"""Points of the hand that are looked at."""
-
-FEW = 12
-"""Factor on that number for the points that are sorted: most show something else."""
-
-BONE = 0.006
-"""Points that are seen so near to a guessed hand's bones [m] show what color it has."""
-
-LEAST_SKIN = 40
-"""Least number of points from which the color of the skin is learned."""
-
-MOST_SKIN = 400
-"""Largest number of points from which the color of the skin is learned."""
-
-OTHER_COLOR = 4.0
-"""Colors farther from the skin's [standard deviations] are another thing's."""
-
+POINTS = 400  # Points of the hand that are looked at.
+FEW = 12  # Factor on that number for the points that are sorted: most show something else.
+BONE = 0.006  # Points that are seen so near to a guessed hand's bones [m] show what color it has.
+LEAST_SKIN = 40  # Least number of points from which the color of the skin is learned.
+MOST_SKIN = 400  # Largest number of points from which the color of the skin is learned.
+OTHER_COLOR = 4.0  # Colors farther from the skin's [standard deviations] are another thing's.
+# Least standard deviation of the skin's color: logarithm of red over green, and blue over green.
 COLOR_SPREAD = 0.04
-"""Least standard deviation of the skin's color: logarithm of red over green, and blue over green."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +126,6 @@ def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np
     bones has: landmarks that are wrong are on the hand nevertheless, or each on something else.
 
     Args:
-        capture: the image.
         surroundings: object and table, not mirrored.
         guesses: joints of hands that may be there, best first [m], camera frame, each of shape [21, 3].
     """

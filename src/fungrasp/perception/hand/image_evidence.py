@@ -23,14 +23,10 @@ from fungrasp.perception.io.capture import Intrinsics
 
 NEAR_BONES, FAR_BONES = np.transpose(BONES)
 
-FIELD_STEP = 2
-"""Distances are looked at so many pixels apart: silhouettes are not known better."""
-
-NO_BACKGROUND = -1e3
-"""Distance to the background of a level that has none [pixels]."""
-
+FIELD_STEP = 2  # Distances are looked at so many pixels apart: silhouettes are not known better.
+NO_BACKGROUND = -1e3  # Distance to the background of a level that has none [pixels].
+# Kind of every capsule and of the arm: 0 finger, 1 palm, 2 arm.
 _KIND = np.append(np.where(HAND_CAPSULES.finger < 0, 1, 0), 2)
-"""Kind of every capsule and of the arm: 0 finger, 1 palm, 2 arm."""
 
 _NEAR, _FAR, _END = (
     np.append(HAND_CAPSULES.near, 0),
@@ -123,7 +119,6 @@ def silhouette_evidence(
     """Nothing of the hand is where the background is seen.
 
     Args:
-        silhouettes: where that is.
         pixels, slopes: of the surface samples and their derivatives, shapes [P, 2] and [P, 2, n].
         depth: of the surface samples [m], shape [P].
         thickness: least distance of each from the background [pixels], shape [P].

@@ -36,17 +36,17 @@ from fungrasp.perception.hand.palm_windows import (
 )
 from fungrasp.perception.io.capture import Box
 
+# Indices of the models' landmarks (thumb first) in the order of ``HUMAN_JOINTS``.
 FROM_MODEL = np.array([0, *range(5, 21), *range(1, 5)])
-"""Indices of the models' landmarks (thumb first) in the order of ``HUMAN_JOINTS``."""
 
 _TO_MODEL = np.argsort(FROM_MODEL)
 
+# How far beyond the joints that data sets mean the models' landmarks are, after knuckles, as a part of the
+# bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that distance. Landmarks
+# of tips are on the nail, not at its end. From 178 rendered captures, whose visible landmarks it brings from
+# 7.3 to 6.3 pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a
+# rendered hand may mislead.
 FINGER_BEYOND, THUMB_BEYOND, WRIST_BEYOND = (0.09, 0.13, -0.18), (0.08, 0.08, -0.16), 0.04
-"""How far beyond the joints that data sets mean the models' landmarks are, after knuckles, as a part of the
-bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that distance. Landmarks of
-tips are on the nail, not at its end. From 178 rendered captures, whose visible landmarks it brings from 7.3
-to 6.3 pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a rendered
-hand may mislead."""
 
 
 def _joints_of_landmarks() -> np.ndarray:
@@ -58,81 +58,54 @@ def _joints_of_landmarks() -> np.ndarray:
     return matrix
 
 
+# Takes landmarks in the order of ``HUMAN_JOINTS`` to joints, shape [21, 21].
 JOINTS_OF_LANDMARKS = _joints_of_landmarks()
-"""Takes landmarks in the order of ``HUMAN_JOINTS`` to joints, shape [21, 21]."""
 
 _LANDMARKS_OF_JOINTS = np.linalg.inv(JOINTS_OF_LANDMARKS)
 
-LANDMARK_PIXELS = 224
-"""Edge of the landmark model's input [pixels]."""
-
-PALM_SCORE = 0.5
-"""Palms of lower score are looked at only if no better one is there."""
-
-LEAST_PALM_SCORE = 0.1
-"""Palms of lower score are none."""
-
+LANDMARK_PIXELS = 224  # Edge of the landmark model's input [pixels].
+PALM_SCORE = 0.5  # Palms of lower score are looked at only if no better one is there.
+LEAST_PALM_SCORE = 0.1  # Palms of lower score are none.
+# Where no window shows a hand, so many palms of low score are looked at in many windows: palms are seen in
+# many views of hands behind objects, of which the landmark model knows little.
 LOW_SCORE_PALMS = 3
-"""Where no window shows a hand, so many palms of low score are looked at in many windows: palms are seen in
-many views of hands behind objects, of which the landmark model knows little."""
-
-HAND_PRESENCE = 0.5
-"""Windows with a lower probability of a hand show none, if another does."""
-
+HAND_PRESENCE = 0.5  # Windows with a lower probability of a hand show none, if another does.
+# Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
+# tables and things with the color of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
+# three of them off by 24 to 30 pixels in the median of their landmarks.
 LEAST_HAND_SCORE = 0.45
-"""Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
-tables and things with the color of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
-three of them off by 24 to 30 pixels in the median of their landmarks."""
-
-LEAST_ANSWER = 0.18
-"""Around an answer of lower score no second window is cut."""
-
+LEAST_ANSWER = 0.18  # Around an answer of lower score no second window is cut.
+# About a palm of low score no more windows are cut where the first ones, and then all turned and shifted
+# ones, show a hand with no higher probability: of 30 palms that were none, 19 end so after four windows. Of
+# two that are found there, none had less than 0.17 and 0.44.
 FIRST_LOOK, SECOND_LOOK = 0.02, 0.1
-"""About a palm of low score no more windows are cut where the first ones, and then all turned and shifted
-ones, show a hand with no higher probability: of 30 palms that were none, 19 end so after four windows. Of two
-that are found there, none had less than 0.17 and 0.44."""
-
+# What overlaps by more than this part with what was looked at and was no hand is not looked at again.
 REFUSED = 0.3
-"""What overlaps by more than this part with what was looked at and was no hand is not looked at again."""
-
+# So many windows are looked at in one image at most: hands that are found need 4 to 88, and an image without
+# any is to take less than a second.
 MOST_LOOKS = 90
-"""So many windows are looked at in one image at most: hands that are found need 4 to 88, and an image without
-any is to take less than a second."""
-
+# Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
+# models were trained on, but one that was first seen at a wrong place is still inside.
 WINDOW_LENGTHS = 1.16
-"""Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
-models were trained on, but one that was first seen at a wrong place is still inside."""
-
-WINDOW_TURNS = np.radians(np.arange(0, 360, 45))
-"""Angles by which such windows are turned [rad]."""
-
+WINDOW_TURNS = np.radians(np.arange(0, 360, 45))  # Angles by which such windows are turned [rad].
+# Where the middles of such windows are if only a palm of low score is known, from its own, in hand lengths;
+# each is then turned by half as many angles.
 WINDOW_OFFSETS = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
-"""Where the middles of such windows are if only a palm of low score is known, from its own, in hand lengths;
-each is then turned by half as many angles."""
-
+# Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored.
 CUT_AGAIN = 4
-"""Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored."""
-
+# Windows that are looked at where a hand is to be confirmed.
 VERIFYING = 2 + len(WINDOW_TURNS) + 2 * CUT_AGAIN
-"""Windows that are looked at where a hand is to be confirmed."""
-
+# The same where only a palm of low score is known.
 AROUND_PALM = len(WINDOW_OFFSETS) * len(WINDOW_TURNS) // 2 + 2 * CUT_AGAIN
-"""The same where only a palm of low score is known."""
-
-MOST_VERIFIED = 2
-"""Largest number of hands of an image that are looked at in more windows."""
-
-SAME_HAND = 0.5
-"""Two answers whose boxes overlap by more than this part of their union are one hand."""
-
+MOST_VERIFIED = 2  # Largest number of hands of an image that are looked at in more windows.
+SAME_HAND = 0.5  # Two answers whose boxes overlap by more than this part of their union are one hand.
+# If the first answer, one from the window around it and one from that window's mirror image are of higher
+# scores, and nearer to each other than this part of the hand's length, they are right: of 170 rendered
+# captures 70 % have such, which are off by 7.7 pixels in the median of their landmarks, and 7.5 after more
+# windows.
 CONFIRMED_HAND, CONFIRMED = 0.8, 0.05
-"""If the first answer, one from the window around it and one from that window's mirror image are of higher
-scores, and nearer to each other than this part of the hand's length, they are right: of 170 rendered captures
-70 % have such, which are off by 7.7 pixels in the median of their landmarks, and 7.5 after more windows."""
-
+# Answers whose landmarks are apart by more than this on average, in hand lengths, don't confirm each other.
 SAME_ANSWER = 0.12
-"""Answers whose landmarks are apart by more than this on average, in hand lengths, don't confirm each
-other."""
 
 
 class MediaPipeHandDetector:
@@ -142,7 +115,6 @@ class MediaPipeHandDetector:
         """
         Args:
             weights: content of the model files "palm" and "landmarks"; by default those in the cache.
-            threads: that run a model.
 
         Raises:
             FungraspError: the weights are not set up, or ai-edge-litert is not installed.
@@ -259,7 +231,6 @@ class MediaPipeHandDetector:
 
         Args:
             image: RGB.
-            every: answers.
             length: of a hand in the image [pixels].
             lengths: the same by pixel, if depth is known.
         """

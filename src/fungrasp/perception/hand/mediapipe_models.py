@@ -29,8 +29,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, cache_folder, cache_path
 from fungrasp.core.formats.checks import one_line
 
-DROPPED_PREFIX = b"INFO:"
-"""How lines begin that are left out."""
+DROPPED_PREFIX = b"INFO:"  # How lines begin that are left out.
 
 
 @contextmanager
@@ -66,16 +65,12 @@ def _flush() -> None:
         sys.stderr.flush()
 
 
-PACKAGE = "mediapipe==0.10.21"
-"""The release, on the package index, whose wheels hold the models."""
-
-SETUP_COMMAND = "fungrasp setup perception"
-"""What a user runs once."""
+PACKAGE = "mediapipe==0.10.21"  # The release, on the package index, whose wheels hold the models.
+SETUP_COMMAND = "fungrasp setup perception"  # What a user runs once.
 
 CACHE_KIND = "hand_models"
 
-LARGEST = 50_000_000
-"""Bytes of the largest file that is taken out of a wheel."""
+LARGEST = 50_000_000  # Bytes of the largest file that is taken out of a wheel.
 
 
 @dataclass(frozen=True)
@@ -93,6 +88,7 @@ class WeightFile:
         return Path(self.member).name
 
 
+# The palm detector and the landmark model; the same bytes are in the wheels of all platforms.
 WEIGHT_FILES: Mapping[str, WeightFile] = {
     "palm": WeightFile(
         "mediapipe/modules/palm_detection/palm_detection_full.tflite",
@@ -103,7 +99,6 @@ WEIGHT_FILES: Mapping[str, WeightFile] = {
         "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
     ),
 }
-"""The palm detector and the landmark model; the same bytes are in the wheels of all platforms."""
 
 
 def load_weights() -> dict[str, bytes]:
@@ -229,9 +224,6 @@ class MediaPipeModel:
 
     def __init__(self, content: bytes, threads: int):
         """
-        Args:
-            content: of the model file.
-            threads: that run it.
 
         Raises:
             FungraspError: ai-edge-litert is not installed.

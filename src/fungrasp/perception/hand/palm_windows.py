@@ -20,11 +20,9 @@ from PIL import Image
 
 from fungrasp.perception.io.capture import Box
 
-DIM = 128
-"""Images whose brightest parts are darker, of 255, are underexposed by half the range or more."""
-
+DIM = 128  # Images whose brightest parts are darker, of 255, are underexposed by half the range or more.
+# Landmarks (models' order) that a window around known landmarks is made from: palm, thumb, near joints.
 PALM_OUTLINE = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
-"""Landmarks (models' order) that a window around known landmarks is made from: palm, thumb, near joints."""
 
 
 @dataclass(frozen=True)
@@ -149,11 +147,8 @@ def _upright(direction: np.ndarray) -> float:
 
 DETECTOR_PIXELS = 192
 
-ANCHOR_LAYERS = ((8, 2), (16, 6))
-"""Cell size [pixels] and anchors per cell."""
-
-OVERLAP = 0.3
-"""Boxes that overlap by more than this part of their union are one palm."""
+ANCHOR_LAYERS = ((8, 2), (16, 6))  # Cell size [pixels] and anchors per cell.
+OVERLAP = 0.3  # Boxes that overlap by more than this part of their union are one palm.
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,13 +20,7 @@ from fungrasp.grasps.human_hand import FLEXION_RANGE
 FINGERS, JOINTS_OF_FINGER = 5, 3
 
 BASES = np.array(
-    [
-        [87.5, 23.5, -5.5],
-        [94.5, 0.0, 0.0],
-        [82.5, -24.0, -1.0],
-        [70.5, -41.5, -5.5],
-        [23.5, 25.5, -17.0],
-    ]
+    [[87.5, 23.5, -5.5], [94.5, 0.0, 0.0], [82.5, -24.0, -1.0], [70.5, -41.5, -5.5], [23.5, 25.5, -17.0]]
 )
 BASES *= 1e-3
 """Bases of the fingers of an adult's hand, palm frame [m], shape [5, 3]: those of the built-in grasps' hand,
@@ -39,12 +33,13 @@ LENGTHS = np.array(
 LENGTHS *= 1e-3
 """Lengths of the fingers' bones of the same hand [m], shape [5, 3]; the last end at the skin."""
 
+# The thumb's metacarpal at rest, palm frame: 45 degrees between it and the palm's plane and index finger.
 THUMB_DIRECTION = np.array([0.66, 0.53, -0.53])
-"""The thumb's metacarpal at rest, palm frame: 45 degrees between it and the palm's plane and index finger."""
-
+# Where the thumb's tip goes when it flexes, palm frame: across the palm.
 THUMB_FLEXION = np.array([0.0, -0.8, -0.6])
-"""Where the thumb's tip goes when it flexes, palm frame: across the palm."""
-
+# Where each kind of parameter stands in a step: position [m] and turn of the palm (camera frame), logarithm
+# of the hand's size, shift of the five finger bases [m, palm frame], logarithm of 15 bone lengths, 45 angles
+# [rad]: finger, joint, (deviation, flexion, twist).
 PARAMETERS = {
     "position": slice(0, 3),
     "turn": slice(3, 6),
@@ -53,12 +48,7 @@ PARAMETERS = {
     "bones": slice(22, 37),
     "angles": slice(37, 82),
 }
-"""Where each kind of parameter stands in a step: position [m] and turn of the palm (camera frame), logarithm
-of the hand's size, shift of the five finger bases [m, palm frame], logarithm of 15 bone lengths, 45 angles
-[rad]: finger, joint, (deviation, flexion, twist)."""
-
-SIZE = 82
-"""Number of parameters."""
+SIZE = 82  # Number of parameters.
 
 
 def _base_frames() -> np.ndarray:
@@ -73,8 +63,7 @@ def _base_frames() -> np.ndarray:
     return frames
 
 
-BASE_FRAMES = _base_frames()
-"""Axes of extended fingers as columns, palm frame, shape [5, 3, 3]."""
+BASE_FRAMES = _base_frames()  # Axes of extended fingers as columns, palm frame, shape [5, 3, 3].
 
 
 def _angle_priors() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -91,14 +80,13 @@ def _angle_priors() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return mean, spread, low, high
 
 
+# Angles that are usual in grasps, how far they vary, and the limits of flexion [rad], shape [5, 3, 3]:
+# finger, joint, (deviation, flexion, twist). Fingers hinge: only their first joints deviate by much. Mean and
+# spread of flexion and deviation are about those of the built-in grasps and of 289 of DexYCB, pooled.
 ANGLE_MEAN, ANGLE_SPREAD, ANGLE_LOW, ANGLE_HIGH = _angle_priors()
-"""Angles that are usual in grasps, how far they vary, and the limits of flexion [rad], shape [5, 3, 3]:
-finger, joint, (deviation, flexion, twist). Fingers hinge: only their first joints deviate by much. Mean and
-spread of flexion and deviation are about those of the built-in grasps and of 289 of DexYCB, pooled."""
-
+# Standard deviation of how differently, by joint, neighboring fingers are bent from what is usual [rad]. In
+# the same grasps, what other fingers do tells each flexion to 4 to 10 degrees.
 ALIKE_SPREAD = np.radians([12.0, 13.0, 9.0])
-"""Standard deviation of how differently, by joint, neighboring fingers are bent from what is usual [rad].
-In the same grasps, what other fingers do tells each flexion to 4 to 10 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,8 +197,8 @@ def _cross_matrices(v: np.ndarray) -> np.ndarray:
     return matrices
 
 
+# Largest change of a parameter in one step [m] or [rad]: the derivatives know no farther.
 LONGEST_STEP = {"position": 0.05, "turn": 0.5, "angles": 0.5}
-"""Largest change of a parameter in one step [m] or [rad]: the derivatives know no farther."""
 
 
 @dataclass(frozen=True, eq=False)

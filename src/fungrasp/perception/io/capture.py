@@ -9,14 +9,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Protocol, Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.estimates import PerceptionWarning
+from fungrasp.perception.io.estimates import PerceptionWarning
 
+# Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far.
 DEPTH_LIMIT = 20.0
-"""Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far."""
 
 Box = tuple[float, float, float, float]
 """``x0, y0, x1, y1`` [pixels]: left, top, right and bottom edge."""
@@ -94,6 +95,46 @@ class Intrinsics:
             (self.cx + 0.5) * across - 0.5,
             (self.cy + 0.5) * down - 0.5,
         )
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrame:
+    """One color image and the depth aligned to it, as a camera gives it. Unlike a ``Capture``, it may lack
+    all depth."""
+
+    color: np.ndarray
+    """RGB, uint8, shape [H, W, 3]."""
+    depth: np.ndarray
+    """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
+    intrinsics: Intrinsics
+    """Of both images."""
+    time: float
+    """When the images were taken [s], ``time.monotonic``."""
+
+    def capture(self) -> Capture:
+        """The frame as a capture.
+
+        Raises:
+            FungraspError: there is no depth in it, or one that can't be right.
+        """
+        return Capture(self.color, self.depth, self.intrinsics)
+
+
+class RgbdCamera(Protocol):
+    """A depth camera, opened by ``with camera:``, that gives its image when asked. ``RealSenseCamera`` is
+    one."""
+
+    def __enter__(self) -> Self:
+        """Start it. Raises: FungraspError: it is not there, or does not work; the message says what to do."""
+        ...
+
+    def __exit__(self, *error: object) -> None:
+        """Stop it."""
+        ...
+
+    def capture(self) -> Capture:
+        """Its image. Raises: FungraspError: none comes, or its depth can't be right."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,14 +13,12 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.text_files import read_json
-from fungrasp.perception.estimates import PerceptionWarning
 from fungrasp.perception.io.capture import Intrinsics
+from fungrasp.perception.io.estimates import PerceptionWarning
 
+# A camera's optical axis lies at most this part of the image's width or height from the image's middle.
 OFF_CENTRE = 0.3
-"""A camera's optical axis lies at most this part of the image's width or height from the image's middle."""
-
-FOCAL_RANGE = (0.25, 6.0)
-"""A camera's focal length, as a part of the image's longer side."""
+FOCAL_RANGE = (0.25, 6.0)  # A camera's focal length, as a part of the image's longer side.
 
 MILLIMETRE = 0.001
 
@@ -56,7 +54,6 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
       with ``width`` and ``height`` if wanted.
 
     Args:
-        path: the JSON file.
         size: of the color image, width and height [pixels].
         image: number of the image, for BOP's ``scene_camera.json``.
 
@@ -72,7 +69,7 @@ def intrinsics_from(
 ) -> FileIntrinsics:
     """``read_intrinsics`` from the contents of the file. where: name of the file, for messages."""
     if isinstance(content, list):
-        return _told(_from_matrix(content, size, where), None, False, where)
+        return _with_warnings(_from_matrix(content, size, where), None, False, where)
     if not isinstance(content, Mapping):
         raise FungraspError(f"{where}: intrinsics are fields or a 3 x 3 matrix, not {content!r:.40}")
     for name in ("color", "colour", "intrinsics"):
@@ -97,16 +94,16 @@ def intrinsics_from(
     for name in _MATRIX_NAMES:
         if name in content:
             lens = _from_matrix(content[name], size, where)
-            return _told(lens, _unit(content, MILLIMETRE, where), bool(distorted), where)
+            return _with_warnings(lens, _unit(content, MILLIMETRE, where), bool(distorted), where)
     real_sense = "ppx" in content
     names = ("fx", "fy", "ppx", "ppy") if real_sense else ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = (_number(content, name, where) for name in names)
     lens = _checked(width, height, fx, fy, cx, cy, where)
     unit = _unit(content, 1.0 if real_sense else MILLIMETRE, where)
-    return _told(lens, unit, bool(distorted), where)
+    return _with_warnings(lens, unit, bool(distorted), where)
 
 
-def _told(lens: Intrinsics, unit: float | None, distorted: bool, where: str) -> FileIntrinsics:
+def _with_warnings(lens: Intrinsics, unit: float | None, distorted: bool, where: str) -> FileIntrinsics:
     """The intrinsics with what looks wrong in them."""
     warnings = []
     if distorted:

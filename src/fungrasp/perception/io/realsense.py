@@ -9,38 +9,23 @@ from __future__ import annotations
 import importlib
 import logging
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception.camera.frames import CameraFrame
-from fungrasp.perception.io.capture import Capture, Intrinsics
-from fungrasp.perception.io.capture_checks import check_depth_range
+from fungrasp.perception.io.capture import CameraFrame, Capture, Intrinsics
+from fungrasp.perception.io.image_files import check_depth_range
 
-RECORDINGS = (".bag", ".db3")
-"""Kinds of files in which a camera's images are recorded."""
-
-FIRST_WAIT = 5000
-"""Longest time that the first images may take [ms]: a camera has to start."""
-
-WAIT = 2000
-"""Longest time that each further one may take [ms]; a recording that gives none is at its end."""
-
+RECORDINGS = (".bag", ".db3")  # Kinds of files in which a camera's images are recorded.
+FIRST_WAIT = 5000  # Longest time that the first images may take [ms]: a camera has to start.
+WAIT = 2000  # Longest time that each further one may take [ms]; a recording that gives none is at its end.
+# Formats of color that are understood, and where red, green and blue are in them.
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-"""Formats of color that are understood, and where red, green and blue are in them."""
-
-RECORDED_RATE = 30.0
-"""Frames per second that a recording's time stamps are counted with: what these cameras are set to."""
-
-LARGEST_AGE = 1.0
-"""A time stamp of longer ago [s] is of a clock that was set meanwhile."""
-
-DISTORTION = 1e-6
-"""Coefficients below this are none."""
+LARGEST_AGE = 1.0  # A time stamp of longer ago [s] is of a clock that was set meanwhile.
+DISTORTION = 1e-6  # Coefficients below this are none.
 
 _log = logging.getLogger(__name__)
 
@@ -86,11 +71,7 @@ class RealSenseCamera:
     """A RealSense camera that is connected, or a recording of one; see ``RgbdCamera``."""
 
     def __init__(
-        self,
-        recording: str | Path | None = None,
-        *,
-        serial: str = "",
-        stream: StreamSettings | None = None,
+        self, recording: str | Path | None = None, *, serial: str = "", stream: StreamSettings | None = None
     ):
         """
         Args:
@@ -145,7 +126,7 @@ class RealSenseCamera:
             self._unit = float(device.first_depth_sensor().get_depth_scale())
         except RuntimeError as error:
             self.__exit__()
-            raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+            raise self._failed(error) from error
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -153,24 +134,6 @@ class RealSenseCamera:
         if self._pipeline is not None:
             self._pipeline.stop()
             self._pipeline = None
-
-    def frames(self) -> Iterator[CameraFrame]:
-        """See ``RgbdCamera.frames``; the first ones are darker or brighter, as exposure settles."""
-        count = 0
-        while True:
-            try:
-                there, latest = self._pipeline.try_wait_for_frames(FIRST_WAIT if count == 0 else WAIT)
-                if not there and (count == 0 or self._recording is None):
-                    raise FungraspError(f"{self.name} gives no more images: is it still plugged in?")
-                if not there:
-                    return
-                frame = self._aligned(latest)
-            except RuntimeError as error:
-                raise FungraspError(f"{self.name} failed: {_line(error)}") from error
-            if self._recording is not None:
-                frame = replace(frame, time=count / RECORDED_RATE)
-            yield frame
-            count += 1
 
     def newest(self, timeout: float) -> CameraFrame | None:
         """The newest frame that was not given yet; those that have queued before it are left out. None if
@@ -190,17 +153,31 @@ class RealSenseCamera:
                 frames = newer if more else frames
             return self._aligned(frames) if there else None
         except RuntimeError as error:
-            raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+            raise self._failed(error) from error
 
-    def capture(self, warm_up: int, image: int | None) -> Capture:
-        """One capture; see ``capture_from_camera``."""
+    def capture(self, warm_up: int = 30, image: int | None = None) -> Capture:
+        """One capture; arguments and errors as of ``capture_from_camera``."""
+        frames = None
         try:
-            frames = _wait(self._pipeline, warm_up, image, self.name)
+            for count in range(1 + (warm_up if image is None else image)):
+                there, latest = self._pipeline.try_wait_for_frames(FIRST_WAIT if count == 0 else WAIT)
+                if not there:
+                    if image is not None and count:
+                        raise FungraspError(
+                            f"{self.name} has no image {image}: its images are 0 to {count - 1}"
+                        )
+                    break
+                frames = latest
+            if frames is None:
+                raise FungraspError(f"{self.name} gives no images: none in {FIRST_WAIT / 1000:g} s")
             frame = self._aligned(frames)
         except RuntimeError as error:
-            raise FungraspError(f"{self.name} failed: {_line(error)}") from error
+            raise self._failed(error) from error
         check_depth_range(frame.depth, self._unit, self.name)
         return frame.capture()
+
+    def _failed(self, error: RuntimeError) -> FungraspError:
+        return FungraspError(f"{self.name} failed: {_line(error)}")
 
     def _aligned(self, frames: Any) -> CameraFrame:
         """The frame with its depth aligned to its color."""
@@ -240,21 +217,6 @@ def _why_not_started(recording: str | Path | None, serial: str, error: RuntimeEr
         "the RealSense camera gives no depth and color together: is another program using it, or is it on a "
         f"slow USB port? ({reason})"
     )
-
-
-def _wait(pipeline: Any, warm_up: int, image: int | None, where: str) -> Any:
-    """The frames of an image; those after the warm-up, or the last there are, if none is asked for."""
-    frames = None
-    for count in range(1 + (warm_up if image is None else image)):
-        there, latest = pipeline.try_wait_for_frames(FIRST_WAIT if count == 0 else WAIT)
-        if not there:
-            if image is not None and count:
-                raise FungraspError(f"{where} has no image {image}: its images are 0 to {count - 1}")
-            break
-        frames = latest
-    if frames is None:
-        raise FungraspError(f"{where} gives no images: none in {FIRST_WAIT / 1000:g} s")
-    return frames
 
 
 def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:

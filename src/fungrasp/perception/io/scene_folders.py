@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +12,17 @@ from PIL import Image
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.text_files import read_yaml
-from fungrasp.perception.image_source import BUILTIN
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
 
+# Names of the files in a capture's own folder.
 COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
-"""Names of the files in a capture's own folder."""
-
+# Units [m] in which depth is written: the coarse one where the fine one does not reach.
 FINE, COARSE = 0.0001, 0.001
-"""Units [m] in which depth is written: the coarse one where the fine one does not reach."""
-
-BUILTIN_CAPTURE = Path(__file__).parent / "builtin_capture"
-"""A rendered image of a person who holds the built-in spray bottle, and the truth about it."""
+# Stands for the image that comes with the package, where no folder has this name: a rendered one of a person
+# who holds the built-in spray bottle, and the truth about it.
+BUILTIN, BUILTIN_CAPTURE = "builtin", Path(__file__).parent / "builtin_capture"
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
@@ -72,12 +70,7 @@ def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None
     if not (folder / LENS_FILE).is_file():
         return None
     mask = folder / MASK_FILE
-    return (
-        folder / COLOR_FILE,
-        folder / DEPTH_FILE,
-        folder / LENS_FILE,
-        mask if mask.is_file() else None,
-    )
+    return (folder / COLOR_FILE, folder / DEPTH_FILE, folder / LENS_FILE, mask if mask.is_file() else None)
 
 
 def write_folder(capture: Capture, folder: str | Path) -> None:
@@ -116,8 +109,6 @@ def read_bop(scene: str | Path, image: int, depth_unit: float | None = None) -> 
         <scene>/depth/000000.png
 
     Args:
-        scene: the scene's folder.
-        image: its number.
         depth_unit: meters per unit of depth, in place of the scene's.
 
     Raises:
@@ -139,7 +130,6 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None)
 
     Args:
         camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
-        frame: its number.
         depth_unit: meters per unit of depth, in place of a millimeter.
 
     Raises:
@@ -153,6 +143,27 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None)
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
     unit = MILLIMETRE if depth_unit is None else depth_unit
     return read_capture(color, depth, lens.intrinsics, depth_unit=unit)
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltinTruth:
+    """What is known about the built-in image because it was made."""
+
+    object_name: str
+    """Name of the built-in object."""
+    task: str
+    """What the grasp is for."""
+    pose_camera_object: np.ndarray
+    """Pose of the object in the camera frame, shape [7]."""
+    joints_camera: np.ndarray
+    """Joints of the hand [m], camera frame, shape [21, 3]."""
+
+
+def builtin_truth() -> BuiltinTruth:
+    """The truth about the image in ``BUILTIN_CAPTURE``."""
+    truth = json.loads((BUILTIN_CAPTURE / "truth.json").read_text())
+    pose, joints = np.array(truth["pose_camera_object"]), np.array(truth["joints_camera"])
+    return BuiltinTruth(truth["object_name"], truth["task"], pose, joints)
 
 
 def _found(folder: str | Path) -> Path:

@@ -1,4 +1,6 @@
-"""The pose of a known mesh from one depth image."""
+"""The pose of a known mesh from one depth image; and the score of a pose from another program, compared with
+the depth as our own answers are.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
+from fungrasp.perception.acceptance import ACCEPT, SIZES, object_probability
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.confidence import (
-    ACCEPT,
-    best_rival,
-    confidence,
-)
-from fungrasp.perception.object_pose.evidence import PoseEvidence, pose_evidence
-from fungrasp.perception.object_pose.known_object import KnownObject, known_object
+from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
+from fungrasp.perception.object_pose.object_template import ObjectTemplate, object_template
 from fungrasp.perception.object_pose.object_view import (
     LEAST_PIXELS,
     ObjectView,
@@ -25,7 +22,9 @@ from fungrasp.perception.object_pose.object_view import (
     thinned,
     view_of_object,
 )
-from fungrasp.perception.object_pose.scoring import PoseScores, color_agreement
+from fungrasp.perception.object_pose.pose_error import add_s
+from fungrasp.perception.object_pose.pose_evidence import RIVAL_DISTANCE, best_rival, pose_evidence
+from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores, color_agreement
 from fungrasp.perception.object_pose.search import (
     PoseHypotheses,
     PoseSearchSettings,
@@ -35,33 +34,20 @@ from fungrasp.perception.object_pose.search import (
     search_poses,
     with_symmetries,
 )
-from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
 
 if TYPE_CHECKING:
     import trimesh
 
-SIZES = (0.01, 1.5)
-"""Shortest and longest diagonal of an object that a hand holds [m]."""
-
-GOOD = (0.85, 0.6)
-"""Quality of an answer that needs no second search, with and without a mask."""
-
+GOOD = (0.85, 0.6)  # Quality of an answer that needs no second search, with and without a mask.
+# The same where depth is smoothed: no answer is as good there, and polishing makes up for it.
 GOOD_SMOOTHED = 0.55
-"""The same where depth is smoothed: no answer is as good there, and polishing makes up for it."""
-
-COLOR_WEIGHT = 0.15
-"""Quality that full agreement of colors adds, as a part of the best pose's."""
-
-POLISHED = 6
-"""Poses that are polished where depth is smoothed."""
-
-RAYS = 1000
-"""About how many rays that meet a mask an answer is judged by."""
-
-ANSWERS = 5
-"""Most alternatives that are kept."""
+COLOR_WEIGHT = 0.15  # Quality that full agreement of colors adds, as a part of the best pose's.
+POLISHED = 6  # Poses that are polished where depth is smoothed.
+RAYS = 1000  # About how many rays that meet a mask an answer is judged by.
+ANSWERS = 5  # Most alternatives that are kept.
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,12 +81,9 @@ def estimate_object_pose(
     ``accepted`` False and warnings.
 
     Args:
-        capture: color and depth.
         mesh: the object [m]; a trimesh with colors settles which way round a nearly symmetric object is.
-        hand: what holds it, if known.
         table: plane ``[nx ny nz d]`` with ``n . x + d`` the height of a point above it [m], camera frame,
             shape [4]; looked for in the image if None.
-        seed: the same seed gives the same answer.
 
     Raises:
         FungraspError: the mesh has no faces.
@@ -110,7 +93,7 @@ def estimate_object_pose(
 
 def search_object_pose(
     capture: Capture,
-    mesh: ObjectModel | trimesh.Trimesh | KnownObject,
+    mesh: ObjectModel | trimesh.Trimesh | ObjectTemplate,
     hand: HandEstimate | None = None,
     table: np.ndarray | None = None,
     *,
@@ -118,7 +101,7 @@ def search_object_pose(
 ) -> PoseAnswers:
     """All that ``estimate_object_pose`` finds, with the scores of each pose."""
     capture = thinned(capture)
-    if isinstance(mesh, KnownObject):
+    if isinstance(mesh, ObjectTemplate):
         size = mesh.size
     else:
         size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
@@ -130,7 +113,7 @@ def search_object_pose(
             joints,
             PerceptionWarning.of("not_searched", problem=f"the mesh is {size:.4g} m large{unit}"),
         )
-    known, rng = known_object(mesh), np.random.default_rng(seed)
+    known, rng = object_template(mesh), np.random.default_rng(seed)
     if table is None:
         table = largest_plane(capture, rng)
     view, problem = view_of_object(known, capture, joints, table, rng)
@@ -152,13 +135,13 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     if first is None:
         problem = () if answers.problem is None else (answers.problem,)
         return ObjectEstimate(poses[0], 0.0, False, warnings=problem)
-    score = confidence(first)
+    score = object_probability(first)
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
         # What is not known of another pose is taken to be as with the first.
         explained = float(answers.scores.explained[i] * answers.scores.quality[i] / answers.scores.quality[0])
         other = replace(first, explained=min(explained, first.explained))
-        others.append((poses[i], min(confidence(other), score)))
+        others.append((poses[i], min(object_probability(other), score)))
     return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
 
 
@@ -221,3 +204,86 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
     none = PoseScores(*np.zeros((6, 1)))
     return PoseAnswers(pose[None], none, float("nan"), problem=why)
+
+
+ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not the object's.
+
+
+def score_given_pose(
+    obj: ObjectEstimate,
+    capture: Capture,
+    mesh: ObjectModel | trimesh.Trimesh,
+    hand: HandEstimate | None = None,
+    table: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    improve: bool = False,
+) -> ObjectEstimate:
+    """The same answer with the score that the depth gives it, whatever score its program gave.
+
+    The score means what it means for our own answers: the confidence that the mesh is within 10 mm (ADD-S) of
+    the pose. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
+
+    Args:
+        obj: a pose as another program gave it.
+        table: plane ``[nx ny nz d]``, camera frame, shape [4], if known.
+        improve: whether to give the best fit nearby instead of the pose itself.
+
+    Returns:
+        The answer with its score, and as alternatives the poses that the mesh's near-symmetries make of it,
+        each as it fits best. Not accepted where the depth says nothing about the object; the warning
+        says why.
+
+    Raises:
+        FungraspError: the mesh has no faces.
+    """
+    known, rng = object_template(mesh), np.random.default_rng(seed)
+    joints = None if hand is None else hand.joints_camera
+    view, problem = view_of_object(known, thinned(capture), joints, table, rng)
+    if view is None:
+        warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
+        return replace(obj, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
+    pose, answers = _scored(obj.pose_camera_object, view, view.scorer(RAYS), rng, improve)
+    return replace(best_estimate(answers), pose_camera_object=pose)
+
+
+def _scored(
+    pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
+) -> tuple[np.ndarray, PoseAnswers]:
+    """A pose, or the best fit nearby; that fit and what near-symmetries make of it, with their scores."""
+    known, rounds = view.known, PoseSearchSettings().rounds
+    evidence = list(view.evidence)
+    mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)
+    if mask.sum() > LEAST_PIXELS:
+        evidence.append(object_evidence(view.capture, mask, view.seen, view.table, rng))
+    found = PoseHypotheses(np.repeat(pose[None], len(evidence), axis=0), np.arange(len(evidence)))
+    for step in rounds[3:]:
+        found = refine_poses(known, evidence, found, step)
+    # The last one was fitted to what the pose explains, which is no proposal: all proposals score it.
+    proposals = np.arange(len(view.masks))
+    fits = [(fit, owner) for fit, own in zip(found.poses, found.owner, strict=True)
+            for owner in (proposals if own >= len(proposals) else [own])]  # fmt: skip
+    poses = np.array([*(fit for fit, _ in fits), *(pose for _ in proposals)])
+    owners = np.array([*(owner for _, owner in fits), *proposals])
+    scores = scorer(poses, owners)
+    near = add_s(known.surface.samples, poses, pose) < RIVAL_DISTANCE
+    best = int(np.argmax(np.where(near, scores.quality, -1.0)))
+    chosen = poses[best] if improve else pose
+    residual = known.surface.median_distance(view.evidence[owners[best]].points, chosen)
+    first = PoseHypotheses(poses[best : best + 1], owners[best : best + 1])
+    others = _turned(first, view, scorer)
+    answers = np.concatenate([first.poses, others.poses])
+    scores = scorer(answers, np.concatenate([first.owner, others.owner]))
+    evidence = pose_evidence(view, scorer, poses[best], int(owners[best]), 0.0, rng)
+    return chosen, PoseAnswers(answers, scores, residual, evidence)
+
+
+def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> PoseHypotheses:
+    """What the mesh's near-symmetries make of a pose, each fitted to the depth, best first: a program that
+    gives one pose does not say which way round the object may be as well."""
+    turned = with_symmetries(first, view.known)
+    turned = PoseHypotheses(turned.poses[1:], turned.owner[1:])
+    for step in PoseSearchSettings().rounds[3:]:
+        turned = refine_poses(view.known, view.evidence, turned, step)
+        turned = best_poses(turned, view.known, scorer, ANSWERS)
+    return turned

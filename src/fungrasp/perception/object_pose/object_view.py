@@ -8,41 +8,31 @@ import numpy as np
 
 from fungrasp.geometry.poses import transform_points
 from fungrasp.perception.io.capture import Capture, Intrinsics, depth_noise
-from fungrasp.perception.object_pose.icp import ObjectEvidence, free_space
-from fungrasp.perception.object_pose.known_object import KnownObject
+from fungrasp.perception.object_pose.object_template import ObjectTemplate
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
-from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.object_pose.search import ObjectEvidence, free_space
+from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import Segmentation, segment
 
-LEAST_PIXELS = 80
-"""Fewer measured pixels of the object don't tell its pose."""
-
+LEAST_PIXELS = 80  # Fewer measured pixels of the object don't tell its pose.
+# What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
+# size: those of a stick are 0.5 away at most, if its middle is seen.
 TOO_LARGE = 0.6
-"""What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
-size: those of a stick are 0.5 away at most, if its middle is seen."""
-
+# Part of a mask's pixels that may show something else far from the rest: masks drawn in labeling tools have
+# holes and rims.
 BACKGROUND = 0.5
-"""Part of a mask's pixels that may show something else far from the rest: masks drawn in labeling tools have
-holes and rims."""
-
-COMPARED = 400
-"""So many of a mask's points are compared with each other to find where most of them are."""
-
+COMPARED = 400  # So many of a mask's points are compared with each other to find where most of them are.
+# Where depth is smoothed, a surface may be in front of it by so many standard deviations more.
 SMOOTHED = 2.0
-"""Where depth is smoothed, a surface may be in front of it by so many standard deviations more."""
-
-SURE = 0.9
-"""Pixels that show the background by this probability show no object, whatever their depth is."""
-
-WIDEST = 960
-"""Longer images [pixels] are thinned out: more pixels cost time and do not help."""
+SURE = 0.9  # Pixels that show the background by this probability show no object, whatever their depth is.
+WIDEST = 960  # Longer images [pixels] are thinned out: more pixels cost time and do not help.
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectView:
     """What an image says about the object. ``view_of_object`` makes it."""
 
-    known: KnownObject
+    known: ObjectTemplate
     """The object that is looked for."""
     capture: Capture
     """The image with its depth and intrinsics."""
@@ -93,7 +83,7 @@ def thinned(capture: Capture) -> Capture:
 
 
 def view_of_object(
-    known: KnownObject,
+    known: ObjectTemplate,
     capture: Capture,
     joints: np.ndarray | None,
     table: np.ndarray | None,
@@ -127,7 +117,6 @@ def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tup
     Args:
         capture: with a mask.
         size: longest distance within the object [m].
-        rng: chooses points that are compared.
 
     Returns:
         the mask, shape [H, W] bool; how large a thing all of it would be [m].
@@ -148,20 +137,14 @@ def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tup
 
 
 def object_evidence(
-    capture: Capture,
-    mask: np.ndarray,
-    seen: Segmentation,
-    table: np.ndarray | None,
-    rng: np.random.Generator,
+    capture: Capture, mask: np.ndarray, seen: Segmentation, table: np.ndarray | None, rng: np.random.Generator
 ) -> ObjectEvidence:
     """What a mask says about the object.
 
     Args:
-        capture: the image.
         mask: pixels that show the object, shape [H, W] bool.
         seen: what each pixel shows, and how certain its depth is.
         table: plane ``[nx ny nz d]``, camera frame, or None.
-        rng: shuffles the points.
     """
     shown = mask & capture.measured
     rows, columns = np.nonzero(shown)
@@ -178,12 +161,12 @@ def object_evidence(
     return ObjectEvidence(points, free, np.maximum(spread, 1.0))
 
 
-def explained_mask(known: KnownObject, capture: Capture, pose: np.ndarray, allowed: np.ndarray) -> np.ndarray:
+def explained_mask(
+    known: ObjectTemplate, capture: Capture, pose: np.ndarray, allowed: np.ndarray
+) -> np.ndarray:
     """Pixels whose depth is that of the mesh, shape [H, W] bool.
 
     Args:
-        known: the object.
-        capture: the image.
         pose: object in the camera frame, shape [7].
         allowed: pixels that may belong to the object, shape [H, W] bool.
     """

@@ -10,33 +10,22 @@ import numpy as np
 from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
 from fungrasp.grasps.human_hand import FINGER_RADII
 from fungrasp.perception.io.capture import Capture, depth_noise
-from fungrasp.perception.object_pose.known_object import KnownObject
-from fungrasp.perception.scene.depth_edges import SHARP
+from fungrasp.perception.object_pose.object_template import ObjectTemplate
+from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 
-UNSEEN = 0.1
-"""Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one."""
-
+UNSEEN = 0.1  # Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one.
+# Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one
+# of the mask's: else a part of the object, or a gap between fingers, would do as well as all of it.
 LEFT_OUT = 0.2
-"""Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one
-of the
-mask's: else a part of the object, or a gap between fingers, would do as well as all of it."""
-
+# Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm.
 OCCLUDER = 0.25
-"""Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm."""
-
+# A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real
+# images.
 HAND_SHIFTS = (-0.03, -0.015, 0.0, 0.015, 0.03)
-"""A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real
-images."""
-
-SHIFT_COST = 0.2
-"""What such a shift costs, in the same distance of the fingertips."""
-
-LEAST_SAMPLES = 30
-"""Fewer samples of the surface don't tell its colors."""
-
-CONTACT = 0.05
-"""Fingertips as far from the surface as this [m] halve the quality."""
+SHIFT_COST = 0.2  # What such a shift costs, in the same distance of the fingertips.
+LEAST_SAMPLES = 30  # Fewer samples of the surface don't tell its colors.
+CONTACT = 0.05  # Fingertips as far from the surface as this [m] halve the quality.
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +57,7 @@ class PoseScores:
 class PoseScorer:
     """Rays through the image, to score poses with. ``pose_scorer`` makes it."""
 
-    known: KnownObject
+    known: ObjectTemplate
     """The object whose poses are scored."""
     directions: np.ndarray
     """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
@@ -149,7 +138,7 @@ class PoseScorer:
 
 
 def pose_scorer(
-    known: KnownObject,
+    known: ObjectTemplate,
     capture: Capture,
     view: Segmentation,
     masks: Sequence[np.ndarray],
@@ -160,8 +149,6 @@ def pose_scorer(
     """Rays through the part of the image in which the object may be.
 
     Args:
-        known: the object.
-        capture: the image.
         view: what each pixel shows, and how certain its depth is.
         masks: proposals for the object's pixels, bool, shape [H, W] each.
         table: plane ``[nx ny nz d]``, camera frame, or None.
@@ -201,14 +188,12 @@ def pose_scorer(
 
 
 def color_agreement(
-    known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
+    known: ObjectTemplate, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
     """Correlation of the mesh's colors with those of the image, over the visible surface samples and the
     three channels together: it does not depend on the brightness and the tint of the light.
 
     Args:
-        known: the object.
-        capture: the image.
         poses: object in the camera frame, shape [H, 7].
         allowed: pixels that may show the object, shape [H, W] bool.
 
@@ -227,7 +212,7 @@ def color_agreement(
 
 
 def _seen_colors(
-    known: KnownObject, capture: Capture, poses: np.ndarray, allowed: np.ndarray
+    known: ObjectTemplate, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Of each pose the mesh's colors and the image's at the samples that are seen, RGB 0 to 1, shape [S, 3]
     each; empty ones where fewer than ``LEAST_SAMPLES`` are seen; nothing for meshes without colors."""

@@ -16,43 +16,29 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
 from fungrasp.objects import plain_shape
 from fungrasp.perception.io.capture import Capture
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, cleaned_mask, thinned
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
 from fungrasp.perception.scene.segmentation import segment
 
-REACH = 0.13
-"""Parts of an object of unknown size are looked for so far from the fingertips [m]."""
-
-UNIT = 0.1
-"""Sides of the shapes that are stretched [m]."""
-
+REACH = 0.13  # Parts of an object of unknown size are looked for so far from the fingertips [m].
+UNIT = 0.1  # Sides of the shapes that are stretched [m].
+# Which number of a shape's size each axis takes.
 SHAPES = {"box": (0, 1, 2), "cylinder": (0, 0, 1), "sphere": (0, 0, 0)}
-"""Which number of a shape's size each axis takes."""
-
+# Quality that a shape of fewer numbers may lack: a box with its many numbers fits all a little better.
 SIMPLER = {"box": 0.0, "cylinder": 0.02, "sphere": 0.04}
-"""Quality that a shape of fewer numbers may lack: a box with its many numbers fits all a little better."""
-
-LIMITS = (0.012, 0.4)
-"""Smallest and largest side of a shape [m]."""
-
-RAYS = 400
-"""About how many rays a fit is scored by."""
-
+LIMITS = (0.012, 0.4)  # Smallest and largest side of a shape [m].
+RAYS = 400  # About how many rays a fit is scored by.
+# Standard deviations of the random moves: shift [m], turn [degrees], logarithm of a side.
 ROUNDS = ((0.010, 12.0, 0.35), (0.006, 8.0, 0.20), (0.004, 5.0, 0.12), (0.002, 3.0, 0.06), (0.001, 1.5, 0.03))
-"""Standard deviations of the random moves: shift [m], turn [degrees], logarithm of a side."""
-
+# Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what
+# is held from what lies beside the hand.
 TOUCHING = 0.015
-"""Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what
-is held from what lies beside the hand."""
 
 TOO_LITTLE = "too little of an object is seen in the hand: click at it (--point), or give a mesh"
 
-KEPT, TRIES = 4, 24
-"""So many of the best go on, and so many moves of each are tried in each round."""
-
-FITS = 0.5
-"""A fit of lower quality explains too little of what is seen to be of use."""
+KEPT, TRIES = 4, 24  # So many of the best go on, and so many moves of each are tried in each round.
+FITS = 0.5  # A fit of lower quality explains too little of what is seen to be of use.
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +67,6 @@ def fit_shape(
         capture: color and depth; its mask, box or point says where the object is.
         joints: of the hand [m], camera frame, shape [21, 3], if known.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], if there is one.
-        seed: the same seed gives the same answer.
 
     Raises:
         FungraspError: too little of an object is seen.
@@ -96,7 +81,7 @@ def fit_shape(
     found: list[tuple[float, FittedShape]] = []
     for kind, numbers in SHAPES.items():
         size = "x".join(["100"] * (max(numbers) + 1))
-        known = known_object(plain_shape(f"{kind}:{size}", 1.0))
+        known = object_template(plain_shape(f"{kind}:{size}", 1.0))
         scorer = pose_scorer(known, capture, view, masks, table, joints, RAYS)
         for owner, mask in enumerate(masks):
             rows, columns = np.nonzero(mask & capture.measured & (view.classes.thing > 0.5))

@@ -22,40 +22,25 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.io.capture import Intrinsics, depth_noise
-from fungrasp.perception.object_pose.icp import IcpSettings, ObjectEvidence, fit_poses, free_space
-from fungrasp.perception.object_pose.known_object import known_object
+from fungrasp.perception.object_pose.object_template import object_template
+from fungrasp.perception.object_pose.search import IcpSettings, ObjectEvidence, fit_poses, free_space
 from fungrasp.perception.scene.pixel_classes import color_cells, table_of_colors
 
-RAYS = 900
-"""About how many rays meet the object."""
-
-POINTS = 300
-"""Measured points, and surface samples, that a pose is fitted to."""
-
-STARTS = 6
-"""Poses that the fit begins from: the last, the one that its motion leads to, and others near it."""
-
+RAYS = 900  # About how many rays meet the object.
+POINTS = 300  # Measured points, and surface samples, that a pose is fitted to.
+STARTS = 6  # Poses that the fit begins from: the last, the one that its motion leads to, and others near it.
+# Standard deviation of the other starts: shift [m] and turn [degrees]. A hand moves an object by 1 m/s and 6
+# rad/s at most, at 15 images a second 7 cm and 23 degrees, most of which the motion before tells.
 SPREAD = (0.012, 12.0)
-"""Standard deviation of the other starts: shift [m] and turn [degrees]. A hand moves an object by 1 m/s and 6
-rad/s at most, at 15 images a second 7 cm and 23 degrees, most of which the motion before tells."""
-
-NEAR = 0.03
-"""What is measured so near to the predicted surface [m] may be the object."""
-
-MARGIN = 0.05
-"""So much around the predicted object is looked at [m]: two images' motion."""
-
+NEAR = 0.03  # What is measured so near to the predicted surface [m] may be the object.
+MARGIN = 0.05  # So much around the predicted object is looked at [m]: two images' motion.
+# Coarse fit of all starts, fine fit of the best two.
 ROUNDS = (IcpSettings(5, 120, 120, 0.02), IcpSettings(6, POINTS, POINTS, 0.006))
-"""Coarse fit of all starts, fine fit of the best two."""
-
-LEAST_POINTS = 25
-"""With fewer measured points the object is not seen."""
-
+LEAST_POINTS = 25  # With fewer measured points the object is not seen.
+# Part of the object's colors that each image of a sure pose renews: light changes as it turns.
 LEARNING = 0.05
-"""Part of the object's colors that each image of a sure pose renews: light changes as it turns."""
-
+# Poses of a lower score are not learned from, and the motion is forgotten: the object may be lost.
 FOLLOWED = 0.5
-"""Poses of a lower score are not learned from, and the motion is forgotten: the object may be lost."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +58,10 @@ class ObjectTracker:
     """Follows a known object."""
 
     def __init__(
-        self,
-        mesh: ObjectModel | trimesh.Trimesh,
-        intrinsics: Intrinsics,
-        pose: np.ndarray,
-        *,
-        seed: int = 0,
+        self, mesh: ObjectModel | trimesh.Trimesh, intrinsics: Intrinsics, pose: np.ndarray, *, seed: int = 0
     ):
         """
         Args:
-            mesh: the object [m].
-            intrinsics: of color and depth.
             pose: where the object is in the first image, camera frame, shape [7]: of
             ``estimate_object_pose``.
             seed: the same seed and images give the same poses.
@@ -94,7 +72,7 @@ class ObjectTracker:
         self.pose = np.array(pose, dtype=float)
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():
             raise FungraspError("ObjectTracker: pose must be 7 finite numbers")
-        self._known, self._intrinsics = known_object(mesh), intrinsics
+        self._known, self._intrinsics = object_template(mesh), intrinsics
         self._rng = np.random.default_rng(seed)
         self._motion: np.ndarray | None = None
         self._colors: tuple[np.ndarray, np.ndarray] | None = None

@@ -13,69 +13,121 @@ Camera frame: OpenCV [m].
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
 from fungrasp.grasps.human_hand import BONES
-from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.capture import Capture, depth_noise
 
+REACH = 12  # A step is looked for within so many pixels to both sides [pixels of an image 640 wide].
+SIDE = 5  # Length of the even stretch that must follow on both sides [pixels].
+# Least and largest step that is looked at [m]: smaller ones drown in noise, larger ones are seldom outlines
+# of what is near.
+STEPS = (0.025, 0.35)
+FARTHEST = 1.5  # Depth beyond this [m] is not looked at.
+LEAST_STEPS = 40  # Fewer steps don't tell how wide they are.
+EVEN = 0.15  # How much the depth may change beside a step, per pixel, as a part of the step's own mean slope.
+SHARP = 2.0  # Width of steps that is taken where they can't be measured [pixels].
+SMOOTHED = 6.0  # Wider steps are worth a warning [pixels]; rendered ones are 0 to 4 pixels wide.
+# Standard deviation of the depth near a step, as a part of the step: of an even mixture of both sides.
+MIXED = 0.3
+
+
+def filled(depth: np.ndarray) -> np.ndarray:
+    """The depth image with the nearest measurement where there is none [m], shape [H, W]."""
+    nearest: Any = ndimage.distance_transform_edt(depth <= 0, return_distances=False, return_indices=True)
+    return depth[tuple(nearest)]
+
+
+def edge_width(depth: np.ndarray) -> float:
+    """How many pixels steps in depth are mixed over: from 10 to 90 % of the step, median over the image.
+
+    Args:
+        depth: [m], shape [H, W]; 0: not measured.
+
+    Returns:
+        [pixels]; ``SHARP`` where there are too few steps.
+    """
+    if not (depth > 0).any():
+        return SHARP
+    whole = filled(depth)
+    widths = np.concatenate([_step_widths(whole), _step_widths(np.ascontiguousarray(whole.T))])
+    return float(max(SHARP, np.median(widths))) if len(widths) >= LEAST_STEPS else SHARP
+
+
+def _step_widths(depth: np.ndarray) -> np.ndarray:
+    """Widths of the steps along the rows [pixels], at most some hundred of them."""
+    margin, last = REACH + SIDE, depth.shape[1]
+    if last <= 2 * margin:
+        return np.zeros(0)
+    left, right = depth[:, SIDE : last - SIDE - 2 * REACH], depth[:, SIDE + 2 * REACH : last - SIDE]
+    step = np.abs(right - left)
+    limit = EVEN * step / (2 * REACH) * SIDE
+    even = (np.abs(left - depth[:, : last - 2 * margin]) < limit) & (
+        np.abs(depth[:, 2 * margin :] - right) < limit
+    )
+    even &= (step > STEPS[0]) & (step < STEPS[1]) & (np.maximum(left, right) < FARTHEST)
+    slope = np.abs(np.diff(depth, axis=1, append=depth[:, -1:]))
+    steepest = slope == ndimage.maximum_filter1d(slope, 2 * REACH - 1, axis=1)
+    rows, columns = np.nonzero(even & steepest[:, margin : last - margin])
+    every = max(1, len(rows) // 400)
+    rows, columns = rows[::every], columns[::every] + margin
+    lines = depth[rows[:, None], columns[:, None] + np.arange(-REACH, REACH + 1)]
+    part = (lines - lines[:, :1]) / (lines[:, -1:] - lines[:, :1])
+    return ((part > 0.1) & (part < 0.9)).sum(axis=1)
+
+
+def depth_spread(depth: np.ndarray, width: float) -> np.ndarray:
+    """Standard deviation of each pixel's depth [m], shape [H, W]: the sensor's noise, and near steps the
+    mixture of both sides.
+
+    Args:
+        depth: [m], shape [H, W]; 0: not measured.
+        width: of the steps, see ``edge_width`` [pixels].
+    """
+    noise = depth_noise(depth)
+    if width <= SHARP:
+        return noise
+    whole, size = filled(depth), 2 * round(0.5 * width) + 1
+    step = ndimage.maximum_filter(whole, size) - ndimage.minimum_filter(whole, size)
+    # What an even surface seen at 45 degrees changes within the window is no step.
+    return np.hypot(noise, MIXED * np.maximum(step - noise, 0.0))
+
+
+# Levels of each channel in a table of colors: fine enough to tell shades of blue, coarse enough for some
+# hundred samples.
 LEVELS = 12
-"""Levels of each channel in a table of colors: fine enough to tell shades of blue, coarse enough for some
-hundred samples."""
-
-UNKNOWN = 0.03
-"""Part of a class's colors that were not among its samples: shadows, highlights, other things."""
-
+UNKNOWN = 0.03  # Part of a class's colors that were not among its samples: shadows, highlights, other things.
+# Beyond the hand's surface by the first, a pixel is as likely skin as not; width of that decision [m]: hands
+# are found to 4 to 7 pixels, some 5 mm.
 SKIN_EDGE = (0.004, 0.005)
-"""Beyond the hand's surface by the first, a pixel is as likely skin as not; width of that decision [m]: hands
-are found to 4 to 7 pixels, some 5 mm."""
-
+# The object may be so high above the table as well as lower [m]: its depth is spread evenly over that.
 HEIGHTS = 0.08
-"""The object may be so high above the table as well as lower [m]: its depth is spread evenly over that."""
-
+# No depth or place speaks more strongly against a class (logarithm): colors may still win by far.
 FARTHEST_OUT = 8.0
-"""No depth or place speaks more strongly against a class (logarithm): colors may still win by far."""
-
+# Standard deviation of a mesh's colors from those of the image: logarithms of red and blue over green. Light
+# and white balance shift them by some tenths.
 TONE = 0.12
-"""Standard deviation of a mesh's colors from those of the image: logarithms of red and blue over green.
-Light and
-white balance shift them by some tenths."""
-
-DARKEST = 8.0
-"""Added to colors, 0 to 255, before the logarithm is taken: darker ones have no tone."""
-
+DARKEST = 8.0  # Added to colors, 0 to 255, before the logarithm is taken: darker ones have no tone.
+# Part of a surface's colors that are brighter or darker than where it was looked at: shadows of the hand.
 SHADED = 0.2
-"""Part of a surface's colors that are brighter or darker than where it was looked at: shadows of the
-hand."""
-
+# Part of the objects that have the color of the hand that holds them, and of those that have the table's: so
+# much colors may say against a pixel, and no more.
 ALIKE = 0.1
-"""Part of the objects that have the color of the hand that holds them, and of those that have the table's:
-so
-much colors may say against a pixel, and no more."""
-
+# Skin is of one tone, overexposed or not, to so many ``TONE``; what else was sampled is in front of it.
 SKIN_TONES = 2.0
-"""Skin is of one tone, overexposed or not, to so many ``TONE``; what else was sampled is in front of it."""
-
-TONE_BINS = 15
-"""Bins of each tone, for +- 1.5."""
-
-ROUNDS = 2
-"""How often the object's colors are learned from what was found: more rounds changed nothing."""
-
-LEAST_SAMPLES = 25
-"""Fewer pixels say nothing about the object's colors."""
-
-NEVER = -16.0
-"""Logarithm of the odds of a pixel that can't show the object."""
-
+TONE_BINS = 15  # Bins of each tone, for +- 1.5.
+ROUNDS = 2  # How often the object's colors are learned from what was found: more rounds changed nothing.
+LEAST_SAMPLES = 25  # Fewer pixels say nothing about the object's colors.
+NEVER = -16.0  # Logarithm of the odds of a pixel that can't show the object.
+# Neighboring pixels (standard deviation) show the same thing: they share their evidence [pixels].
 SMOOTHING = 1.2
-"""Neighboring pixels (standard deviation) show the same thing: they share their evidence [pixels]."""
-
+# Color of each cell, shape [LEVELS^3, 3].
 _CELL_COLORS = (np.stack(np.unravel_index(np.arange(LEVELS**3), (LEVELS,) * 3), axis=-1) + 0.5) * (
     256.0 / LEVELS
 )
-"""Color of each cell, shape [LEVELS^3, 3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +147,10 @@ class PixelEvidence:
     """What is known of each pixel besides its color, shape [H, W] each."""
 
     prior: np.ndarray
-    """Logarithm of the odds that it shows the object, by what was told and by the reach of the fingertips;
+    """Logarithm of the odds that it shows the object, by what was said and by the reach of the fingertips;
     ``NEVER`` or less: it can't."""
     samples: np.ndarray
-    """Whether it was told to show the object, bool."""
+    """Whether it was said to show the object, bool."""
     height: np.ndarray
     """Height above the table [m]; NaN: not known."""
     spread: np.ndarray
@@ -118,10 +170,7 @@ def classify(
 ) -> PixelClasses:
     """Put colors, depth and place together.
 
-    Args:
-        capture: the image.
-        evidence: of each pixel.
-        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
+    mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
     """
     color = ndimage.gaussian_filter(capture.color.astype(np.float32), (SMOOTHING / 2, SMOOTHING / 2, 0))
     index = color_cells(color)
@@ -147,11 +196,7 @@ def classify(
     result, anything = PixelClasses(thing, thing, thing), thing
     for _ in range(ROUNDS):
         logits = np.stack(
-            [
-                np.log(thing) + above + not_hand,
-                np.log(skin) + on_hand - 1.0,
-                np.log(ground) + on_table,
-            ]
+            [np.log(thing) + above + not_hand, np.log(skin) + on_hand - 1.0, np.log(ground) + on_table]
         )
         logits = ndimage.gaussian_filter(logits, (0, SMOOTHING, SMOOTHING))
         odds = np.exp(logits - logits.max(axis=0))
@@ -228,7 +273,6 @@ def hand_in_image(capture: Capture, joints: np.ndarray, radii: np.ndarray, lines
     shape [H, W].
 
     Args:
-        capture: the image.
         joints: of the hand [m], camera frame, shape [21, 3].
         radii: half the hand's thickness round each line [m], shape [L].
         lines: joints at the ends of each line, shape [L, 2] int.
@@ -253,7 +297,6 @@ def palm_pixels(capture: Capture, joints: np.ndarray, outline: np.ndarray) -> np
     most of those have, so that what is in front of the hand does not count.
 
     Args:
-        capture: the image.
         joints: of the hand [m], camera frame, shape [21, 3].
         outline: distance from its outline in the image, see ``hand_in_image``.
     """

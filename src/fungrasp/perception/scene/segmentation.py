@@ -15,52 +15,37 @@ from scipy import ndimage
 
 from fungrasp.grasps.human_hand import BONES, FINGER_RADII, LINK_RADII, PALM_RADIUS
 from fungrasp.perception.io.capture import Box, Capture, Pixel
-from fungrasp.perception.scene.depth_edges import depth_spread, edge_width
 from fungrasp.perception.scene.pixel_classes import (
     NEVER,
     PixelClasses,
     PixelEvidence,
     classify,
+    depth_spread,
+    edge_width,
     hand_in_image,
     palm_pixels,
 )
 from fungrasp.perception.scene.table import plane_tolerance
 
+# Lines across the palm that belong to the hand as well, as pairs of joints.
 PALM = ((1, 5), (5, 9), (9, 13), (13, 17), (17, 1))
-"""Lines across the palm that belong to the hand as well, as pairs of joints."""
-
+# Half the thickness of the hand round each of ``BONES``, then of the lines of ``PALM`` [m].
 CAPSULE_RADII = np.concatenate(
     [
         np.column_stack([[PALM_RADIUS] * 4 + [FINGER_RADII[4, 0]], LINK_RADII[1:].reshape(5, 3)]).ravel(),
         np.full(len(PALM), PALM_RADIUS),
     ]
 )
-"""Half the thickness of the hand round each of ``BONES``, then of the lines of ``PALM`` [m]."""
-
-FOREARM = (0.35, 0.045)
-"""Length and radius of forearm and sleeve [m]."""
-
-TIPS = (4, 8, 12, 16, 20)
-"""The fingertips among the 21 joints."""
-
-MARGINS = (0.012, 0.004, 0.02)
-"""Pixels nearer to the skin [m] are left out of the masks; several are tried."""
-
-NEAR_HAND = 0.06
-"""A thing this near to the hand's skin [m] may be what it holds."""
-
-FARTHEST = 3.0
-"""Nobody holds an object farther away [m]."""
-
-GROUND_MARGIN = 60
-"""The table's colors are learned within so many pixels of where the object may be."""
-
-LEAST_GROUND = 500
-"""If fewer pixels show the table there, it is looked at everywhere."""
-
+FOREARM = (0.35, 0.045)  # Length and radius of forearm and sleeve [m].
+TIPS = (4, 8, 12, 16, 20)  # The fingertips among the 21 joints.
+MARGINS = (0.012, 0.004, 0.02)  # Pixels nearer to the skin [m] are left out of the masks; several are tried.
+NEAR_HAND = 0.06  # A thing this near to the hand's skin [m] may be what it holds.
+FARTHEST = 3.0  # Nobody holds an object farther away [m].
+GROUND_MARGIN = 60  # The table's colors are learned within so many pixels of where the object may be.
+LEAST_GROUND = 500  # If fewer pixels show the table there, it is looked at everywhere.
+# Neighboring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
+# together.
 JUMP = 0.012
-"""Neighboring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
-together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +93,7 @@ def _distance_from_capsules(
 ) -> np.ndarray:
     # Importing Numba takes half a second: not before it is needed.
     from fungrasp.geometry.compiling import plain
-    from fungrasp.perception.capsule_loops import line_distances
+    from fungrasp.perception.compiled_loops import line_distances
 
     distance = np.empty(len(points))
     line_distances(plain(points), plain(near), plain(far), plain(radii), distance)
@@ -133,15 +118,15 @@ def segment(
         mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
     """
     points = capture.points()
-    prior, samples = told_odds(capture, size)
-    told = capture.mask is not None or capture.box is not None or capture.point is not None
+    prior, samples = hinted_odds(capture, size)
+    hinted = capture.mask is not None or capture.box is not None or capture.point is not None
     measured = capture.measured & (capture.depth < FARTHEST)
     width = edge_width(capture.depth)
     spread = depth_spread(capture.depth, width)
     height = np.full(measured.shape, np.nan)
     if table is not None:
         height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
-    if joints is not None and not told:
+    if joints is not None and not hinted:
         tips = joints[list(TIPS)]
         reach = _distance_from_capsules(points.reshape(-1, 3), tips, tips, np.zeros(len(tips)))
         prior = np.where(measured & (reach.reshape(prior.shape) < size + 0.03), prior, NEVER)
@@ -154,14 +139,16 @@ def segment(
         hand[rows, columns] = distance_from_hand(flat, joints)
         clear[rows, columns] = np.minimum(hand[rows, columns], distance_from_forearm(flat, joints))
     prior = np.where(measured, prior, NEVER)
-    classes = _classes(capture, joints, prior, samples, height, spread, clear < hand, mesh_colors)
+    outline, palm, ground = _hand_and_ground(capture, joints, prior > NEVER, samples, height)
+    evidence = PixelEvidence(prior, samples, height, spread, outline, clear < hand, palm, ground)
+    classes = classify(capture, evidence, mesh_colors)
     seen = (classes.thing > 0.5) & near
     if capture.mask is not None:
         masks = [seen, capture.mask & measured]
     elif capture.point is not None:
         masks = pointed_pieces(_pieces(seen, capture.depth), capture.point)
     else:
-        masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not told)
+        masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not hinted)
     if capture.mask is None:
         for margin in MARGINS if joints is not None else (0.0,):
             pieces = _pieces(candidate & (clear > margin), capture.depth)
@@ -172,24 +159,16 @@ def segment(
     return Segmentation(_different(masks), classes.thing * near, classes, spread, width)
 
 
-def _classes(
-    capture: Capture,
-    joints: np.ndarray | None,
-    prior: np.ndarray,
-    samples: np.ndarray,
-    height: np.ndarray,
-    spread: np.ndarray,
-    sleeve: np.ndarray,
-    mesh_colors: np.ndarray | None,
-) -> PixelClasses:
-    """What each pixel shows; see ``PixelEvidence`` for the arguments."""
-    near = prior > NEVER
+def _hand_and_ground(
+    capture: Capture, joints: np.ndarray | None, near: np.ndarray, samples: np.ndarray, height: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance from the hand in the image, and which pixels surely show the hand and the background, shape
+    [H, W]. near: whether a pixel may show the object, bool; the others as in ``PixelEvidence``."""
     if joints is None:
         outline = np.full(near.shape, np.inf)
         palm = np.zeros(near.shape, dtype=bool)
     else:
-        lines = np.array([*BONES, *PALM])
-        outline = hand_in_image(capture, joints, CAPSULE_RADII, lines)
+        outline = hand_in_image(capture, joints, CAPSULE_RADII, np.array([*BONES, *PALM]))
         palm = palm_pixels(capture, joints, outline) & ~samples
     # A box or mask is drawn round the object: the table begins right beside it.
     around: Any = ndimage.maximum_filter(near, 2 * GROUND_MARGIN + 1)
@@ -197,10 +176,7 @@ def _classes(
     if np.isfinite(height).any():
         clear &= np.abs(height) < plane_tolerance(capture.depth)
     ground = clear & around
-    if ground.sum() < LEAST_GROUND:
-        ground = clear
-    seen = PixelEvidence(prior, samples, height, spread, outline, sleeve, palm, ground)
-    return classify(capture, seen, mesh_colors)
+    return outline, palm, clear if ground.sum() < LEAST_GROUND else ground
 
 
 def _groups(pieces: list[np.ndarray], hand: np.ndarray, held: bool) -> list[np.ndarray]:
@@ -249,22 +225,16 @@ def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(kept[:6])
 
 
+# Masks are wrong by so many pixels (standard error); by 6 at most, beyond twice of which nothing is believed.
 MASK_TRUST = 2.5
-"""Masks are wrong by so many pixels (standard error); by 6 at most, beyond twice of which nothing is
-believed."""
-
+# Logarithm of the odds of what is deep in a mask, or clicked at: colors that say otherwise may still win, as
+# masks have holes and clicks go beside.
 MASK_SURE = 4.0
-"""Logarithm of the odds of what is deep in a mask, or clicked at: colors that say otherwise may still win,
-as masks have holes and clicks go beside."""
-
-MASK_REACH = 12.0
-"""Pixels farther outside a mask are not looked at."""
-
-CLICK = 3.0
-"""Pixels so near to the one that was clicked at show the same."""
+MASK_REACH = 12.0  # Pixels farther outside a mask are not looked at.
+CLICK = 3.0  # Pixels so near to the one that was clicked at show the same.
 
 
-def told_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
+def hinted_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
     """What mask, box or point say about each pixel. size: longest distance within the object [m].
 
     Returns:

@@ -23,44 +23,24 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import settled_up
 from fungrasp.perception.io.capture import Capture, depth_noise
 
+# A plane so far below everything that it is none, for those who would else look for one.
 NO_TABLE = np.array([0.0, -1.0, 0.0, 50.0])
-"""A plane so far below everything that it is none, for those who would else look for one."""
-
-TRIES = 600
-"""Planes that are tried."""
-
-FARTHEST = 3.0
-"""No point farther away is on the table [m]."""
-
-LEAST_POINTS = 100
-"""Fewer don't tell a plane."""
-
-LEAST_PART = 0.05
-"""Part of the image's points that a table makes up at least."""
-
-BELOW = 0.03
-"""No joint is lower under the table than this [m]: an estimated hand may be so wrong."""
-
-REACH = 0.7
-"""The hand's lowest joint is not higher above the table than this [m]."""
-
-SMALLEST = 0.25
-"""What is seen of a table is at least so long [m]; the plane of a box's side is not."""
-
-STEP = 6
-"""Every so many rows and columns are looked at, in an image of 640 columns."""
-
-PLANE_TOLERANCE = 1.6
-"""Points so near to a plane [standard deviations of depth] belong to it."""
+TRIES = 600  # Planes that are tried.
+FARTHEST = 3.0  # No point farther away is on the table [m].
+LEAST_POINTS = 100  # Fewer don't tell a plane.
+LEAST_PART = 0.05  # Part of the image's points that a table makes up at least.
+BELOW = 0.03  # No joint is lower under the table than this [m]: an estimated hand may be so wrong.
+REACH = 0.7  # The hand's lowest joint is not higher above the table than this [m].
+SMALLEST = 0.25  # What is seen of a table is at least so long [m]; the plane of a box's side is not.
+STEP = 6  # Every so many rows and columns are looked at, in an image of 640 columns.
+PLANE_TOLERANCE = 1.6  # Points so near to a plane [standard deviations of depth] belong to it.
 
 
 def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
     """The largest plane that can be the table under a hand (RANSAC): no wall, no side of the object.
 
     Args:
-        capture: the image.
         joints: of the hand [m], camera frame, shape [21, 3].
-        rng: chooses the planes that are tried.
 
     Returns:
         ``[nx ny nz d]``: ``n . x + d`` is the height above it [m], shape [4]; None if there is none.
@@ -84,10 +64,6 @@ def table_under(capture: Capture, joints: np.ndarray, rng: np.random.Generator) 
 
 def largest_plane(capture: Capture, rng: np.random.Generator) -> np.ndarray | None:
     """The largest plane in the image (RANSAC): the table, if nothing is known of the hand.
-
-    Args:
-        capture: the image.
-        rng: chooses the planes that are tried.
 
     Returns:
         As ``table_under``; None if no plane makes up a tenth of the image.
@@ -157,9 +133,9 @@ def fitted_plane(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
     return plane
 
 
+# A camera that looks down more steeply, by the sine of the angle between its axis and the vertical, has no
+# direction along the table; up in the image then counts as away.
 STEEP = 0.3
-"""A camera that looks down more steeply, by the sine of the angle between its axis and the vertical, has no
-direction along the table; up in the image then counts as away."""
 
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -198,12 +174,7 @@ def world_from_table(table: np.ndarray, below: np.ndarray) -> np.ndarray:
 def put_down(model: ObjectModel, pose: np.ndarray) -> np.ndarray:
     """The object let down: turned onto its nearest stable face, lying on the table, shape [7].
 
-    Its center of mass stays above the same spot.
-
-    Args:
-        model: the object.
-        pose: as it is held, world frame, shape [7].
-    """
+    Its center of mass stays above the same spot. pose: as it is held, world frame, shape [7]."""
     face_up = rotate(pose[3:], settled_up(model, rotate(quaternion_conjugate(pose[3:]), Z)))
     turn = Rotation.align_vectors(Z[None], face_up[None])[0].as_quat(scalar_first=True)
     laid = np.concatenate([np.zeros(3), quaternion_multiply(turn, pose[3:])])

@@ -12,21 +12,20 @@ from __future__ import annotations
 import contextlib
 import re
 import socket
+import struct
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
-from fungrasp.robots.codecs import rtde
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.kinematics.flange_chain import flange_chain
 from fungrasp.robots.optional_packages import import_client
-from fungrasp.robots.timer_slack import timer_slack
 
 VARIABLES = [
     "timestamp",
@@ -53,10 +52,6 @@ PROTECTIVE_BIT = 1 << 2
 SAFEGUARD_BIT = 1 << 4
 SAFETY_FAULT_BITS = 1 << 3 | 1 << 8 | 1 << 9 | 1 << 10
 JOINTS = 6
-POLL_SLACK = 2e-3
-"""By how much the client library's two receiving threads may oversleep [s]: they look for data every 0.1 ms,
-which takes as much of a processor as all our steps. A period of the setpoints, so that they wake with the
-loop; a state, one every 8 ms, is older by that much at most."""
 STATE_RATE = 125.0
 """Of the states that the controller sends [Hz]; setpoints go out at the controller's own rate, which on an
 e-Series is four times as high. The client library takes about as long to receive a state as we to make a
@@ -109,8 +104,6 @@ class URSettings:
     compared."""
     payload_center: tuple[float, ...] = ()
     """Center of that mass from the flange, in its frame [m]; empty: not compared."""
-    torque_limits: tuple[float, ...] = field(default=(150.0, 150.0, 150.0, 28.0, 28.0, 28.0))
-    """Of the joints, from the data sheet [N m]; for reports only, the controller takes positions."""
 
     def __post_init__(self) -> None:
         if len(self.payload_center) not in (0, 3):
@@ -140,10 +133,9 @@ class URLoop:
         self.stale_after = settings.stale_after
         self.takes_feedforward = False
         self.lets_go = ""
-        self._chain = flange_chain(settings.arm)
         reach = np.full(JOINTS, settings.range)
         speed = np.full(JOINTS, settings.velocity)
-        self.limits = JointLimits(-reach, reach, speed, np.array(settings.torque_limits))
+        self.limits = JointLimits(-reach, reach, speed, np.full(JOINTS, np.inf))
         self._receive: Any = None
         self._control: Any = None
         self._ruckig: Any = None
@@ -171,9 +163,9 @@ class URLoop:
         with self._errors_as_ours():
             self._check(dashboard.DashboardClient(self.settings.address))
             # It receives in a thread of its own, at the controller's rate if it is not told another one.
-            with timer_slack(POLL_SLACK):
-                # Controllers before 3.11 don't say what they carry.
-                variables = VARIABLES + ["payload", "payload_cog"] * (self.settings.payload >= 0)
+            # Controllers before 3.11 don't say what they carry.
+            variables = VARIABLES + ["payload", "payload_cog"] * (self.settings.payload >= 0)
+            with _patient_threads():
                 self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, variables)
         if not self._receive.getActualQ():
             raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
@@ -192,10 +184,12 @@ class URLoop:
         if self._control is None:
             control = import_client("rtde_control", "ur", "a UR arm")
             self._end_other_program()
-            with self._errors_as_ours(), timer_slack(POLL_SLACK):
+            # Before the program runs: compiling the model takes longer than its watchdog waits.
+            flange = arm_flange(self.settings.arm)
+            with self._errors_as_ours(), _patient_threads():
                 self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
             self._set_watchdog()
-            self._compared = f"{self._check_kinematics()}; {self._check_payload()}"
+            self._compared = f"{self._check_kinematics(flange)}; {self._check_payload()}"
         elif not self._control.isProgramRunning():
             self._restart()
         self._taken = True
@@ -225,14 +219,16 @@ class URLoop:
         """Whether a client holds the input registers by which a program is commanded."""
         try:
             with socket.create_connection((self.settings.address, RTDE_PORT), STOP_TIMEOUT) as connection:
-                connection.sendall(rtde.package(rtde.PROTOCOL_VERSION, b"\0\2"))
-                connection.sendall(rtde.package(rtde.SETUP_INPUTS, b"input_int_register_0"))
+                # Packages: length with the header, letter, data. V: version of the protocol, I: inputs.
+                for kind, data in ((b"V", b"\0\2"), (b"I", b"input_int_register_0")):
+                    connection.sendall(struct.pack(">Hc", 3 + len(data), kind) + data)
                 stream = b""
                 while data := connection.recv(4096):
-                    packages, stream = rtde.split_packages(stream + data)
-                    for kind, content in packages:
-                        if kind == rtde.SETUP_INPUTS:
-                            return b"IN_USE" in content
+                    stream += data
+                    while len(stream) >= 3 and len(stream) >= (size := max(3, int.from_bytes(stream[:2]))):
+                        if stream[2:3] == b"I":
+                            return b"IN_USE" in stream[3:size]
+                        stream = stream[size:]
         except OSError as error:
             raise RobotError(f"{self.name}: {_one_line(error)}; check the cable to the controller") from error
         raise RobotError(f"{self.name}: the controller says nothing of its registers; restart it")
@@ -318,17 +314,16 @@ class URLoop:
         finally:
             dashboard.disconnect()
 
-    def _check_kinematics(self) -> str:
+    def _check_kinematics(self, model: Callable[[Sequence[float]], np.ndarray]) -> str:
         """The model's flange must be where the controller's is: plans are made with the model. In words."""
         tool = compose(BASE, _pose(self._receive.getActualTCPPose()))
         flange = compose(tool, invert(_pose(self._control.getTCPOffset())))
-        ours = self._chain.flange_pose(self._receive.getActualQ())
-        apart = float(np.linalg.norm(flange[:3] - ours[:3]))
+        apart = float(np.linalg.norm(flange[:3] - model(self._receive.getActualQ())))
         if not apart <= FLANGE_TOLERANCE:
             raise RobotError(
                 f"{self.name}: by the model '{self.settings.arm}' the flange is {1e3 * apart:.0f} mm from "
                 'where the controller says: is the arm of another generation ("ur5" for CB3, "ur5e"), or is '
-                "its calibration far from nominal ('fungrasp robots arm-model')?"
+                "its calibration far from nominal?"
             )
         return f"the model's flange is {1e3 * apart:.1f} mm from the controller's"
 
@@ -458,6 +453,41 @@ class URLoop:
         # Joints arrive when they can; a common duration would slow all joints to the slowest.
         lead.synchronization = self._ruckig.Synchronization.No
         return lead
+
+
+def arm_flange(arm: str) -> Callable[[Sequence[float]], np.ndarray]:
+    """Where the flange of an arm's model is, in its ``base_link`` [m], shape [3], by joints [rad], shape [6].
+
+    Args:
+        arm: name or file of the model.
+    """
+    # Here: looking at an arm needs no engine.
+    import mujoco
+
+    from fungrasp.hands.arm import FLANGE_SITE, arm_spec
+
+    model = arm_spec(arm).compile()
+    data, site = mujoco.MjData(model), model.site(FLANGE_SITE).id
+
+    def flange(joints: Sequence[float]) -> np.ndarray:
+        data.qpos[:] = joints
+        mujoco.mj_kinematics(model, data)
+        return data.site_xpos[site].copy()
+
+    return flange
+
+
+@contextlib.contextmanager
+def _patient_threads() -> Iterator[None]:
+    """Threads that are started within may oversleep by 2 ms, a period of the setpoints. The client library's
+    two look for data every 0.1 ms, which takes as much of a processor as all our steps; Linux only (prctl(2),
+    PR_SET_TIMERSLACK)."""
+    file = Path("/proc/thread-self/timerslack_ns")
+    with contextlib.suppress(OSError):
+        file.write_text("2000000")
+    yield
+    with contextlib.suppress(OSError):
+        file.write_text("50000")
 
 
 def _controller_period(version: str) -> float:

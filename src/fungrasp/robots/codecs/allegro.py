@@ -28,7 +28,8 @@ INFO, SERIAL = 0x80, 0x88
 FINGERS_ON_BUS = 4
 """Index, middle, ring, thumb; four joints each, from the base to the tip."""
 
-_INT16X4 = struct.Struct("<4h")
+FINGER_BYTES = 8
+"""Four int16."""
 _PERIODS = struct.Struct("<3H")
 _INFO = struct.Struct("<HHBBB")
 
@@ -105,11 +106,6 @@ def code_of(can_identifier: int) -> int:
     return can_identifier >> 2
 
 
-def encode_positions(generation: AllegroGeneration, positions: np.ndarray) -> list[bytes]:
-    """Frames of all fingers' positions [rad], shape [16]."""
-    return _frames(positions / generation.radians_per_count, 32767.0)
-
-
 def decode_positions(generation: AllegroGeneration, frames: Sequence[bytes]) -> np.ndarray:
     """Positions of all fingers [rad], shape [16]. frames: one of each finger, in their order."""
     return np.frombuffer(b"".join(frames), dtype="<i2") * generation.radians_per_count
@@ -117,12 +113,11 @@ def decode_positions(generation: AllegroGeneration, frames: Sequence[bytes]) -> 
 
 def encode_torques(generation: AllegroGeneration, torques: np.ndarray) -> list[bytes]:
     """Frames of all fingers' torques [N m], shape [16], clipped to what the generation allows."""
-    return _frames(torques * generation.counts_per_torque, generation.largest_count)
-
-
-def decode_finger_torques(generation: AllegroGeneration, finger: int, data: bytes) -> np.ndarray:
-    """A finger's torques [N m], shape [4]; finger: 0 to 3."""
-    return np.array(_INT16X4.unpack(data)) / generation.counts_per_torque[4 * finger : 4 * finger + 4]
+    largest = generation.largest_count
+    # Minimum and maximum take a third of the time of ``np.clip``.
+    within = np.minimum(np.maximum(torques * generation.counts_per_torque, -largest), largest)
+    data = np.rint(within).astype("<i2").tobytes()
+    return [data[at : at + FINGER_BYTES] for at in range(0, len(data), FINGER_BYTES)]
 
 
 def encode_periods(position: int, imu: int = 0, temperature: int = 0) -> bytes:
@@ -130,26 +125,8 @@ def encode_periods(position: int, imu: int = 0, temperature: int = 0) -> bytes:
     return _PERIODS.pack(position, imu, temperature)
 
 
-def decode_periods(data: bytes) -> tuple[int, int, int]:
-    """Periods of position, IMU and temperature [ms]."""
-    return _PERIODS.unpack(data[: _PERIODS.size])
-
-
-def encode_info(info: AllegroInfo) -> bytes:
-    """Frame of what a hand says of itself."""
-    status = info.servos_on | info.overheated << 1 | info.communication_fault << 2
-    return _INFO.pack(info.hardware, info.firmware, info.left, info.temperature, status)
-
-
 def decode_info(data: bytes) -> AllegroInfo:
     """What a hand says of itself."""
     hardware, firmware, side, temperature, status = _INFO.unpack(data[: _INFO.size])
     flags = (bool(status & bit) for bit in (1, 2, 4))
     return AllegroInfo(hardware, firmware, side != 0, temperature, *flags)
-
-
-def _frames(counts: np.ndarray, largest: np.ndarray | float) -> list[bytes]:
-    """A frame of each finger; minimum and maximum take a third of the time of ``np.clip``."""
-    within = np.minimum(np.maximum(counts, -largest), largest)
-    data = np.rint(within).astype("<i2").tobytes()
-    return [data[at : at + _INT16X4.size] for at in range(0, len(data), _INT16X4.size)]

@@ -25,13 +25,7 @@ AMPERES_PER_COUNT = 0.001
 TORQUE_PER_AMPERE = 0.52
 """XC330-M288 at 5 V, data sheet: 0.93 N m at 1.8 A when stalled [N m/A]."""
 
-HARDWARE_ERRORS = {
-    0: "input voltage",
-    2: "too hot",
-    3: "encoder",
-    4: "electrical shock",
-    5: "overload",
-}
+HARDWARE_ERRORS = {0: "input voltage", 2: "too hot", 3: "encoder", 4: "electrical shock", 5: "overload"}
 """Bits of the register HARDWARE_ERROR; a servo with one has switched its torque off until it is rebooted."""
 
 

@@ -69,8 +69,3 @@ def signed(registers: Sequence[int]) -> np.ndarray:
 def unpack_bytes(registers: Sequence[int]) -> list[int]:
     """Six bytes of three registers."""
     return [byte for register in registers for byte in (register & 0xFF, register >> 8)]
-
-
-def pack_bytes(values: Sequence[int]) -> list[int]:
-    """Three registers of six bytes."""
-    return [values[i] | values[i + 1] << 8 for i in range(0, len(values), 2)]

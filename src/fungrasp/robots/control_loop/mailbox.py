@@ -1,4 +1,5 @@
-"""The newest record of a fixed size, passed between two processes or threads; nobody waits."""
+"""The newest record of a fixed size, passed between two processes or threads, and the records of a device's
+loop: goals and states. Nobody waits."""
 
 from __future__ import annotations
 
@@ -7,8 +8,12 @@ import os
 import tempfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.device import DeviceStatus, JointState
 
 CHECKSUM = np.dtype("<u4")
 
@@ -24,7 +29,6 @@ class Mailbox:
         """
         Args:
             buffer: memory that both sides see, ``mailbox_size(kind)`` bytes.
-            kind: structured type of the record.
         """
         self._kind = kind
         self._record = np.frombuffer(buffer, dtype=np.uint8, count=kind.itemsize, offset=CHECKSUM.itemsize)
@@ -81,3 +85,73 @@ def map_shared_memory(path: Path) -> mmap.mmap:
     """The memory of a ``SharedMemoryFile``, seen from this process."""
     with path.open("r+b") as file:
         return mmap.mmap(file.fileno(), 0)
+
+
+STATUSES = tuple(DeviceStatus)
+MESSAGE_BYTES = 240
+
+STARTING, RUNNING, ENDED = range(3)
+"""Phases of a loop."""
+
+
+def goal_kind(count: int) -> np.dtype:
+    """Record of what a driver tells its loop; count: number of joints U."""
+    joints = ("<f8", (count,))
+    return np.dtype(
+        [("mode", "u1"), ("order", "<i8"), ("sent", "<f8"), ("positions", *joints), ("feedforward", *joints)]
+    )
+
+
+def state_kind(count: int) -> np.dtype:
+    """Record of what a loop tells its driver; count: number of joints U."""
+    joints = ("<f8", (count,))
+    return np.dtype(
+        [
+            ("phase", "u1"),
+            ("order", "<i8"),
+            ("status", "u1"),
+            ("has_torques", "u1"),
+            ("device_time", "<f8"),
+            ("received", "<f8"),
+            ("busy", "<f8"),
+            ("steps", "<i8"),
+            ("positions", *joints),
+            ("velocities", *joints),
+            ("torques", *joints),
+            ("message", f"S{MESSAGE_BYTES}"),
+        ]
+    )
+
+
+def loop_goal(record: Any) -> LoopGoal:
+    """The goal in a record of ``goal_kind``."""
+    return LoopGoal(LoopMode(int(record["mode"])), record["positions"], record["feedforward"])
+
+
+def put_state(record: np.ndarray, state: JointState) -> None:
+    """Write a state into a record of ``state_kind``, shape []."""
+    record["status"] = STATUSES.index(state.status)
+    record["has_torques"] = state.torques is not None
+    record["device_time"], record["received"] = state.device_time, state.received
+    record["positions"], record["velocities"] = state.positions, state.velocities
+    if state.torques is not None:
+        record["torques"] = state.torques
+    record["message"] = state.message.encode()[:MESSAGE_BYTES]
+
+
+def joint_state(record: Any) -> JointState:
+    """The state in a record of ``state_kind``."""
+    return JointState(
+        positions=record["positions"],
+        velocities=record["velocities"],
+        torques=record["torques"] if record["has_torques"] else None,
+        device_time=float(record["device_time"]),
+        received=float(record["received"]),
+        status=STATUSES[int(record["status"])],
+        message=record_message(record),
+    )
+
+
+def record_message(record: Any) -> str:
+    """The message in a record of ``state_kind``."""
+    return bytes(record["message"]).decode(errors="replace")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,6 +108,10 @@ class InspireLoop:
         self._due = self._errors_due = 0.0
         self._mode, self._taken = LoopMode.IDLE, False
         self._fault = ""
+
+    def torque_limit(self, share: float) -> InspireLoop:
+        """See ``LoopDriver.torque_limit``: the same hand, not opened."""
+        return InspireLoop(replace(self.settings, force=max(1, round(share * self.settings.force))))
 
     def open(self) -> None:
         """See ``DeviceLoop.open``."""

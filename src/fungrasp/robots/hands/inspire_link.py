@@ -1,5 +1,6 @@
 """Ways to the registers of an Inspire RH56 hand: Modbus over TCP or a serial line, or the maker's own
-protocol on a serial line. All carry the same registers (``fungrasp.robots.codecs.inspire``)."""
+protocol on a serial line. All carry the same registers (``fungrasp.robots.codecs.inspire``).
+"""
 
 from __future__ import annotations
 
@@ -41,7 +42,6 @@ class ModbusLink:
         """
         Args:
             client: of pymodbus, not connected.
-            device: number of the hand.
         """
         self._client, self._device = client, device
         error = import_client("pymodbus.exceptions", "inspire", "an Inspire hand").ModbusException
@@ -86,9 +86,7 @@ class SerialLink:
     def __init__(self, port: str, baud: int, device: int, answer_timeout: float):
         """
         Args:
-            port: name of the serial port.
             baud: of the line [bit/s].
-            device: number of the hand.
             answer_timeout: an answer that takes longer is lost [s].
         """
         self._serial = import_client("serial", "inspire", "an Inspire hand on a serial port")
@@ -150,10 +148,8 @@ def open_link(address: str, port: int, baud: int, protocol: str, device: int, ti
 
     Args:
         address: of the hand, or a serial port.
-        port: of TCP.
         baud: of a serial port [bit/s].
         protocol: "tcp" or "rtu" (Modbus), or "serial".
-        device: number of the hand.
         timeout: of an answer [s].
 
     Raises:

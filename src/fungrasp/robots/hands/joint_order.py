@@ -11,7 +11,6 @@ def hand_joint_limits(name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest positions of a hand's independent joints [rad], shape [U] each, in model order.
 
     Args:
-        name: of a hand model.
         count: of joints that the device has.
 
     Raises:

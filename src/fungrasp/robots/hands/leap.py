@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +107,10 @@ class LeapLoop:
         self._powered = False
         self._due = self._errors_due = 0.0
         self._fault = ""
+
+    def torque_limit(self, share: float) -> LeapLoop:
+        """See ``LoopDriver.torque_limit``: the same hand, not opened."""
+        return LeapLoop(replace(self.settings, current_limit=round(share * self.settings.current)))
 
     def open(self) -> None:
         """See ``DeviceLoop.open``: all sixteen servos must answer."""

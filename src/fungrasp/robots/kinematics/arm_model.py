@@ -11,7 +11,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.arm import FLANGE_SITE, PALM_SITE, arm_spec, mount, mounting_pose
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.convex_decomposition import convex_hull
-from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.cell import RobotCell, Workspace
 
 OBJECT = "object to keep clear of"
 """Name of its body, mesh and geom."""
@@ -80,14 +80,36 @@ class ArmKinematics:
 class Clearance:
     """Distances [m]: at most ``MARGIN``; negative where things overlap."""
 
-    table: float
+    table: float = MARGIN
     """From the arm to the table."""
-    hand: float
+    hand: float = MARGIN
     """From the hand to the table."""
-    itself: float
+    itself: float = MARGIN
     """From the arm to itself and to the hand."""
     obstacle: float = MARGIN
     """From arm and hand to the nearest of the cell's obstacles."""
+
+    def fault(self, box: Workspace, room: float = 0.0, apart: float = 0.0) -> str:
+        """What is too near in the posture, as a phrase; "" for nothing.
+
+        Args:
+            box: with the distances that are kept.
+            room: kept from table and obstacles beyond that [m].
+            apart: kept from the robot itself [m].
+        """
+        if self.table < box.table_clearance + room:
+            return "the arm would touch the table"
+        if self.hand < -box.hand_depth:
+            return "the hand would press into the table, or come too near to it"
+        if self.obstacle < box.table_clearance + room:
+            return "the arm or the hand would touch an obstacle"
+        return "the arm or the hand would touch the arm" if self.itself < apart else ""
+
+
+def outside(palm: np.ndarray, box: Workspace) -> str:
+    """What is wrong with where a palm is, as a phrase; "" for nothing. palm: world frame, shape [..., 7]."""
+    beyond = (palm[..., :3] < box.lower).any() or (palm[..., :3] > box.upper).any()
+    return "the palm would leave the workspace box" if beyond else ""
 
 
 class ClearanceModel:
@@ -97,7 +119,6 @@ class ClearanceModel:
         """
         Args:
             cell: with the arm and its base.
-            hand: on the arm.
             thing: what the robot may keep clear of; nothing if None.
         """
         spec = mount(hand, cell.arm.model, cell.mount)
@@ -147,7 +168,7 @@ class ClearanceModel:
         mujoco.mj_kinematics(m, d)
         mujoco.mj_collision(m, d)
         if not d.ncon:
-            return Clearance(MARGIN, MARGIN, MARGIN)
+            return Clearance()
         distance = d.contact.dist
         low, high = np.sort(self._kind[d.contact.geom], axis=1).T
 

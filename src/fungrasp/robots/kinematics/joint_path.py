@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fungrasp.robots.cell import MotionLimits, Workspace
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.solutions import random_starts
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel, outside
+from fungrasp.robots.kinematics.inverse import random_starts
 
 TRIES = 5000
 """Random postures that the trees of a path grow towards, at most. Most ways are straight; those that need a
@@ -40,8 +40,6 @@ def timed_leg(
     Args:
         start: joints [rad], shape [M].
         end: joints [rad], shape [M].
-        kinematics: of the arm.
-        limits: of joints and palm.
         period: time between two setpoints [s].
         speed: share of that speed, above 0.
 
@@ -81,12 +79,6 @@ class FreePath:
     of random postures that grow towards each other (RRT-Connect, Kuffner and LaValle, ICRA 2000)."""
 
     def __init__(self, kinematics: ArmKinematics, clearance: ClearanceModel, workspace: Workspace):
-        """
-        Args:
-            kinematics: of the arm.
-            clearance: of the whole robot.
-            workspace: that the palm stays in.
-        """
         self._kinematics, self._clearance, self._workspace = kinematics, clearance, workspace
 
     def clear(self, arm: np.ndarray, fingers: np.ndarray, keep: float | None = None) -> bool:
@@ -97,8 +89,7 @@ class FreePath:
             fingers: independent joints [rad], shape [U].
             keep: distance from the object at least [m]; None for no object.
         """
-        palm, box = self._kinematics.palm_pose(arm)[:3], self._workspace
-        if (palm < box.lower).any() or (palm > box.upper).any():
+        if outside(self._kinematics.palm_pose(arm), self._workspace):
             return False
         gap = self._clearance.measure(arm, fingers)
         if min(gap.table, gap.hand, gap.itself, gap.obstacle) < CLEAR:
@@ -122,7 +113,6 @@ class FreePath:
             fingers: independent joints [rad], shape [U].
             object_pose: of the clearance model's object, world frame, shape [7]; None for no object.
             rng: of the postures that are tried.
-            tries: how many.
         """
         keep = None if object_pose is None else self._distance_kept([start, end], fingers, object_pose)
 

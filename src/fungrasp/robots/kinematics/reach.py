@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.differential import PalmFollower
+from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel, outside
+from fungrasp.robots.kinematics.inverse import PalmFollower, arm_postures, random_starts
 from fungrasp.robots.kinematics.joint_path import CLEAR
-from fungrasp.robots.kinematics.solutions import arm_postures, random_starts
 
 STARTS = 48
 """Random postures from which the solutions of a pose are sought; 32 find all eight of a UR5e."""
@@ -62,9 +61,6 @@ class ReachChecker:
     ):
         """
         Args:
-            cell: with workspace and limits.
-            kinematics: of the arm.
-            clearance: of the whole robot.
             rng: of the postures that solutions are sought from.
         """
         self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
@@ -75,12 +71,11 @@ class ReachChecker:
         "" if it can be followed from some posture. Quicker than ``best``.
 
         Args:
-            path: of the palm.
             home: a posture that solutions are sought from beside random ones [rad], shape [M].
         """
-        outside = self._outside(path.palm)
-        if outside:
-            return outside
+        beyond = outside(path.palm, self._cell.workspace)
+        if beyond:
+            return beyond
         starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS // 2, self._rng)])
         found = arm_postures(self._kinematics, path.palm[0], starts)
         nearest = Reach(np.zeros(0), np.zeros(0), -2.0, "the start is out of the arm's reach")
@@ -95,15 +90,14 @@ class ReachChecker:
         """The postures from which the path can be followed, the best first.
 
         Args:
-            path: of the palm.
             home: where the arm is now [rad], shape [M]; of two that do as well, the nearer is better.
 
         Returns:
             Those that can, and what is in the way of the best of the others, "" if some can.
         """
-        outside = self._outside(path.palm)
-        if outside:
-            return [], outside
+        beyond = outside(path.palm, self._cell.workspace)
+        if beyond:
+            return [], beyond
         starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
         found = arm_postures(self._kinematics, path.palm[0], starts)
         if not len(found):
@@ -120,14 +114,13 @@ class ReachChecker:
         posture.
 
         Args:
-            paths: of the palm.
             home: where the arm is now [rad], shape [M].
         """
         starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
         postures = list(arm_postures(self._kinematics, paths[0].palm[0], starts))
         can = np.zeros(len(paths), dtype=bool)
         for i, path in enumerate(paths):
-            if self._outside(path.palm):
+            if outside(path.palm, self._cell.workspace):
                 continue
             for number, posture in enumerate(postures):
                 if not self.follow(path, posture).obstacle:
@@ -141,11 +134,10 @@ class ReachChecker:
         """Follow a path from a posture.
 
         Args:
-            path: of the palm.
             posture: at its beginning [rad], shape [M].
             hand_matters: whether the hand must not press into the table.
         """
-        k, workspace = self._kinematics, self._cell.workspace
+        k, box = self._kinematics, self._cell.workspace
         follower, margin, joints = self._follower, np.inf, posture
         follower.begin(posture)
         for step, (palm, fingers) in enumerate(zip(path.palm, path.fingers, strict=True)):
@@ -156,23 +148,11 @@ class ReachChecker:
             obstacle = ""
             if place > LARGEST_ERROR or turn > 10 * LARGEST_ERROR:
                 obstacle = "the arm doesn't reach so far, or would have to move too fast"
-            elif gap.itself < CLEAR:
-                obstacle = "the arm or the hand would touch the arm"
-            elif gap.table < workspace.table_clearance + TABLE_ROOM:
-                obstacle = "the arm would touch the table"
-            elif hand_matters and gap.hand < -workspace.hand_depth:
-                obstacle = "the hand would press into the table"
-            elif gap.obstacle < workspace.table_clearance + TABLE_ROOM:
-                obstacle = "the arm or the hand would touch an obstacle"
+            elif near := (gap if hand_matters else replace(gap, hand=MARGIN)).fault(box, TABLE_ROOM, CLEAR):
+                obstacle = near
             elif share < LEAST_MANIPULABILITY:
                 obstacle = "the arm would be singular"
             if obstacle:
                 return Reach(posture, joints, step / len(path.palm) - 1.0, obstacle)
             margin = min(margin, gap.itself / MARGIN, share / 0.2, ends / 0.5)
         return Reach(posture, joints, margin, "")
-
-    def _outside(self, palm: np.ndarray) -> str:
-        w = self._cell.workspace
-        if (palm[:, :3] < w.lower).any() or (palm[:, :3] > w.upper).any():
-            return "the palm would leave the workspace box"
-        return ""

@@ -1,7 +1,10 @@
-"""Devices of a twin in the same process: no wire, but its delays and errors."""
+"""A twin as a robot meets it: its clock, and its devices in the same process, with delays and errors of their
+own in place of a wire."""
 
 from __future__ import annotations
 
+import time
+from threading import Event, Thread
 from typing import Self
 
 import numpy as np
@@ -9,16 +12,67 @@ import numpy as np
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.device import (
-    DeviceStatus,
-    JointLimits,
-    JointState,
-    RobotError,
-    StopKind,
-    TrackedPose,
-)
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind, TrackedPose
 from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.robots.twin.world import TwinWorld
+
+WALL_STEP = 0.002
+"""Time between two advances on the clock of the wall [s]."""
+
+LARGEST_LAG = 0.02
+"""A twin that is farther behind than this loses the time [s]: on a computer that is too slow or too busy it
+moves in slow motion, and does not jump."""
+
+
+class TwinClock:
+    """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to
+    the last bit."""
+
+    def __init__(self, world: TwinWorld):
+        """world: that is advanced."""
+        self._world = world
+
+    def now(self) -> float:
+        """See ``Clock.now``."""
+        return self._world.time
+
+    def sleep_until(self, when: float) -> None:
+        """See ``Clock.sleep_until``."""
+        self._world.advance(when)
+
+
+class RealTimeTwin:
+    """Advances a twin on the clock of the wall in a thread of its own; a context manager."""
+
+    def __init__(self, world: TwinWorld):
+        """world: that is advanced; its time becomes that of ``time.monotonic``."""
+        self._world, self._end = world, Event()
+        self._thread = Thread(target=self._run, name="twin", daemon=True)
+        self.latest = 0.0
+        """How far the twin has fallen behind the clock at worst [s]."""
+        self.lost = 0.0
+        """Time that it has lost in all [s]."""
+
+    def __enter__(self) -> Self:
+        with self._world.lock:
+            self._world.offset = time.monotonic() - self._world.data.time
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._end.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._end.is_set():
+            with self._world.lock:
+                lag = time.monotonic() - self._world.time
+                self.latest = max(self.latest, lag)
+                if lag > LARGEST_LAG:
+                    self._world.offset += lag - LARGEST_LAG
+                    self.lost += lag - LARGEST_LAG
+            self._world.advance(self._world.time + min(lag, LARGEST_LAG))
+            time.sleep(WALL_STEP)
 
 
 class _TwinJoints:
@@ -104,7 +158,6 @@ class TwinArm(_TwinJoints):
     def __init__(self, world: TwinWorld, cell: RobotCell):
         """
         Args:
-            world: the twin.
             cell: with the arm's model and limits.
         """
         super().__init__(world)
@@ -130,12 +183,6 @@ class TwinHand(_TwinJoints):
     """The twin's hand."""
 
     def __init__(self, world: TwinWorld, cell: RobotCell, hand: Hand):
-        """
-        Args:
-            world: the twin.
-            cell: with its limits.
-            hand: which one it is.
-        """
         super().__init__(world)
         self.name = f"twin of {hand.name}"
         # Most hands take positions only.

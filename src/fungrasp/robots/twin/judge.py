@@ -30,7 +30,6 @@ def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
     """The truth now.
 
     Args:
-        world: the twin.
         settled: height at which the center of mass settled [m].
     """
     truth = world.look()
@@ -43,8 +42,6 @@ def held_throughout(samples: list[HoldSample], seconds: float, protocol: LiftPro
     that was not cut short.
 
     Args:
-        samples: of the hold.
-        seconds: that they stand for.
         protocol: with height and time of the hold.
     """
     lowest = min((s.height for s in samples), default=-np.inf)
@@ -60,7 +57,6 @@ class TwinJudge:
     def __init__(self, world: TwinWorld, protocol: LiftProtocol | None = None):
         """
         Args:
-            world: whose object has settled.
             protocol: with the height; the published one if None.
         """
         self._world, self._protocol = world, protocol or LiftProtocol()

@@ -134,9 +134,6 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
     """The truth of the twin with a seed.
 
     Args:
-        seed: names the twin.
-        joints: M of its hand.
-        driven: U of its hand.
         spread: the ranges; the default if None.
     """
     s, rng = spread or TwinSpread(), random_stream("twin", seed)
@@ -183,9 +180,6 @@ def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None 
     """The truth of the twin of a cell with a seed. The cell may say ``gain`` of its hand's device.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        seed: names the twin.
         spread: of all else; the default if None.
 
     Raises:
@@ -207,10 +201,6 @@ def twin_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
     """Largest torques that the driver of a twin's hand asks of its servos, as a driver on a bus would [N m],
     shape [U]: the option ``torque_limits`` of the cell's hand, one number or one for each servo; infinite
     without.
-
-    Args:
-        cell: the robot.
-        hand: on its arm.
 
     Raises:
         FungraspError: the option is something else.

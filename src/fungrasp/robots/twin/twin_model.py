@@ -56,17 +56,12 @@ class TwinPhysics:
 
 
 def twin_model(
-    cell: RobotCell,
-    hand: Hand,
-    thing: ObjectModel,
-    truth: TwinParameters,
-    physics: TwinPhysics | None = None,
+    cell: RobotCell, hand: Hand, thing: ObjectModel, truth: TwinParameters, physics: TwinPhysics | None = None
 ) -> mujoco.MjModel:
     """The compiled model. World frame: that of the cell.
 
     Args:
         cell: with the arm and its base.
-        hand: mounted on the arm.
         thing: the object as it is believed.
         truth: what is true of hand, object and table.
         physics: the default if None.
@@ -105,10 +100,7 @@ def _stiffen_arm(spec: mujoco.MjSpec, names: set[str]) -> None:
 
 def _add_table(spec: mujoco.MjSpec, truth: TwinParameters) -> None:
     table = spec.worldbody.add_geom(
-        name=TABLE,
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.75, 0.75, 0.05],
-        rgba=[0.72, 0.66, 0.58, 1.0],
+        name=TABLE, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.75, 0.75, 0.05], rgba=[0.72, 0.66, 0.58, 1.0]
     )
     table.pos = [0.0, 0.0, truth.table_height]
     table.quat = quaternion_from_rotation_vector(truth.table_tilt)

@@ -57,11 +57,7 @@ class TwinWorld:
     ):
         """
         Args:
-            cell: what stands where.
-            hand: on the arm.
             thing: the object as it is believed.
-            truth: what is true.
-            seed: of the tracker's noise.
             physics: the default if None.
         """
         self.hand, self.truth = hand, truth

@@ -1,1 +1,0 @@
-"""Drivers and the control computer under faults."""

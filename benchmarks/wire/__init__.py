@@ -1,1 +1,0 @@
-"""Deployments over emulated wires."""

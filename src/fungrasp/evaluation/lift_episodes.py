@@ -1,0 +1,234 @@
+"""What happens in the episodes of a lift test: worlds are drawn, plans are made and played, the use
+test follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.jobs import Arrays
+from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
+from fungrasp.evaluation.lift_test_spec import LiftTestSpec
+from fungrasp.evaluation.trajectory import Recorder, UseRecorder
+from fungrasp.evaluation.use_test import UseTest
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel, with_sizes
+from fungrasp.planning import MotionPlanner, MotionSettings, Planner, make_planner
+from fungrasp.planning.attempts import AttemptSetting, check_attempts, play_attempts
+from fungrasp.planning.selection import SearchPlanner
+from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy_files
+from fungrasp.sim2real import Randomization, draw_each, random_stream
+from fungrasp.simulation import Scene, build_scene
+from fungrasp.task import LiftEnvironment, Policy, PrivilegedPolicy, play
+
+USE_PREFIX = "use."
+"""Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
+
+USE_FILE = "{}_use.npz"
+"""Name of the file of a recorded use test, from that of the lift test's without its suffix."""
+
+ATTEMPT_PREFIX = "attempts."
+"""The same of ``AttemptRecord``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """Episodes that are simulated together."""
+
+    condition: str
+    """Name of what their worlds are drawn from."""
+    seed: int
+    """Seed of what is random."""
+    rows: np.ndarray
+    """Rows of the grasps in their set, shape [W]."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiftTest:
+    """Grasps to be tried, and how.
+
+    Raises:
+        FungraspError: an unknown policy, grasps of another hand, several attempts where they can't be, or
+            several seeds where nothing is random.
+    """
+
+    grasps: RobotGraspSet
+    """N grasps."""
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    hand: Hand
+    """Their hand."""
+    spec: LiftTestSpec
+    """How they are tried."""
+    human: HumanGraspSet | None = None
+    """What they were retargeted from, for the use test; None if that is not known."""
+    given_policy: Policy | PrivilegedPolicy | None = None
+    """In the place of the one that is named."""
+    given_planner: Planner | None = None
+    """In the place of the policy's."""
+    record: Path | None = None
+    """Folder for the recorded episodes."""
+    threads: int = 0
+    """0 means all processors."""
+
+    def __post_init__(self) -> None:
+        spec = self.spec
+        self.grasps.check_hand(self.hand)
+        _ = self.policy_digests
+        check_attempts(spec.attempts, not isinstance(self.policy, OpenLoopPolicy))
+        if spec.attempts > 1 and self.record is not None:
+            raise FungraspError("--record keeps one attempt: record one attempt, or leave --record out")
+        if len(spec.seeds) > 1 and not any(map(self.is_random, spec.conditions.values())):
+            raise FungraspError(
+                "nothing is random here, so several seeds would only repeat the same episodes: give one "
+                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, "
+                "a learned policy that chooses plans)"
+            )
+
+    @cached_property
+    def policy_digests(self) -> tuple[str, str]:
+        """SHA-256 of the policy's network and of its success predictor, "" for none."""
+        if self.given_policy is not None:
+            return "", ""
+        return policy_files(self.spec.policy, self.hand.name).digests()
+
+    @cached_property
+    def policy(self) -> Policy | PrivilegedPolicy:
+        """What moves the hand."""
+        return self.given_policy or make_policy(self.spec.policy, self.hand, self.objects)
+
+    @cached_property
+    def planner(self) -> Planner:
+        """Whose plans it follows; one for all conditions: what it has planned for one it knows for others."""
+        if self.given_planner is not None:
+            return self.given_planner
+        spec = self.spec
+        motions = MotionSettings(for_use=spec.use)
+        motions = motions if spec.adapt else replace(motions, adapt=None)
+        if self.given_policy is not None:
+            return MotionPlanner(self.hand, self.objects, motions, spec.lift)
+        selection = spec.selection_settings
+        return make_planner(spec.policy, self.hand, self.objects, selection, spec.lift, self.threads, motions)
+
+    @cached_property
+    def use_test(self) -> UseTest | None:
+        """What follows the lift test."""
+        if not self.spec.use:
+            return None
+        return UseTest.of(self.human, self.grasps, self.objects, self.hand)
+
+    @cached_property
+    def searches(self) -> bool:
+        """Whether plans are searched for, which takes ten times as long and more."""
+        return bool(self.policy_digests[1])
+
+    @cached_property
+    def _scenes(self) -> dict[str, Scene]:
+        return {}
+
+    def is_random(self, randomization: Randomization) -> bool:
+        """Whether episodes depend on the seed. Of a policy or planner of somebody's own that is not known."""
+        own = self.given_policy is not None or self.given_planner is not None
+        return bool(own or randomization.is_random or self.searches)
+
+    def files(self, part: Episodes) -> list[Path]:
+        """For the recorded episodes of a part: none, or W."""
+        if self.record is None:
+            return []
+        folder = self.record / part.condition.replace(",", "").replace(" ", "-")
+        label = ""
+        if len(self.spec.seeds) > 1 and self.is_random(self.spec.conditions[part.condition]):
+            label = f"_{part.seed}"
+        names = self.grasps.object_name
+        return [folder / f"{row:04d}{label}_{names[row]}.npz" for row in part.rows.tolist()]
+
+    def simulate(self, part: Episodes, progress: Callable[[float], None]) -> Arrays:
+        """Plan and play.
+
+        Args:
+            part: W episodes.
+            progress: called with the number of them that are done, fractions included.
+
+        Returns:
+            fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, with several
+            attempts those of ``AttemptRecord``, each of shape [W].
+        """
+        rows, seed, files, spec = part.rows, part.seed, self.files(part), self.spec
+        r, p = spec.conditions[part.condition], spec.lift
+        grasps = self.grasps.select(rows)
+        sample = draw_each(r, seed, rows, len(self.hand.joint_names))
+        jitter = [random_stream("sensor jitter", seed, int(row)) for row in rows]
+        environment = LiftEnvironment(self._scene(r), len(rows), r, p, jitter, self.threads)
+        belief = environment.settle(grasps, sample)
+        # A searching planner takes most of the time: half of the progress is its.
+        half = 0.5 if isinstance(self.planner, SearchPlanner) else 0.0
+        plan = self.planner.plan(grasps, belief, seed, lambda done: progress(half * done))
+        environment.move_objects()
+        recorder = Recorder(environment.task, grasps, r) if files else None
+        longest, furthest = p.approach_time + p.hold_time + 1.2, 0.0
+
+        def watch() -> None:
+            nonlocal furthest
+            # A further attempt begins at zero.
+            furthest = max(furthest, min(float(environment.task.time.max()) / longest, 1.0))
+            progress(len(rows) * (half + (1 - half) * furthest))
+            if recorder is not None:
+                recorder()
+
+        policy, estimates = self.policy, ContactEstimates.none(len(rows))
+        if isinstance(policy, StudentPolicy) and policy.estimates_contacts:
+            policy = ContactEstimateMeter(policy, environment)
+            estimates = policy.estimates
+        tries = {}
+        if spec.attempts > 1:
+            setting = AttemptSetting(spec.attempts, self.planner, grasps, self.objects, belief, seed, rows)
+            outcomes, made, plan = play_attempts(environment, policy, plan, setting, watch=watch)
+            tries = {ATTEMPT_PREFIX + name: values for name, values in made.arrays().items()}
+        else:
+            outcomes = play(environment, policy, plan, watch=watch)
+        if recorder is not None:
+            for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
+                trajectory.save(file)
+        use = {}
+        if self.use_test is not None:
+            use = self._use(self.use_test, environment, grasps, rows, outcomes.success, files)
+        return (
+            outcomes.arrays()
+            | estimates.arrays()
+            | use
+            | tries
+            | {"rollouts": np.zeros(len(rows), dtype=int) if plan.rollouts is None else plan.rollouts}
+        )
+
+    def _use(
+        self,
+        use: UseTest,
+        environment: LiftEnvironment,
+        grasps: RobotGraspSet,
+        rows: np.ndarray,
+        held: np.ndarray,
+        files: Sequence[Path],
+    ) -> Arrays:
+        """Play the use motions of the grasps that held. held: shape [W] bool."""
+        assert grasps.task is not None
+        tasks = grasps.task.tolist()
+        watching = UseRecorder(environment, grasps, use.motions_of(tasks)) if files else None
+        tried = use.run(environment, rows, tasks, held, watching or (lambda controls: None))
+        if watching is not None:
+            for trajectory, file in zip(watching.trajectories(rows, tried), files, strict=True):
+                if trajectory is not None:
+                    trajectory.save(file.with_name(USE_FILE.format(file.stem)))
+        return {USE_PREFIX + name: values for name, values in tried.arrays().items()}
+
+    def _scene(self, randomization: Randomization) -> Scene:
+        """Made once for each size of the objects."""
+        objects, key = with_sizes(self.objects, randomization.object_scales), str(randomization.object_scales)
+        if key not in self._scenes:
+            self._scenes[key] = build_scene(self.hand, objects, self.spec.physics)
+        return self._scenes[key]

@@ -1,0 +1,167 @@
+"""Where an image comes from: files, a folder, a camera or a recording of one.
+
+What reads them is imported on use: ``ImageSource`` is the options of a command, whose help comes at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fungrasp.core.errors import FungraspError
+
+if TYPE_CHECKING:
+    from fungrasp.perception.io.capture import Box, Capture, Pixel, RgbdCamera
+
+REALSENSE = "realsense"
+"""Stands for the RealSense camera that is connected."""
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """The image: three files, or a folder, or a RealSense camera, or a recording of one."""
+
+    rgb: Path | None = None
+    """Color image, PNG or JPEG."""
+    depth: Path | None = None
+    """Depth aligned to it: 16-bit PNG or TIFF, or .npy."""
+    intrinsics: Path | None = None
+    """The camera's, JSON: our layout, RealSense's or BOP's."""
+    folder: Path | None = None
+    """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
+    of a DexYCB sequence; or "builtin", an image of a spray_bottle to try things with."""
+    camera: str | None = None
+    """Instead of files: take an image now, with the RealSense camera that is connected ("realsense")."""
+    recording: Path | None = None
+    """Instead of files: an image out of a RealSense camera's recording, .bag or .db3."""
+    keep: Path | None = None
+    """Folder in which the image of the camera or recording is kept; --folder reads it again."""
+    image: int | None = None
+    """Number of the image in a BOP scene (by default the first), a DexYCB sequence (the last) or a recording
+    (number 30, or the last)."""
+    depth_unit: float | None = None
+    """Meters per unit of the depth image, if the intrinsics don't say: 0.001 is usual. Depth of floats is in
+    meters if this is not given."""
+    mask: Path | None = None
+    """Image that is not 0 where the object is."""
+    box: str | None = None
+    """Box around the object, x0,y0,x1,y1 [pixels]."""
+    point: str | None = None
+    """A pixel that shows the object, u,v: column and row, as if it were clicked at."""
+
+    @property
+    def name(self) -> str:
+        """Name of the source, as text to print."""
+        from fungrasp.perception.io.scene_folders import BUILTIN
+
+        if self.folder is not None and str(self.folder) == BUILTIN and not self.folder.is_dir():
+            return "the built-in one"
+        if self.camera is not None:
+            return f"of the camera {self.camera}"
+        return str(self.folder or self.recording or self.rgb)
+
+    def read(self) -> Capture:
+        """The capture, with mask, box or point if one is given.
+
+        Raises:
+            FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
+        """
+        from fungrasp.perception.io.image_files import parse_box, parse_point, read_capture
+        from fungrasp.perception.io.scene_folders import own_files, read_folder
+
+        self.check()
+        box = None if self.box is None else parse_box(self.box)
+        point = None if self.point is None else parse_point(self.point)
+        files: tuple[Path | None, ...] = (self.rgb, self.depth, self.intrinsics, None)
+        if self.camera is not None or self.recording is not None:
+            return self._marked(self._of_camera(), box, point)
+        if self.folder is not None:
+            own = own_files(self.folder)
+            if own is None:
+                return self._marked(read_folder(self.folder, self.image, self.depth_unit), box, point)
+            files = own
+        rgb, depth, intrinsics, mask = files
+        assert rgb is not None and depth is not None and intrinsics is not None
+        return read_capture(
+            rgb,
+            depth,
+            intrinsics,
+            depth_unit=self.depth_unit,
+            mask=self.mask or mask,
+            box=box,
+            point=point,
+            image=self.image,
+        )
+
+    def check(self) -> None:
+        """Complain about options that don't go together.
+
+        Raises:
+            FungraspError: it is not said, or said twice, where the image comes from; or an option is for
+                another source.
+        """
+        files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
+        missing = [name for name, path in files.items() if path is None]
+        others = {"--folder": self.folder, "--camera": self.camera, "--recording": self.recording}
+        given = [name for name, value in others.items() if value is not None]
+        if len(missing) < 3:
+            given.append("--rgb, --depth and --intrinsics")
+        if len(given) > 1:
+            raise FungraspError(f"give either {given[0]}, or {given[1]}")
+        if missing and not any(name in others for name in given):
+            raise FungraspError(
+                f"{' and '.join(missing)} must be given, or --folder, --camera or --recording instead"
+            )
+        if self.camera not in (None, REALSENSE):
+            raise FungraspError(f"--camera is {REALSENSE}, not '{self.camera}'; --folder reads a folder")
+        live = self.camera is not None or self.recording is not None
+        if live and self.depth_unit is not None:
+            raise FungraspError("--depth-unit is for files: a camera says itself what its depth means")
+        if not live and self.keep is not None:
+            raise FungraspError("--keep needs --camera or --recording")
+
+    def _of_camera(self) -> Capture:
+        from fungrasp.perception.io.realsense import capture_from_camera
+        from fungrasp.perception.io.scene_folders import read_folder, write_folder
+
+        capture = capture_from_camera(self.recording, image=self.image)
+        if self.keep is None:
+            return capture
+        write_folder(capture, self.keep)
+        # As it will be read again, so that the same comes out then.
+        return read_folder(self.keep)
+
+    def _marked(self, capture: Capture, box: Box | None, point: Pixel | None) -> Capture:
+        from fungrasp.perception.io.image_files import read_mask
+
+        mask = None if self.mask is None else read_mask(self.mask, capture.depth.shape)
+        return capture if mask is box is point is None else capture.with_object(mask, box, point)
+
+
+def as_capture(image: ImageSource | RgbdCamera | str | Path | Sequence[str | Path]) -> Capture:
+    """The capture of an image, wherever it is.
+
+    Args:
+        image: a folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
+            intrinsics; a source; or a camera, not yet started.
+
+    Raises:
+        FungraspError: it can't be read.
+    """
+    from fungrasp.perception.io.image_files import read_capture
+    from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera
+    from fungrasp.perception.io.scene_folders import read_folder
+
+    if isinstance(image, ImageSource):
+        return image.read()
+    if isinstance(image, str | Path):
+        recorded = Path(image).suffix in RECORDINGS
+        return capture_from_camera(image) if recorded else read_folder(image)
+    if not isinstance(image, Sequence):
+        with image as camera:
+            return camera.capture()
+    if len(image) != 3:
+        raise FungraspError(f"an image in files is color image, depth and intrinsics, not {len(image)} files")
+    return read_capture(*image)

@@ -1,0 +1,298 @@
+"""Where a fixed camera stands in the world of a cell: from a flat board that the hand holds in front of it in
+several poses of the arm, or from points that the hand has touched and the camera has seen.
+
+With P_i the pose of the palm in the world by forward kinematics, B that of the board on the palm, X that of
+the camera in the world, and C_i that of the board in the camera, P_i B = X C_i. Between two views palm and
+board turn by the same angle, about axes that B leads into each other (Park and Martin, 1994): a start. Then X
+and B minimize the distances of all corners in the images,
+
+    sum_ik rho(| project(X^-1 P_i B b_k) - u_ik |^2).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import atomic_path
+from fungrasp.geometry.poses import (
+    compose,
+    invert,
+    quaternion_from_rotation_vector,
+    rotation_vector,
+    transform_points,
+)
+from fungrasp.perception import Intrinsics
+from fungrasp.robots.optional_packages import import_client
+
+LEAST_VIEWS = 5
+"""Three would determine the answer; with fewer than five nothing would tell a bad one."""
+
+LEAST_CORNERS = 6
+"""An image with fewer corners is left out: its board pose is hardly determined."""
+
+OUTLIER = 1.0
+"""Distance in the image from which a corner counts less [pixels]: found corners are a tenth of that off."""
+
+LARGEST_UNCERTAINTY = 0.01
+"""A calibration whose camera position is less certain says nothing of use [m]."""
+
+LEAST_POINTS = 4
+"""Three would determine the answer; a fourth tells a bad one."""
+
+LEAST_SPREAD = 0.05
+"""Points whose second largest deviation from their mean is smaller lie about on a line [m]."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board as OpenCV generates it, or a checkerboard."""
+
+    columns: int = 7
+    """Squares along x."""
+    rows: int = 5
+    """Squares along y."""
+    square: float = 0.03
+    """Side of a square, measured on the print [m]."""
+    marker: float = 0.022
+    """Side of a marker, measured on the print [m]; 0: a checkerboard without markers, which must be seen
+    whole."""
+    dictionary: str = "DICT_4X4_50"
+    """Of the markers (OpenCV's name)."""
+
+    def __post_init__(self) -> None:
+        if min(self.columns, self.rows) < 3 or not 0 <= self.marker < self.square:
+            raise FungraspError(
+                "a board has 3 or more squares to each side, and markers smaller than its squares"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class BoardView:
+    """The board in one image."""
+
+    palm: np.ndarray
+    """Pose of the palm as the image was taken, world frame, shape [7]."""
+    points: np.ndarray
+    """Corners that were found, board frame, z = 0 [m], shape [K, 3]."""
+    pixels: np.ndarray
+    """Where they are in the image [pixels], shape [K, 2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCalibration:
+    """Where a camera is."""
+
+    pose_world_camera: np.ndarray
+    """Camera (OpenCV: x right, y down, z forward) in the world, shape [7]."""
+    residual: float
+    """RMS distance of what was seen from where the answer has it [m]."""
+    position_deviation: float
+    """Standard deviation of the camera's position, as far as the data tell [m]."""
+    rotation_deviation: float
+    """Standard deviation of its rotation, likewise [rad]."""
+
+
+def find_corners(color: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
+    """Inner corners of the board in an image, with OpenCV (extra ``calibration``).
+
+    Args:
+        color: RGB, uint8, shape [H, W, 3].
+
+    Returns:
+        corners, board frame [m], shape [K, 3], and where they are [pixels], shape [K, 2]; K = 0 where the
+        board was not found.
+
+    Raises:
+        RobotError: OpenCV is not installed.
+        FungraspError: no such dictionary of markers.
+    """
+    cv2 = import_client("cv2", "calibration", "finding a calibration board")
+    gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    nothing = np.zeros((0, 3)), np.zeros((0, 2))
+    if board.marker == 0:
+        inner = board.columns - 1, board.rows - 1
+        there, pixels = cv2.findChessboardCornersSB(gray, inner)
+        if not there:
+            return nothing
+        x, y = np.meshgrid(np.arange(1, board.columns), np.arange(1, board.rows))
+        flat = board.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+        return flat, pixels.reshape(-1, 2).astype(float)
+    if not hasattr(cv2.aruco, board.dictionary):
+        raise FungraspError(f"OpenCV has no dictionary of markers '{board.dictionary}': try DICT_4X4_50")
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    size = board.columns, board.rows
+    charuco = cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
+    pixels, numbers, *_ = cv2.aruco.CharucoDetector(charuco).detectBoard(gray)
+    if numbers is None or not len(numbers):
+        return nothing
+    points = np.asarray(charuco.getChessboardCorners(), dtype=float)[np.ravel(numbers)]
+    return points, np.asarray(pixels, dtype=float).reshape(-1, 2)
+
+
+def calibrate_from_board(views: Sequence[BoardView], intrinsics: Intrinsics) -> CameraCalibration:
+    """Find the camera.
+
+    Args:
+        views: five or more, the palm turned about different axes.
+        intrinsics: of the camera; its images without distortion.
+
+    Raises:
+        FungraspError: too few views, or views that do not determine the camera.
+    """
+    views = [view for view in views if len(view.points) >= LEAST_CORNERS]
+    if len(views) < LEAST_VIEWS:
+        raise FungraspError(
+            f"only {len(views)} images show the board: calibration needs {LEAST_VIEWS} with {LEAST_CORNERS} "
+            "corners or more"
+        )
+    boards = np.stack([board_pose(view, intrinsics) for view in views])
+    start = _start(np.stack([view.palm for view in views]), boards)
+    best, missed = _refined(start, views, intrinsics)
+    # Jackknife. What the arm's errors do to an image is common to its corners: whole views are left out.
+    few = np.stack(
+        [_refined(start, [*views[:i], *views[i + 1 :]], intrinsics, best)[0] for i in range(len(views))]
+    )
+    variance = (len(views) - 1) / len(views) * np.sum((few - few.mean(axis=0)) ** 2, axis=0)
+    place, turn = (float(np.sqrt(variance[part].sum())) for part in (slice(0, 3), slice(3, 6)))
+    if not place < LARGEST_UNCERTAINTY:
+        raise FungraspError(
+            f"the camera's position is uncertain by {100 * place:.1f} cm: take more images, the palm turned "
+            "by 30 degrees and more about different axes"
+        )
+    depths = np.repeat(boards[:, 2], [2 * len(view.points) for view in views])
+    residual = float(np.sqrt(2 * np.mean((missed * depths / intrinsics.fx) ** 2)))
+    return CameraCalibration(_moved(start[0], best[:6]), residual, place, turn)
+
+
+def board_pose(view: BoardView, intrinsics: Intrinsics) -> np.ndarray:
+    """Pose of the board in the camera by the homography of its plane, shape [7]. Exact without noise."""
+    rays = intrinsics.deproject(view.pixels, np.ones(len(view.pixels)))[:, :2]
+    scale = np.abs(view.points[:, :2]).max()
+    rows = []
+    for (x, y), (u, v) in zip(view.points[:, :2] / scale, rays, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y, -u], [0, 0, 0, x, y, 1, -v * x, -v * y, -v]]
+    h = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3) / [scale, scale, 1.0]
+    h *= np.copysign(1.0, h[2, 2]) / np.sqrt(np.linalg.norm(h[:, 0]) * np.linalg.norm(h[:, 1]))
+    # Of a matrix that is no rotation the nearest one is taken.
+    turn = Rotation.from_matrix(np.stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])], axis=1))
+    return np.concatenate([h[:, 2], turn.as_quat(scalar_first=True)])
+
+
+def calibrate_from_points(seen: np.ndarray, touched: np.ndarray) -> CameraCalibration:
+    """Find the camera by the rotation and translation that minimize sum |X seen_k - touched_k|^2 (Kabsch).
+
+    Args:
+        seen: points in the camera frame [m], shape [K, 3], of the depth image.
+        touched: the same points, world frame [m], shape [K, 3], from the arm's forward kinematics.
+
+    Raises:
+        FungraspError: too few points, about on a line, or not finite.
+    """
+    if seen.shape != touched.shape or seen.ndim != 2 or seen.shape[1:] != (3,) or len(seen) < LEAST_POINTS:
+        raise FungraspError(
+            f"calibration needs as many seen as touched points, {LEAST_POINTS} or more of 3 numbers, not "
+            f"{list(seen.shape)} and {list(touched.shape)}"
+        )
+    if not (np.isfinite(seen).all() and np.isfinite(touched).all()):
+        raise FungraspError("points of a calibration must be finite numbers")
+    middle = touched.mean(axis=0)
+    spread = np.linalg.svd(touched - middle, compute_uv=False) / np.sqrt(len(touched))
+    if spread[1] < LEAST_SPREAD:
+        raise FungraspError("the touched points lie about on a line: touch points all over the workspace")
+    turn = Rotation.align_vectors(touched - middle, seen - seen.mean(axis=0))[0]
+    place = middle - turn.apply(seen.mean(axis=0))
+    missed = turn.apply(seen) + place - touched
+    # Of 3 K numbers six are used up.
+    variance = float(np.sum(missed**2)) / (3 * len(seen) - 6)
+    # The camera is away from the points, so that their rotation's error moves it.
+    rotation = np.sqrt(variance / len(seen)) * np.linalg.norm(1.0 / spread[:2])
+    position = np.hypot(np.sqrt(3 * variance / len(seen)), rotation * np.linalg.norm(middle - place))
+    return CameraCalibration(
+        np.concatenate([place, turn.as_quat(scalar_first=True)]),
+        float(np.sqrt(np.mean(np.sum(missed**2, axis=1)))),
+        float(position),
+        float(rotation),
+    )
+
+
+def save_calibration(path: str | Path, found: CameraCalibration, source: str) -> None:
+    """Write a calibration as TOML, which a cell names as ``tracker.calibration``.
+
+    Args:
+        source: how it was found, for people.
+    """
+    pose = ", ".join(f"{value:.7g}" for value in found.pose_world_camera)
+    lines = [
+        f"# Camera of a cell, from {source}. Name this file as 'calibration' under [tracker] of the cell.",
+        f"pose_world_camera = [{pose}] # [m], wxyz",
+        f"calibration_residual = {found.residual:.6g} # [m]",
+        f"position_deviation = {found.position_deviation:.6g} # [m]",
+        f"rotation_deviation = {found.rotation_deviation:.6g} # [rad]",
+    ]
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _start(palms: np.ndarray, boards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Camera in the world and board on the palm, each of shape [7], from V palm poses in the world and board
+    poses in the camera."""
+    pairs = list(combinations(range(len(palms)), 2))
+    of_palm, of_board = (
+        np.array([rotation_vector(compose(invert(poses[i]), poses[j])[3:]) for i, j in pairs])
+        for poses in (palms, boards)
+    )
+    with warnings.catch_warnings():
+        # Turns about one axis determine no start: the uncertainty of the answer says so.
+        warnings.simplefilter("ignore")
+        board = Rotation.align_vectors(of_palm, of_board)[0].as_quat(scalar_first=True)
+    # X = P_i B C_i^-1 for each view: of rotations the mean, of positions t_X - P_i t_B = t_P - X t_C.
+    left = Rotation.from_quat(palms[:, 3:], scalar_first=True)
+    turned = Rotation.from_quat(boards[:, 3:], scalar_first=True)
+    camera = (left * Rotation.from_quat(board, scalar_first=True) * turned.inv()).mean()
+    system = np.concatenate([np.hstack([np.eye(3), -p]) for p in left.as_matrix()])
+    right = (palms[:, :3] - camera.apply(boards[:, :3])).ravel()
+    places = np.linalg.lstsq(system, right, rcond=None)[0]
+    camera = np.concatenate([places[:3], camera.as_quat(scalar_first=True)])
+    return camera, np.concatenate([places[3:], board])
+
+
+def _refined(
+    start: tuple[np.ndarray, np.ndarray],
+    views: Sequence[BoardView],
+    intrinsics: Intrinsics,
+    changes: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of camera and board that fit the corners best, shape [12], and by how much they miss them
+    [pixels]. start: poses of both. changes: to begin with."""
+    focal, middle = [intrinsics.fx, intrinsics.fy], [intrinsics.cx, intrinsics.cy]
+
+    def missed(parameters: np.ndarray) -> np.ndarray:
+        x, b = _moved(start[0], parameters[:6]), _moved(start[1], parameters[6:])
+        parts = []
+        for view in views:
+            seen = transform_points(compose(compose(invert(x), view.palm), b), view.points)
+            # Behind the camera nothing is seen: a large error that leads back.
+            depth = np.maximum(seen[:, 2:], 0.01)
+            parts.append((seen[:, :2] / depth * focal + middle - view.pixels).ravel())
+        return np.concatenate(parts)
+
+    begin = np.zeros(12) if changes is None else changes
+    # A centimeter and a hundredth of a radian move corners about as far.
+    found = least_squares(missed, begin, loss="soft_l1", f_scale=OUTLIER, x_scale=0.01)
+    return found.x, missed(found.x)
+
+
+def _moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """A pose displaced by [m] and turned by a rotation vector [rad], world frame. change: shape [6]."""
+    turn = np.concatenate([np.zeros(3), quaternion_from_rotation_vector(change[3:])])
+    turned = compose(turn, np.concatenate([np.zeros(3), pose[3:]]))
+    return np.concatenate([pose[:3] + change[:3], turned[3:]])
