@@ -4,10 +4,10 @@ from __future__ import annotations
 
 BENCHMARKS = {
     "speed": "retargeting, planning, training, a control step, the start of the program: how fast",
-    "engines": "physics steps per second beside bare physics; recorded grasps in other engines",
+    "engines": "recorded grasps in another physics engine",
     "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",
-    "grasp_set": "makes human grasps of many objects, in parts to train, to choose and to confirm",
+    "grasp_set": "makes human grasps of many objects, in parts to train, to validate and to test",
     "choose": "two variants on the same grasps of that set: the difference and its interval",
     "perception": "perceived hands and objects against the truth: rendered, varied and recorded captures",
     "wire": "deployments on twins over emulated wires, on the clock of the wall",

@@ -59,9 +59,9 @@ class Speed:
 
         from fungrasp.cli.train import prepare_torch
         from fungrasp.core.provenance import machine
-        from fungrasp.evaluation.plans import plan
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.hands import load_hand
+        from fungrasp.planning import plan
         from fungrasp.retargeting import retarget
 
         check_positive(planned=self.planned, worlds=self.worlds, updates=self.updates, repeat=self.repeat)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from fungrasp.cli.console import table
+from fungrasp.core.files import atomic_path
+from fungrasp.core.formats.checks import read_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +21,12 @@ if TYPE_CHECKING:
     from benchmarks.choose.pairing import PairedMeans, PairedRates
 
 USES = Path(__file__).resolve().parents[2] / "lab" / "confirm-uses.csv"
-"""Where the uses of the part "confirm" are recorded."""
+"""Where the uses of the part "test" are recorded."""
+
+LARGEST = 1_000_000
+"""Bytes of the largest record that is read."""
+
+COLUMNS = ("date", "decision", "a", "b", "grasps", "a_percent", "b_percent", "low", "high")
 
 
 @dataclass(frozen=True)
@@ -36,10 +46,10 @@ class Choose:
     """The variant whose gain over A is asked."""
     set: Path
     """Folder of a set, made by 'python -m benchmarks.grasp_set'."""
-    part: Literal["train", "choose", "confirm"] = "choose"
+    part: Literal["train", "validation", "test"] = "validation"
     """Part of the set: "choose" for decisions; "confirm" once for each, recorded in lab."""
     decision: str = ""
-    """What is decided: needed for the part "confirm"."""
+    """What is decided: needed for the part "test"."""
     every: int = 1
     """Only every so manieth grasp, of each object."""
     hand: str = "allegro"
@@ -49,7 +59,7 @@ class Choose:
     json: Path | None = None
     """Write the numbers here (.json), one row per grasp in a CSV file beside it."""
     uses: Path = USES
-    """File of the uses of the part "confirm"."""
+    """File of the uses of the part "test"."""
 
     def run(self) -> None:
         import numpy as np
@@ -63,8 +73,8 @@ class Choose:
         from fungrasp.core.errors import FungraspError
 
         check_positive(every=self.every)
-        if self.part == "confirm" and not self.decision:
-            raise FungraspError("the part 'confirm' is for decisions: say which with --decision 'WORDS'")
+        if self.part == "test" and not self.decision:
+            raise FungraspError("the part 'test' is for decisions: say which with --decision 'WORDS'")
         for text in (self.first, self.second):
             Variant.parse(text)
         part = load_part(self.set, self.part)
@@ -87,11 +97,9 @@ class Choose:
         rates, means = paired_rates(first, second, names, stratum), paired_means(first, second, names)
         print(f"A: {self.first}\nB: {self.second}\n{_rates_table(rates)}\n\n{_means_table(means)}")
         print(f"{len(rows)} grasps of part '{self.part}', {self.hand}")
-        if self.part == "confirm":
-            from benchmarks.choose.confirm_uses import record_use
-
+        if self.part == "test":
             count = record_use(self.uses, self.decision, self.first, self.second, rates[-1])
-            print(f"use {count} of the part 'confirm', recorded in {self.uses}")
+            print(f"use {count} of the part 'test', recorded in {self.uses}")
         if self.json is not None:
             self._write(rates, means, names.tolist(), stratum.tolist(), found)
 
@@ -126,6 +134,36 @@ class Choose:
         header |= {"rates": [asdict(rate) for rate in rates], "means": [asdict(mean) for mean in means]}
         assert self.json is not None
         write_result(self.json, {**header, **run_record(0)}, rows)
+
+
+def record_use(path: Path, decision: str, first: str, second: str, rate: PairedRates) -> int:
+    """Add a line to the record.
+
+    Args:
+        path: of the record (.csv); it is begun where there is none.
+        decision: what is decided.
+        first: the variant A.
+        second: the variant B.
+        rate: of all grasps; the interval is that of B less A, in points.
+
+    Returns:
+        how often the part was used, this time included.
+
+    Raises:
+        FungraspError: the file can't be read or written.
+    """
+    before = ",".join(COLUMNS) + "\n"
+    if path.is_file():
+        before = read_bytes(path, "record of uses", LARGEST).decode()
+    line = io.StringIO()
+    numbers = (rate.first, rate.second, *rate.interval)
+    percent = [f"{100 * value:.1f}" for value in numbers]
+    date = f"{datetime.now().astimezone():%Y-%m-%d %H:%M%z}"
+    csv.writer(line, lineterminator="\n").writerow([date, decision, first, second, rate.grasps, *percent])
+    text = before + line.getvalue()
+    with atomic_path(path) as temporary:
+        temporary.write_text(text)
+    return len(list(csv.reader(io.StringIO(text)))) - 1
 
 
 def _rates_table(rates: Sequence[PairedRates]) -> str:

@@ -30,7 +30,7 @@ from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.policies import make_planner
+from fungrasp.planning import make_planner
 from fungrasp.retargeting import METHODS, retarget
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,1 +1,1 @@
-"""How fast physics is stepped; recorded episodes in other engines."""
+"""Recorded episodes in another physics engine."""

@@ -1,1 +1,1 @@
-"""Human grasps on many objects, in three parts that share no object: to train, to choose, to confirm."""
+"""Human grasps on many objects, in three parts that share no object: to train, to validate, to test."""

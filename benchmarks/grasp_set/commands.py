@@ -8,14 +8,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class MakeGraspSet:
-    """Make human grasps of many objects, in three parts that share no object: train, choose, confirm.
+    """Make human grasps of many objects, in three parts that share no object: train, validation, test.
 
     The objects are the built-in ones in random sizes and masses, shapes of random dimensions of the kinds
     that are hard to hold (flat, heavy, thin, round, with a handle), and meshes of the YCB set where they are
     given. Given again, the command goes on where it was interrupted."""
 
     out: Path
-    """Folder to write: train.npz, choose.npz, confirm.npz, objects/<name>.obj, set.json."""
+    """Folder to write: train.npz, validation.npz, test.npz, objects/<name>.obj, set.json."""
     objects: Path | None = None
     """Folder of meshes of the YCB set, 002_master_chef_can.obj and so on; without it they are left out."""
     dexycb: Path | None = None

@@ -17,8 +17,11 @@ from fungrasp.core.formats.text_files import read_json
 from fungrasp.grasps import HumanGraspSet, load_human_grasps, load_objects, save_human_grasps
 from fungrasp.objects import ObjectModel
 
-PARTS = ("train", "choose", "confirm")
+PARTS = ("train", "validation", "test")
 """To train on; to compare variants on; to look at once for each decision."""
+
+EARLIER = {"train": "train", "validation": "choose", "test": "confirm"}
+"""Names of the parts in sets that were made before."""
 
 OBJECTS, INDEX = "objects", "set.json"
 """Folder of the meshes, and file that says what each object is."""
@@ -109,13 +112,14 @@ def load_part(folder: Path, name: str) -> SetPart:
     if name not in PARTS:
         raise UnknownNameError("part", name, PARTS)
     index = read_json(folder / INDEX, "index of a grasp set")
-    file = folder / f"{name}.npz"
+    stored = name if (folder / f"{name}.npz").exists() else EARLIER[name]
+    file = folder / f"{stored}.npz"
     grasps = load_human_grasps(file)
     try:
-        strata, digest = index["parts"][name]["strata"], index["parts"][name]["sha256"]
+        strata, digest = index["parts"][stored]["strata"], index["parts"][stored]["sha256"]
         stratum = np.repeat(list(strata), list(strata.values()))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise FungraspError(f"{folder / INDEX} is no index of a grasp set") from error
     if digest != sha256(file.read_bytes()).hexdigest() or len(stratum) != len(grasps):
-        raise FungraspError(f"{folder / INDEX} is not the index of {name}.npz: make the set again")
+        raise FungraspError(f"{folder / INDEX} is not the index of {file.name}: make the set again")
     return SetPart(name, grasps, stratum, load_objects(grasps, folder / OBJECTS))

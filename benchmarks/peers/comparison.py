@@ -18,14 +18,13 @@ from benchmarks.peers.problem import CpuClock, PeerProblem
 from fungrasp.cli.console import table
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.provenance import machine, run_record
+from fungrasp.evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_human_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionSettings
-from fungrasp.policies import make_planner
+from fungrasp.planning import MotionSettings, make_planner
 from fungrasp.retargeting import METHODS, retarget
 
 Solve = Callable[[PeerProblem], tuple[RobotGraspSet, float]]

@@ -31,7 +31,7 @@ from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands import Hand, load_hand
+from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.policies import policy_files
 from fungrasp.robots.assembly import limited_hand
@@ -75,9 +75,6 @@ class TwinSeriesSpec:
     """Placements of the object in which each grasp is tried."""
     grasps_per_object: int | None = None
     """Of each object the first so many grasps that the arm can reach; all if not given."""
-    given_dynamics: bool = False
-    """Give the true dynamics of the twins' hands in place of identified ones: what an identification without
-    error would give."""
 
     def check(self) -> None:
         """
@@ -131,7 +128,7 @@ class KnownGrasps:
         return self.grasps.select(np.array([row]))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False)
 class TwinSeriesResult:
     """Outcome of a series on twins."""
 
@@ -190,10 +187,6 @@ class TwinSeriesResult:
         }
         write_result(path, header, [asdict(episode) for episode in self.episodes])
 
-    def __repr__(self) -> str:
-        lifted = sum(episode.success for episode in self.episodes)
-        return f"<TwinSeriesResult: cell {self.spec.cell!r}, {lifted} of {len(self.episodes)} held>"
-
 
 def evaluate_on_twins(
     spec: TwinSeriesSpec,
@@ -248,7 +241,7 @@ def evaluate_on_twins(
                 placed.append(one)
                 yield one
 
-        identify = given_dynamics(hand) if spec.given_dynamics else _identified(setup, source.names[0])
+        identify = _identified(setup, source.names[0])
         variants = [VARIANTS[name] for name in spec.variants]
         episodes: list[TwinEpisode] = []
         for episode in try_on_twins(setup, watched(), spec.twins, variants, identify, spec.in_turn):
@@ -341,18 +334,6 @@ def _turns(
     for turn in range(1, turns):
         for row, one in enumerate(reached):
             yield one, twins[(row + turn) % len(twins)]
-
-
-def given_dynamics(hand: Hand) -> Identify:
-    """The true stiffness and damping of twins, for comparison: an identification without error."""
-    driven = [hand.joint_names.index(name) for name in hand.actuators]
-
-    def identify(truth: TwinParameters) -> HandDynamics:
-        stiffness = np.ones(len(hand.joint_names))
-        stiffness[driven] = truth.stiffness
-        return HandDynamics(truth.damping, stiffness, stiffness.copy())
-
-    return identify
 
 
 def _identified(setup: TwinSetup, aside: str) -> Identify:

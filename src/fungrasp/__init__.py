@@ -22,7 +22,6 @@ _NAMES = {
     "deployment.observer": "DeploymentObserver",
     "deployment.spec": "DeploymentSpec",
     "evaluation": "LiftTestSpec evaluate static_quality",
-    "evaluation.plans": "plan",
     "grasps": (
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
         "load_objects load_robot_grasps save_human_grasps save_robot_grasps"
@@ -31,8 +30,8 @@ _NAMES = {
     "core.jobs": "PartStore RayCluster",
     "objects": "ObjectModel load_object",
     "perception.pipeline": "perceive",
-    "planning": "MotionPlanner Planner",
-    "policies": "make_planner make_policy",
+    "planning": "MotionPlanner Planner make_planner plan",
+    "policies": "make_policy",
     "retargeting.retarget": "retarget",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
@@ -63,7 +62,7 @@ def __dir__() -> list[str]:
 _SHOWN = {
     "grasps.human_grasp": "HumanGraspSet",
     "grasps.robot_grasp": "RobotGraspSet",
-    "evaluation.lift_evaluation": "LiftTestResult",
+    "evaluation.results": "LiftTestResult",
     "task.grasp_plan": "GraspPlan",
 }
 """What notebooks show by a picture and a table, by the module that it comes from."""

@@ -20,19 +20,6 @@ def human(tmp_path_factory):
     return path
 
 
-def test_simulation_is_the_same_motion_in_all_three_ways(human, tmp_path, capsys):
-    path = tmp_path / "b.json"
-    status, out, _ = run_benchmark(
-        capsys, "engines", "speed", "--grasps", human, "--worlds", 4, "--repeat", 1, "--json", path
-    )
-    assert status == 0
-    numbers = json.loads(path.read_text())
-    assert numbers["identical"] and "the same motion" in out and "NOT" not in out
-    assert numbers["worlds"] == 4 and numbers["steps"] > 4 * 1000
-    assert min(numbers[way] for way in ("environment", "bare", "loop")) > 0
-    assert numbers["environment_over_bare"] == pytest.approx(numbers["environment"] / numbers["bare"])
-
-
 def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
     def few(protocol, rollouts=True, for_use=False):
         further = FurtherSearch(most=0)

@@ -11,7 +11,7 @@ from grasp_files import BAD, bad_inputs, run, some_grasps
 from PIL import Image
 
 from fungrasp.core.jobs import PartStore
-from fungrasp.evaluation import lift_test_job, replay
+from fungrasp.evaluation import lift_episodes, lift_evaluation, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 
@@ -175,8 +175,8 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
 
 def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, monkeypatch):
     path = tmp_path / "e.json"
-    monkeypatch.setattr(lift_test_job, "EPISODES", (1, 1))
-    simulate, runs = lift_test_job.LiftTest.simulate, []
+    monkeypatch.setattr(lift_evaluation, "EPISODES", (1, 1))
+    simulate, runs = lift_episodes.LiftTest.simulate, []
 
     def interrupted(self, chunk, progress):
         if runs:
@@ -184,7 +184,7 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
         runs.append(chunk.rows)
         return simulate(self, chunk, progress)
 
-    monkeypatch.setattr(lift_test_job.LiftTest, "simulate", interrupted)
+    monkeypatch.setattr(lift_episodes.LiftTest, "simulate", interrupted)
     status, _, err = run(capsys, "evaluate", "--grasps", human, "--json", path)
     assert status == 130 and err.endswith("fungrasp: interrupted\n")
     assert [file.name for file in tmp_path.iterdir()] == ["e.json.partial"]
@@ -193,7 +193,7 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
         runs.append(chunk.rows)
         return simulate(self, chunk, progress)
 
-    monkeypatch.setattr(lift_test_job.LiftTest, "simulate", counted)
+    monkeypatch.setattr(lift_episodes.LiftTest, "simulate", counted)
     assert run(capsys, "evaluate", "--grasps", human, "--json", path)[0] == 0
     assert [rows.tolist() for rows in runs] == [[0], [1]]
     assert [file.name for file in tmp_path.iterdir()] == ["e.json"]
@@ -202,26 +202,26 @@ def test_an_interrupted_run_goes_on_when_given_again(human, tmp_path, capsys, mo
 
 
 def test_missing_parts_are_tried_together_and_kept_singly(human, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(lift_test_job, "EPISODES", (1, 1))
-    monkeypatch.setattr(lift_test_job, "LOSS", 1)
+    monkeypatch.setattr(lift_evaluation, "EPISODES", (1, 1))
+    monkeypatch.setattr(lift_evaluation, "LOSS", 1)
     kept, save = [], PartStore.save
 
     def counted(self, key, arrays):
         kept.append({name: len(values) for name, values in arrays.items()})
         save(self, key, arrays)
 
-    simulate, runs = lift_test_job.LiftTest.simulate, []
+    simulate, runs = lift_episodes.LiftTest.simulate, []
 
     def run_(self, chunk, progress):
         runs.append(chunk.rows.tolist())
         return simulate(self, chunk, progress)
 
     monkeypatch.setattr(PartStore, "save", counted)
-    monkeypatch.setattr(lift_test_job.LiftTest, "simulate", run_)
+    monkeypatch.setattr(lift_episodes.LiftTest, "simulate", run_)
     command = ("evaluate", "--grasps", human, "--json")
     assert run(capsys, *command, tmp_path / "together.json")[0] == 0
     assert runs == [[0, 1]] and len(kept) == 2 and all(set(part.values()) == {1} for part in kept)
-    monkeypatch.setattr(lift_test_job, "TOGETHER", 1)
+    monkeypatch.setattr(lift_evaluation, "BATCH", 1)
     assert run(capsys, *command, tmp_path / "singly.json")[0] == 0
     assert runs[1:] == [[0], [1]]
     assert trials(tmp_path / "together.json") == trials(tmp_path / "singly.json")

@@ -250,7 +250,7 @@ def test_jobs_of_a_lost_machine_are_done_again(cluster):
 
 @pytest.mark.slow
 def test_evaluation_with_a_machine_lost_equals_that_of_one_process(cluster, grasps, tmp_path, monkeypatch):
-    monkeypatch.setattr("fungrasp.evaluation.lift_test_job.EPISODES", (2, 2))
+    monkeypatch.setattr("fungrasp.evaluation.lift_evaluation.EPISODES", (2, 2))
     command = ["evaluate", "--grasps", str(grasps), "--protocol", "reality", "--threads", "1"]
     assert fungrasp([*command, "--json", str(tmp_path / "one.json")]) == 0
     parts = tmp_path / "many.json.partial"
@@ -280,3 +280,19 @@ def test_what_does_not_go_with_a_cluster(tmp_path, capsys):
     assert "give --json or --out too" in capsys.readouterr().err
     assert fungrasp(["retarget", "--out", str(tmp_path / "a.npz"), "--ray", "a", "b"]) == 2
     assert "takes one address" in capsys.readouterr().err
+
+
+def test_partial_results_survive_a_file_that_cannot_be_read(tmp_path):
+    path = tmp_path / "x.partial"
+    path.mkdir()
+    (path / "a.npz").write_bytes(b"PK\x03\x04 cut short")
+    store = PartStore(path)
+    assert store.load("a") is None
+    store.save("a", {"x": np.arange(3), "reason": np.array(["", "lost"])})
+    again = PartStore(path)
+    kept = again.load("a")
+    assert kept is not None and kept["x"].tolist() == [0, 1, 2] and kept["reason"].tolist() == ["", "lost"]
+    assert again.load("b") is None
+    again.remove()
+    assert not path.exists()
+    again.remove()

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.records import BatchRecord, record_from_json, record_to_json
-from fungrasp.evaluation.attempts import AttemptRecord
 from fungrasp.evaluation.contact_estimate import ContactEstimates
+from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.planning.withdrawal import Waypoints

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from small_parts import evaluate_in_parts
 
-from fungrasp.core.errors import FungraspError
-from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate, result_json
 from fungrasp.geometry.poses import compose
-from fungrasp.planning import MotionPlanner
 from fungrasp.policies.open_loop import plan_step
 from fungrasp.sim2real import REALITY, MeasurementError, Randomization
 from fungrasp.task import Action, GraspPlan, Observation
@@ -99,29 +96,3 @@ def test_an_object_that_is_pushed_off_is_given_up(good, things, allegro):
     assert result.attempts is not None
     assert not result.outcomes.success.any()
     assert result.attempts.no_plan.all() and result.attempts.attempts.tolist() == [1, 1]
-
-
-@pytest.mark.parametrize("policy", ["reference", "plan"])
-def test_a_plan_that_is_played_blindly_is_not_tried_again(good, things, allegro, policy):
-    with pytest.raises(FungraspError, match="nothing says that it failed"):
-        evaluate(good.select([0]), things, policy, spec=LiftTestSpec(attempts=2))
-    with pytest.raises(FungraspError, match="1 attempt or more, not 0"):
-        evaluate(good.select([0]), things, policy, spec=LiftTestSpec(attempts=0))
-
-
-def test_attempts_are_not_recorded(good, things, allegro, tmp_path):
-    with pytest.raises(FungraspError, match="record one attempt"):
-        evaluate(good.select([0]), things, Player(), spec=LiftTestSpec(attempts=2), record=tmp_path)
-
-
-def test_a_finished_part_of_other_attempts_is_not_taken(good, things, allegro, tmp_path):
-    name = "student"
-    store = PartStore(tmp_path / "parts")
-    options = {"planner": MotionPlanner(allegro, things), "store": store}
-    some = good.select([0])
-    one = evaluate(some, things, name, spec=LiftTestSpec(attempts=1, randomization=MOVED), **options)
-    two = evaluate(some, things, name, spec=LiftTestSpec(attempts=2, randomization=MOVED), **options)
-    assert one.attempts is None and two.attempts is not None
-    same = evaluate(some, things, name, spec=LiftTestSpec(attempts=2, randomization=MOVED), **options)
-    assert same.attempts is not None
-    np.testing.assert_array_equal(same.attempts.attempts, two.attempts.attempts)

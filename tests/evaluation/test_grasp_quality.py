@@ -32,9 +32,17 @@ def objects(human):
     return load_objects(human)
 
 
-@pytest.mark.parametrize(
-    ("name", "method"), [("allegro", "contact"), ("inspire", "contact"), ("inspire", "angle-copy")]
-)
+@pytest.fixture(scope="module")
+def hand():
+    return load_hand("allegro")
+
+
+@pytest.fixture(scope="module")
+def robot(human, objects, hand):
+    return retarget(human, objects, hand)
+
+
+@pytest.mark.parametrize(("name", "method"), [("allegro", "contact"), ("inspire", "angle-copy")])
 def test_numbers_are_those_of_dense_points_on_the_exported_model(name, method, human, objects):
     hand = load_hand(name)
     robot = retarget(human, objects, hand, method)
@@ -59,10 +67,8 @@ def test_numbers_are_those_of_dense_points_on_the_exported_model(name, method, h
         assert quality.table_penetration_mm[row] == pytest.approx(-1e3 * min(lowest, 0), abs=0.15)
 
 
-def test_contact_error_and_directions_of_fingers_by_hand(human, objects):
+def test_contact_error_and_directions_of_fingers_by_hand(human, objects, hand, robot):
     """For a hand whose links stand for human links one by one."""
-    hand = load_hand("allegro")
-    robot = retarget(human, objects, hand)
     quality = static_quality(robot, human, objects, hand)
     fingers = {"index": 0, "middle": 1, "ring": 2, "thumb": 4}
     for row, grasp in enumerate(robot):
@@ -84,9 +90,7 @@ def test_contact_error_and_directions_of_fingers_by_hand(human, objects):
         assert quality.link_direction_error_deg[row] == pytest.approx(np.mean(angles), abs=0.01)
 
 
-def test_moving_the_whole_scene_changes_nothing(human, objects):
-    hand = load_hand("allegro")
-    robot = retarget(human, objects, hand)
+def test_moving_the_whole_scene_changes_nothing(human, objects, hand, robot):
     move = np.array([0.1, -0.2, 0.3, np.cos(0.4), 0.0, np.sin(0.4), 0.0])
     moved_robot = dataclasses.replace(
         robot, object_pose=compose(move, robot.object_pose), wrist_pose=compose(move, robot.wrist_pose)
@@ -104,9 +108,7 @@ def test_moving_the_whole_scene_changes_nothing(human, objects):
         np.testing.assert_allclose(getattr(one, field.name), getattr(other, field.name), atol=1e-5)
 
 
-def test_limits_and_the_hand_itself(human, objects):
-    hand = load_hand("allegro")
-    robot = retarget(human, objects, hand)
+def test_limits_and_the_hand_itself(human, objects, hand, robot):
     positions = robot.joint_positions.copy()
     positions[0, 1] = hand.joint_limits[1, 1] + 0.25
     positions[1] = np.where(np.isfinite(hand.joint_limits[:, 1]), hand.joint_limits[:, 1], 0.0)
@@ -116,9 +118,7 @@ def test_limits_and_the_hand_itself(human, objects):
     assert quality.self_penetration_mm[1] > 1.0
 
 
-def test_a_summary_leaves_out_what_was_not_measured(human, objects):
-    hand = load_hand("allegro")
-    robot = retarget(human, objects, hand)
+def test_a_summary_leaves_out_what_was_not_measured(human, objects, hand, robot):
     untouched = dataclasses.replace(human, link_contacts=np.zeros_like(human.link_contacts))
     quality = static_quality(robot, untouched, objects, hand)
     assert np.isnan(quality.contact_error_mm).all()
@@ -127,9 +127,7 @@ def test_a_summary_leaves_out_what_was_not_measured(human, objects):
     assert summary["object_penetration_mm"]["max"] >= summary["object_penetration_mm"]["p95"] >= 0
 
 
-def test_sets_that_do_not_belong_together(human, objects):
-    hand = load_hand("allegro")
-    robot = retarget(human, objects, hand)
+def test_sets_that_do_not_belong_together(human, objects, hand, robot):
     with pytest.raises(FungraspError, match="same order"):
         static_quality(robot.select([1, 0, 2, 3]).select([3, 2, 1, 0]), human, objects, hand)
     with pytest.raises(FungraspError, match="other joints"):

@@ -12,7 +12,7 @@ from residual_policies import policy_file, predictor_file
 from fungrasp.core import jobs
 from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
-from fungrasp.evaluation.lift_test_job import LiftTest
+from fungrasp.evaluation.lift_episodes import LiftTest
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol
@@ -113,6 +113,16 @@ def test_another_network_in_the_same_file_is_tried_anew(tried, runs, tmp_path):
     assert runs == [0]
     policy_file(tmp_path, np.full(22, 0.1))
     tried(path)
+    assert runs == [0, 0]
+
+
+def test_another_number_of_attempts_is_tried_anew(tried, runs, tmp_path):
+    path = str(policy_file(tmp_path))
+    tried(path)
+    assert tried(path).attempts is None
+    # What is made up here knows nothing of attempts.
+    with pytest.raises(KeyError, match="attempts"):
+        tried(path, attempts=2)
     assert runs == [0, 0]
 
 

@@ -9,7 +9,7 @@ from fungrasp.cli.main import run_command
 
 MODULES = {
     "choose": "commands",
-    "engines": "commands",
+    "engines": "audit",
     "fault_series": "series",
     "faults": "devices",
     "grasp_set": "commands",

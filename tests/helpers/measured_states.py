@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.geometry.poses import compose
 from fungrasp.hands import Hand
 from fungrasp.task.features import MeasuredState, PlanTarget
-from fungrasp.task.observation import Privileged
+from fungrasp.task.policy import Privileged
 
 
 def poses(rng: np.random.Generator, count: int) -> np.ndarray:

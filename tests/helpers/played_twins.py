@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.twins import twin_episode
+from benchmarks.twins import twin_episode, twin_series
+from fungrasp.deployment.identified_dynamics import HandDynamics
 
 
 def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -22,6 +23,11 @@ def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def reach(cell, hand, thing, grasp, seed=0):
         yield from (np.array([x, 0, 0, 1, 0, 0, 0]) for x in (0.1, 0.2))
 
+    def identified(setup, aside):
+        ones = np.ones(len(setup.hand.joint_names))
+        return lambda truth: HandDynamics(ones, ones, ones)
+
+    monkeypatch.setattr(twin_series, "_identified", identified)
     monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
     monkeypatch.setattr(twin_episode, "reachable_placements", reach)
     return names

@@ -8,17 +8,17 @@ from typing import Any
 
 import pytest
 
-from fungrasp.evaluation import LiftTestResult, evaluate, lift_test_job
+from fungrasp.evaluation import LiftTestResult, evaluate, lift_evaluation
 
 
 @contextmanager
 def parts_of(episodes: int, together: int | None = None) -> Iterator[None]:
     """Parts of so many episodes at most, so many of which are simulated together."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lift_test_job, "EPISODES", (episodes, episodes))
-        patch.setattr(lift_test_job, "SEARCHED_EPISODES", (episodes, episodes))
-        patch.setattr(lift_test_job, "LOSS", 1)
-        patch.setattr(lift_test_job, "TOGETHER", together or episodes)
+        patch.setattr(lift_evaluation, "EPISODES", (episodes, episodes))
+        patch.setattr(lift_evaluation, "SEARCHED_EPISODES", (episodes, episodes))
+        patch.setattr(lift_evaluation, "LOSS", 1)
+        patch.setattr(lift_evaluation, "BATCH", together or episodes)
         yield
 
 

@@ -6,15 +6,15 @@ from flat_hand import FLAT_HAND
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.media import (
-    Renderer,
+from fungrasp.media import Renderer, look_at_grasp
+from fungrasp.media.grasp_scenes import (
+    CONTACT,
+    OBJECT_BODY,
     human_grasp_scene,
-    look_at_grasp,
     robot_grasp_scene,
     robot_scene_colors,
     robot_scene_states,
 )
-from fungrasp.media.grasp_scenes import CONTACT, OBJECT_BODY
 from fungrasp.media.pictures import captioned, four_views, grid
 from fungrasp.objects import ObjectModel
 

@@ -7,9 +7,8 @@ import pytest
 from planned_grasps import belief, grasps_and_objects, hand, plan, start
 
 from fungrasp.geometry.poses import compose, inverse_transform_points, quaternion_from_rotation_vector
-from fungrasp.planning.next_attempt import next_belief, within_reach
-from fungrasp.planning.withdrawal import WAY_ROUND, Waypoints, way_off, way_round
-from fungrasp.policies.open_loop import WaypointPolicy
+from fungrasp.planning.attempts import next_belief, within_reach
+from fungrasp.planning.withdrawal import WAY_ROUND, WaypointPolicy, Waypoints, way_off, way_round
 from fungrasp.task import LiftEnvironment, LiftProtocol, Observation
 
 

@@ -11,7 +11,8 @@ import pytest
 from planned_grasps import grasps_and_objects, hand, plan, start
 
 import fungrasp
-from fungrasp.policies import OpenLoopPolicy, default_policy, make_planner, make_policy
+from fungrasp.planning import make_planner
+from fungrasp.policies import OpenLoopPolicy, default_policy, make_policy
 from fungrasp.sim2real import WIDE, draw_each
 from fungrasp.task import Action, GraspPlan, Observation, play
 

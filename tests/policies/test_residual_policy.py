@@ -10,7 +10,8 @@ from planned_grasps import grasps_and_objects, hand, plan, start, tracker
 from residual_policies import ACTION, SETTINGS, SIZE, policy_file
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.policies import OpenLoopPolicy, StudentPolicy, TeacherPolicy, make_planner, make_policy
+from fungrasp.planning import make_planner
+from fungrasp.policies import OpenLoopPolicy, StudentPolicy, TeacherPolicy, make_policy
 from fungrasp.policies.checkpoint.card import ActionPart
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_policy import ACTION_PARTS, residual_settings

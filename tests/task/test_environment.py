@@ -408,15 +408,6 @@ def test_good_grasps_lift_and_hold():
     assert fastest < 1.2 * environment.protocol.wrist_speed
 
 
-def test_the_number_of_threads_changes_nothing():
-    results = []
-    for threads in (1, 3):
-        environment, believed = good_start(threads)
-        results.append(play(environment, OpenLoopPolicy(), good_plan(believed)))
-    for name, value in results[0].arrays().items():
-        np.testing.assert_array_equal(value, results[1].arrays()[name], err_msg=name)
-
-
 def test_an_open_hand_lifts_nothing():
     """The same way, but fingers that do not close."""
     environment, believed = good_start()

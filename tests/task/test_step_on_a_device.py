@@ -4,11 +4,12 @@ device for a number. Torch's *meta* device has shapes and no numbers: what asks 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from measured_states import measured_state, plan_target, privileged
 from tensor_engine import TensorEngine, meta
 
 from fungrasp.geometry import SignedDistanceBank
@@ -22,10 +23,9 @@ from fungrasp.simulation import MujocoCpuEngine, build_scene
 from fungrasp.simulation.mujoco_engine import controls_of
 from fungrasp.task import Action, LiftProtocol, LiftTask
 from fungrasp.task.actuation import Actuation
-from fungrasp.task.features import MeasuredState, PlanTarget, contact_features, value_features
-from fungrasp.task.observation import Privileged
-from fungrasp.task.setpoints import SetpointGenerator
-from fungrasp.task.wrist_limits import WristSetpoint
+from fungrasp.task.features import contact_features, value_features
+from fungrasp.task.policy import Privileged
+from fungrasp.task.setpoints import SetpointGenerator, WristSetpoint
 from fungrasp.training.rewards import LiftReward
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
@@ -45,56 +45,8 @@ def joints() -> np.ndarray:
     return RNG.uniform(0.0, 1.0, (WORLDS, SERVOS))
 
 
-def measured() -> dict[str, np.ndarray]:
-    points = RNG.normal(size=(WORLDS, KEYPOINTS, 3))
-    return {
-        "joints": joints(),
-        "joint_setpoints": joints(),
-        "palm_pose": poses(WORLDS),
-        "palm_setpoint": poses(WORLDS),
-        "object_pose": poses(WORLDS),
-        "keypoints": points,
-        "surface_distance": points[..., 0],
-        "surface_normal": points,
-    }
-
-
-def target() -> dict[str, np.ndarray]:
-    points = RNG.normal(size=(WORLDS, KEYPOINTS, 3))
-    return {
-        "palm_goal": poses(WORLDS),
-        "servo_targets": joints(),
-        "palm_in_object": poses(WORLDS),
-        "keypoints": points,
-        "surface_distance": points[..., 0],
-        "surface_normal": points,
-        "contacts": RNG.random((WORLDS, LINKS)) > 0.5,
-        "settled_pose": poses(WORLDS),
-        "mass": RNG.uniform(0.1, 1.0, WORLDS),
-        "center": points[:, 0],
-        "size": points[:, 1] ** 2,
-        "since_closing": RNG.normal(size=WORLDS),
-        "since_lift": RNG.normal(size=WORLDS),
-    }
-
-
-def privileged() -> dict[str, np.ndarray]:
-    forces = RNG.random((WORLDS, LINKS))
-    one = forces[:, 0]
-    return {
-        "contacts": forces > 0.5,
-        "forces": forces,
-        "object_velocity": RNG.normal(size=(WORLDS, 6)),
-        "table_forces": forces,
-        "self_force": one,
-        "object_on_table": one > 0.5,
-        "object_mass": one + 0.1,
-        "friction": one + 0.5,
-        "lifted_height": one,
-    }
-
-
-NOW, BEFORE, TARGET, PRIVILEGED = measured(), measured(), target(), privileged()
+NOW, BEFORE = (measured_state(RNG, HAND, WORLDS) for _ in range(2))
+TARGET, PRIVILEGED = plan_target(RNG, HAND, WORLDS), privileged(RNG, HAND, WORLDS)
 ACTION, LAST = RNG.normal(size=(2, WORLDS, 6 + SERVOS))
 PALM, GOAL, OFFSET = poses(WORLDS), poses(WORLDS), 0.01 * RNG.normal(size=(WORLDS, 6))
 FINGERS, DELAY = joints(), np.array([0.0, 0.02, 0.05, 0.1, 0.0])
@@ -109,13 +61,16 @@ def tensor(values: np.ndarray) -> Any:
     return torch.as_tensor(np.array(values))
 
 
+def converted(record: Any, c: Convert) -> Any:
+    return replace(record, **{f.name: c(getattr(record, f.name)) for f in fields(record)})
+
+
 def state_of(c: Convert) -> TrackingState:
-    now, before = (MeasuredState(**{k: c(v) for k, v in s.items()}) for s in (NOW, BEFORE))
-    return TrackingState(now, before, PlanTarget(**{k: c(v) for k, v in TARGET.items()}), c(ACTION))
+    return TrackingState(converted(NOW, c), converted(BEFORE, c), converted(TARGET, c), c(ACTION))
 
 
 def privileged_of(c: Convert) -> Privileged:
-    return Privileged(**{k: c(v) for k, v in PRIVILEGED.items()})
+    return converted(PRIVILEGED, c)
 
 
 def wrist(c: Convert, acceleration: float | None) -> Any:
@@ -151,7 +106,7 @@ STEP: dict[str, Callable[[Convert], Any]] = {
     "servos": servos,
     "robot features": lambda c: list(state_of(c).robot_features().values()),
     "contact features": lambda c: list(
-        contact_features(privileged_of(c).contacts, privileged_of(c).forces, c(TARGET["contacts"])).values()
+        contact_features(privileged_of(c).contacts, privileged_of(c).forces, c(TARGET.contacts)).values()
     ),
     "value features": lambda c: list(value_features(privileged_of(c), c(PALM)).values()),
     "reward": lambda c: list(
@@ -161,7 +116,7 @@ STEP: dict[str, Callable[[Convert], Any]] = {
     "residual action": lambda c: list(add_residual(c(PALM), c(FINGERS), c(ACTION), ResidualSettings())),
     "sensor errors": lambda c: offset_pose(c(PALM), c(OFFSET), c(PALM[:, :3])),
     "plan's origin": lambda c: moved_towards(c(PALM), c(GOAL), c(np.full((WORLDS, 1), 0.2))),
-    "directions of links": lambda c: link_directions_of(HAND, c(NOW["keypoints"])),
+    "directions of links": lambda c: link_directions_of(HAND, c(NOW.keypoints)),
     "joints": lambda c: [HAND.all_joints(c(FINGERS)), HAND.independent(HAND.all_joints(c(FINGERS)))],
     "key points": lambda c: ArrayKinematics(HAND, POINTS_ON_BODIES).points(c(FINGERS)),
     "distances": lambda c: list(BANK.query(c(HELD), c(POINTS))),

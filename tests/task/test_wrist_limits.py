@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fungrasp.task import LiftProtocol
-from fungrasp.task.wrist_limits import WristSetpoint
+from fungrasp.task.setpoints import WristSetpoint
 
 DT = 0.02
 

@@ -12,11 +12,11 @@ from small_training import BATCH, PPO, WORLDS, distilled, hand, run_spec, traine
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
 from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.distill import STUDENT

@@ -13,12 +13,13 @@ from small_training import hand, training_set
 import fungrasp.training.success_predictor as success_predictor
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import PartStore
+from fungrasp.planning import make_planner
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import make_planner, make_policy
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
+from fungrasp.policies import make_policy
 from fungrasp.policies.checkpoint.card import Budget
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import build_scene
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.training.export import halved, make_card
@@ -73,7 +74,7 @@ def test_interrupted_episodes_go_on(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         try_plans(*arguments, SPEC, progress=stop, store=store)
     (file,) = tmp_path.iterdir()
-    assert file.stem == PlanTrials(*arguments, SMALL, seed=0).key(range(4)) and len(tried()[0].success) == 6
+    assert file.stem == PlanTrials(*arguments, SPEC).key(range(4)) and len(tried()[0].success) == 6
     attempt, again = success_predictor._try, []
     monkeypatch.setattr(success_predictor, "_try", lambda *a: again.append(len(a[0])) or attempt(*a))
     outcomes, names = try_plans(*arguments, SPEC, store=store)

@@ -168,8 +168,6 @@ def test_checkpoints_of_other_hands_are_refused(tmp_path):
         check_environment(tmp_path, state | {"hand": load_hand("leap").name}, worlds)
     with pytest.raises(FungraspError, match="other observations"):
         check_environment(tmp_path, state | {"layout": "[]"}, worlds)
-    with pytest.raises(FungraspError, match=r"the observation layout 'paper', not 'full'$"):
-        check_environment(tmp_path, environment_state(environment(layout="paper")), worlds)
     with pytest.raises(FungraspError, match=r"the observation layout 'tiny', not 'full'$"):
         check_environment(tmp_path, state | {"layout_name": "tiny"}, worlds)
 

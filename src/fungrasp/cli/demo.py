@@ -42,7 +42,7 @@ class Demo(Answering):
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few, and
     the one in the built-in image."""
     count: int = 3
-    """How many to show if none are picked."""
+    """How many to show if none are picked, the one in the image among them."""
     from_image: Folder = None
     """Show only the grasp in an image with depth of a person holding an object: the built-in one, or that of
     a folder with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --pick and
@@ -71,8 +71,10 @@ class Demo(Answering):
         hand = load_hand(self.hand)
         policy = self.policy or default_policy(hand.name)
         policy_files(policy, hand.name)
-        picked = None if self.from_image is not None else self._picked()
-        folder = self.from_image or (self._usual_image() if picked is not None else None)
+        folder = self.from_image or self._usual_image()
+        picked = None
+        if self.from_image is None:
+            picked = self._picked(self.count if folder is None else max(self.count - 1, 1))
         seen = None
         if folder is not None:
             seen = self._seen(folder, None if picked is None else lambda: _compile(picked, self.hand))
@@ -101,13 +103,13 @@ class Demo(Answering):
         value = {"film": made.film, "page": made.page, "grasps": grasps}
         return Answer(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
 
-    def _picked(self) -> Shown:
+    def _picked(self, count: int) -> Shown:
         from fungrasp.grasps import load_human_grasps, load_objects
         from fungrasp.grasps.grasp_selection import picked_rows
         from fungrasp.media.demonstration import Shown
 
         everything = load_human_grasps(self.grasps)
-        rows = picked_rows(everything, self.pick, self.count, FAVORITES)
+        rows = picked_rows(everything, self.pick, count, FAVORITES)
         human = everything.select(rows)
         source = {"Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}"}
         return Shown(human, load_objects(human, self.objects), source)

@@ -39,7 +39,7 @@ class Export(Answering):
     """Of drawing them; 0 means all processors."""
 
     def run(self) -> Answer:
-        from fungrasp.evaluation.episode_export import write_mcap_episodes
+        from fungrasp.media.mcap_episodes import write_mcap_episodes
 
         if self.format == "mcap":
             written = write_mcap_episodes(self._episodes(), self.out)

@@ -46,8 +46,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "demo --refine": "plans are chosen in simulated rollouts, and --policy reference plays a grasp as it is",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
     "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
     "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
     "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",

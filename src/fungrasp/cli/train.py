@@ -18,7 +18,7 @@ import tyro
 from fungrasp.cli.console import Answer, Answering, progress_bar
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
-from fungrasp.task.observation_layouts import LayoutName
+from fungrasp.task.features import LayoutName
 from fungrasp.training.settings import PredictorSpec, StudentSpec, TrainSpec
 
 LINE_PERIOD = 10.0

@@ -17,7 +17,7 @@ from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ScriptedMotion
 from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.planning.next_attempt import make_attempts
+from fungrasp.planning.attempts import make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotCommand, RobotError, RobotState, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.safety import check_action, check_pose

@@ -15,9 +15,10 @@ from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, check_objects
-from fungrasp.planning import Planner
+from fungrasp.planning import Planner, make_planner
+from fungrasp.planning.attempts import check_attempts
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import OpenLoopPolicy, check_attempts, make_planner, make_policy
+from fungrasp.policies import OpenLoopPolicy, make_policy
 from fungrasp.robots.assembly import is_twin
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
 from fungrasp.task import Policy

@@ -24,7 +24,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
-from fungrasp.planning.next_attempt import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
+from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
 from fungrasp.policies.slip_response import HIGHEST
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel

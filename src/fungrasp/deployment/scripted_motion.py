@@ -10,8 +10,7 @@ from fungrasp.deployment.deployment_result import DeadlineMonitor
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.geometry.poses import compose
-from fungrasp.planning.withdrawal import way_off
-from fungrasp.policies.open_loop import WaypointPolicy
+from fungrasp.planning.withdrawal import WaypointPolicy, way_off
 from fungrasp.robots.device import SafetyStop, StopKind
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot

@@ -1,12 +1,11 @@
 """Protocols, metrics over many episodes, the paper's tables."""
 
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.evaluation.lift_evaluation import LiftTestResult, evaluate
+from fungrasp.evaluation.lift_evaluation import evaluate
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.result_files import ResultFile, read_result, write_result
-from fungrasp.evaluation.results import result_json
-from fungrasp.evaluation.trajectory import Trajectory, replay
-from fungrasp.evaluation.use_recording import UseRecorder
+from fungrasp.evaluation.results import LiftTestResult, result_json
+from fungrasp.evaluation.trajectory import Trajectory, UseRecorder, replay
 
 __all__ = [
     "LiftTestResult",

@@ -1,131 +1,46 @@
-"""The lift test on any number of grasps: reach, grasp, lift, hold (docs/evaluate.md)."""
+"""The verb ``evaluate``: the lift test on any number of grasps (docs/evaluate.md), as a job whose parts are
+episodes, which do not depend on each other."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from importlib import import_module
-from importlib.util import find_spec
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.jobs import Arrays, PartStore, RayCluster, run_job
-from fungrasp.evaluation.attempts import AttemptRecord
+from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.evaluation.contact_estimate import ContactEstimates
-from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
-from fungrasp.evaluation.lift_test_job import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
+from fungrasp.evaluation.grasp_quality import static_quality
+from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
+from fungrasp.evaluation.results import LiftTestResult
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner
-from fungrasp.sim2real import ProtocolName, Randomization
+from fungrasp.planning.attempts import AttemptRecord
+from fungrasp.sim2real import ProtocolName
 from fungrasp.task import Outcomes, Policy, PrivilegedPolicy
 from fungrasp.task.use import UseOutcomes
 
+EPISODES = (8, 32)
+"""Fewest and most episodes of a part: 5 s of work at most, beside which what a part costs is little, and many
+enough parts for many processors."""
 
-@dataclass(frozen=True, eq=False, repr=False)
-class LiftTestResult:
-    """Outcome of N episodes under one condition; of several conditions the first, and all in
-    ``conditions``."""
+SEARCHED_EPISODES = (2, 32)
+"""The same where plans are searched for."""
 
-    hand: str
-    """Name of the hand."""
-    spec: LiftTestSpec
-    """What was asked."""
-    randomization: Randomization
-    """How the worlds differed from the nominal ones that were planned for."""
-    index: np.ndarray
-    """Row of each episode's grasp in the set, shape [N]."""
-    seed: np.ndarray
-    """Seed of each episode, shape [N]."""
-    object_name: np.ndarray
-    """Name of each object, shape [N] str."""
-    task: np.ndarray
-    """What each grasp is for, shape [N] str."""
-    outcomes: Outcomes
-    """Outcomes of the N episodes."""
-    rollouts: np.ndarray
-    """Episodes that were simulated to plan each grasp, shape [N] int."""
-    contact_estimates: ContactEstimates
-    """How well the policy knew what it touched, N rows."""
-    use: UseOutcomes | None = None
-    """Outcomes of the use tests that followed; None if there were none."""
-    attempts: AttemptRecord | None = None
-    """What became of the attempts; None if there was one only."""
-    quality: StaticQuality | None = None
-    """Of the grasps, if it was asked for and the human grasps are known."""
-    conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
-    """By name, this one included; empty where there is only one."""
-    grasps: RobotGraspSet | None = None
-    """The grasps that were tried; not written to files."""
-    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Theirs, by name; not written to files."""
-    seconds: float = 0.0
-    """Time that it took, that of an earlier run that was interrupted left out [s]."""
+BATCH = 128
+"""Most episodes that one process simulates together, whose threads have more to share in this way: what it
+may lose where it is interrupted. It bounds the memory."""
 
-    @property
-    def policy(self) -> str:
-        """Name or file of the policy."""
-        return self.spec.policy
-
-    @property
-    def success(self) -> np.ndarray:
-        """Whether the object was lifted and held, shape [N] bool."""
-        return self.outcomes.success
-
-    @property
-    def episodes(self) -> int:
-        """Number of episodes of all conditions."""
-        return sum(len(each.index) for each in self.conditions.values()) or len(self.index)
-
-    def table(self) -> str:
-        """Rates of success by object, or by condition, and why episodes failed, as text."""
-        from fungrasp.evaluation.result_tables import result_table
-
-        return result_table(self)
-
-    def json(self) -> dict[str, Any]:
-        """All numbers, what was asked, and what ran where; nothing in it is NaN or infinite."""
-        from fungrasp.evaluation.results import result_json, result_record
-
-        return result_record(result_json(self), self.seconds)
-
-    def save(self, path: str | Path, compact: bool = False) -> None:
-        """Write all numbers; ``fungrasp.evaluation.read_result`` reads them.
-
-        Args:
-            path: of a JSON file.
-            compact: the episodes go to a CSV file beside it, with one row each.
-
-        Raises:
-            FungraspError: a file can't be written.
-        """
-        from fungrasp.evaluation.result_files import save_result
-
-        save_result(path, self.json(), compact)
-
-    def frame(self) -> Any:
-        """One row for each episode, as a data frame of pandas, or of Polars where pandas is not installed.
-
-        Raises:
-            FungraspError: neither is installed.
-        """
-        rows = self.json()["trials"]
-        for name in ("pandas", "polars"):
-            if find_spec(name) is not None:
-                return import_module(name).DataFrame(rows)
-        raise FungraspError("a frame needs pandas or Polars: pip install pandas")
-
-    def __repr__(self) -> str:
-        held = int(np.sum(self.success))
-        return (
-            f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
-        )
+LOSS = 8
+"""Parts of the work of which an interrupted run loses one at most, where the numbers above allow it."""
 
 
 def evaluate(
@@ -181,7 +96,7 @@ def evaluate(
         spec = replace(spec, protocol=protocol)
     check_objects(robot.object_name.tolist(), objects)
     record = None if record is None else Path(record)
-    job = LiftTest(robot, objects, hand or robot.load_hand(), spec, human, own, planner, record, threads)
+    job = LiftTestJob(robot, objects, hand or robot.load_hand(), spec, human, own, planner, record, threads)
     if (store is not None or ray is not None) and not job.is_named():
         raise FungraspError(
             "parts are kept, and sent to a cluster, only for a policy that is given by name and a planner "
@@ -202,7 +117,86 @@ def evaluate(
     return replace(result, conditions=conditions, grasps=robot, objects=objects, seconds=seconds)
 
 
-def _result(job: LiftTest, condition: str, parts: list[tuple[Episodes, Arrays]]) -> LiftTestResult:
+@dataclass(frozen=True, eq=False)
+class LiftTestJob(LiftTest, Job[Episodes]):
+    """The episodes of a lift test, in parts."""
+
+    def is_named(self) -> bool:
+        """Whether policy and planner have names, so that what they do can be kept and done elsewhere."""
+        return self.given_policy is None and (
+            self.given_planner is None or hasattr(self.given_planner, "key")
+        )
+
+    def parts(self) -> list[Episodes]:
+        """All episodes, conditions one after the other; where nothing is random, of the first seed only."""
+        size, count, spec = self._part_size, len(self.grasps), self.spec
+        return [
+            Episodes(name, seed, np.arange(first, min(first + size, count)))
+            for name, randomization in spec.conditions.items()
+            for seed in (spec.seeds if self.is_random(randomization) else spec.seeds[:1])
+            for first in range(0, count, size)
+        ]
+
+    def key(self, part: Episodes) -> str:
+        """Digest of all that the outcomes depend on."""
+        grasps, spec, use = self.grasps.select(part.rows), self.spec, self.use_test
+        return part_key(
+            "lift test",
+            self.hand,
+            grasps,
+            {name: self.objects[name] for name in np.unique(grasps.object_name).tolist()},
+            (spec.policy, self.policy_digests),
+            getattr(self.planner, "key", ""),
+            (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
+            (part.rows, part.seed),
+            [str(file.absolute()) for file in self.files(part)],
+            "" if use is None else use.key(part.rows),
+        )
+
+    def size(self, part: Episodes) -> float:
+        """Number of episodes."""
+        return len(part.rows)
+
+    def together(self, missing: list[Episodes]) -> list[list[Episodes]]:
+        """Parts of one condition and seed."""
+        size = self._part_size
+        most = min(max(math.ceil(len(self.grasps) / LOSS), size), BATCH)
+        groups: list[list[Episodes]] = []
+        episodes = 0
+        for part in missing:
+            episodes += len(part.rows)
+            last = groups[-1][0] if groups else None
+            same = last is not None and (last.condition, last.seed) == (part.condition, part.seed)
+            if not same or episodes > most or self.searches:
+                groups.append([])
+                episodes = len(part.rows)
+            groups[-1].append(part)
+        return groups
+
+    def is_whole(self, part: Episodes) -> bool:
+        """Whether the recorded episodes are there."""
+        return all(file.is_file() for file in self.files(part))
+
+    def on_one_processor(self) -> Self:
+        """With one thread."""
+        return replace(self, threads=1)
+
+    def run(self, parts: Sequence[Episodes], progress: Callable[[float], None]) -> list[Arrays]:
+        """Plan and play; what ``simulate`` returns of each part."""
+        first = parts[0]
+        rows = np.concatenate([part.rows for part in parts])
+        found = self.simulate(Episodes(first.condition, first.seed, rows), progress)
+        ends = np.cumsum([len(part.rows) for part in parts])[:-1]
+        split = {name: np.split(values, ends) for name, values in found.items()}
+        return [{name: values[i] for name, values in split.items()} for i in range(len(parts))]
+
+    @property
+    def _part_size(self) -> int:
+        fewest, most = SEARCHED_EPISODES if self.searches else EPISODES
+        return min(max(math.ceil(len(self.grasps) / LOSS), fewest), most)
+
+
+def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays]]) -> LiftTestResult:
     """Of one condition."""
     merged = {name: np.concatenate([arrays[name] for _, arrays in parts]) for name in parts[0][1]}
     index = np.concatenate([part.rows for part, _ in parts])

@@ -5,15 +5,65 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import radians
 from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.records import record_from_json
+from fungrasp.planning.attempts import check_attempts
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import check_attempts
-from fungrasp.sim2real import NOMINAL, ProtocolName, Randomization, protocol_conditions
+from fungrasp.sim2real import (
+    NOMINAL,
+    THREE_PUSHES,
+    MeasurementError,
+    ProtocolName,
+    Randomization,
+    protocol_conditions,
+)
 from fungrasp.simulation import SceneSettings
 from fungrasp.task import LiftProtocol
+
+
+@dataclass(frozen=True)
+class WorldDifferences:
+    """How worlds differ from what planner and policy believe, each thing by as much in every episode."""
+
+    mass_scale: float = 1.0
+    """The object weighs this many times its nominal mass, which the policy assumes."""
+    friction: float | None = None
+    """Sliding friction of hand, object and table; 0.9 by default."""
+    pose_noise: tuple[float, float] = (0.0, 0.0)
+    """Difference of the object's true pose from the estimated one: shift [m] and turn [degrees]."""
+    table_height: float = 0.0
+    """Height of the table top above the nominal one, which the policy assumes [m]."""
+    latency: float = 0.0
+    """Actions take effect this late [s], up to 0.1."""
+    push: tuple[float, float] = (0.0, 0.2)
+    """During the hold, three pushes in random directions: force [times the object's weight], duration [s]."""
+    object_shift: float = 0.0
+    """The object is moved this far on the table [m] after the policy has planned."""
+
+    @property
+    def randomization(self) -> Randomization:
+        """The same as worlds are drawn from it.
+
+        Raises:
+            FungraspError: a number that can't be.
+        """
+        distance, angle = self.pose_noise
+        weights, duration = self.push
+        return Randomization(
+            mass=(self.mass_scale, self.mass_scale),
+            friction=None if self.friction is None else (self.friction, self.friction),
+            object_position_error=MeasurementError(offset=distance),
+            object_rotation_error=MeasurementError(offset=radians(angle)),
+            table_height=(self.table_height, self.table_height),
+            action_delay=(self.latency, self.latency),
+            push_times=THREE_PUSHES if weights else (),
+            push_weights=(weights, weights),
+            push_duration=duration,
+            object_shift=(self.object_shift, self.object_shift),
+        )
 
 
 @dataclass(frozen=True)
@@ -21,12 +71,13 @@ class LiftTestSpec:
     """What is asked of a lift test. ``fungrasp.core.records`` makes it JSON and reads it back."""
 
     policy: str = "reference"
-    """Name or file of what moves the hand (``fungrasp.policies.policy_files``)."""
+    """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
+    student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
     protocol: ProtocolName = "nominal"
-    """How worlds differ from what planner and policy believe: not at all; in everything at once; or in one
-    thing at a time, which makes several conditions."""
+    """How worlds differ from what planner and policy believe: not at all; in everything at once, as a robot's
+    does, drawn anew for each episode; or in one thing at a time, which makes several conditions."""
     seeds: tuple[int, ...] = (0,)
-    """Of everything that is random: each grasp is tried once with each."""
+    """Of all that is random; with several, each grasp is tried with each."""
     randomization: Randomization = NOMINAL
     """How worlds differ, in the place of a protocol that is not nominal."""
     lift: LiftProtocol = field(default_factory=LiftProtocol)
@@ -34,18 +85,23 @@ class LiftTestSpec:
     physics: SceneSettings = field(default_factory=SceneSettings)
     """Settings of the engine."""
     adapt: bool = True
-    """Whether the planner fits grasps to the object as it has settled."""
+    """Fit the grasps to the object as it has settled: a little optimization by the planner, which also
+    repairs grasps that were retargeted badly."""
     rollouts: bool = True
-    """Whether policies that choose among candidate plans try them in simulated rollouts first."""
+    """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
+    worlds that differ from the nominal one, and search further where none holds: 12 to 201 episodes for each
+    grasp."""
     selection: SelectionSettings | None = None
     """How plans are chosen among candidates; what suits protocol, rollouts and use if None."""
     attempts: int = 1
-    """Most attempts of an episode: a policy that watches tries again, by another plan, where it is seen to
-    have failed. The published protocol is one."""
+    """Most attempts of an episode. A policy that watches (a student) sees that the object is not held, lets
+    go, withdraws, looks where the object lies, plans anew and tries again. The published protocol is one
+    attempt; with more, the result says how many objects the first one held."""
     use: bool = False
-    """Whether the use test of the grasp's task follows every lift test that is passed."""
+    """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
+    and say how many objects stay in the hand and how many fingers lie where the person's did."""
     static: bool = False
-    """Whether the static quality is measured too, where the human grasps are known."""
+    """Measure the static quality too, where the human grasps are known."""
 
     def __post_init__(self) -> None:
         """

@@ -1,22 +1,35 @@
-"""Results of the lift test as JSON-ready numbers (docs/evaluate.md)."""
+"""What a lift test gives: the record, its numbers as JSON and its tables (docs/evaluate.md)."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, field, fields
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fungrasp.core import __version__
+from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.text_files import finite
 from fungrasp.core.provenance import run_record
 from fungrasp.core.records import record_to_json
-from fungrasp.evaluation.lift_evaluation import LiftTestResult
+from fungrasp.core.text_table import table
+from fungrasp.evaluation.contact_estimate import ContactEstimates
+from fungrasp.evaluation.grasp_quality import StaticQuality
+from fungrasp.evaluation.lift_test_spec import LiftTestSpec
+from fungrasp.evaluation.result_files import save_result
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
-from fungrasp.evaluation.use_evaluation import use_json
-from fungrasp.sim2real import protocol_name
-from fungrasp.task import DIVERGED
+from fungrasp.evaluation.use_test import use_json
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.objects import ObjectModel
+from fungrasp.planning.attempts import AttemptRecord
+from fungrasp.sim2real import Randomization, protocol_name
+from fungrasp.task import DIVERGED, Outcomes
+from fungrasp.task.use import UseOutcomes
 
 LEGACY_PERIOD = 0.0289
 """Control period of earlier published code, per which it counts the displacement [s]."""
@@ -30,6 +43,107 @@ MEANS = (
     "pushed_m",
 )
 """Fields of ``Outcomes`` that are averaged."""
+HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiftTestResult:
+    """Outcome of N episodes under one condition; of several conditions the first, and all in
+    ``conditions``."""
+
+    hand: str
+    """Name of the hand."""
+    spec: LiftTestSpec
+    """What was asked."""
+    randomization: Randomization
+    """How the worlds differed from the nominal ones that were planned for."""
+    index: np.ndarray
+    """Row of each episode's grasp in the set, shape [N]."""
+    seed: np.ndarray
+    """Seed of each episode, shape [N]."""
+    object_name: np.ndarray
+    """Name of each object, shape [N] str."""
+    task: np.ndarray
+    """What each grasp is for, shape [N] str."""
+    outcomes: Outcomes
+    """Outcomes of the N episodes."""
+    rollouts: np.ndarray
+    """Episodes that were simulated to plan each grasp, shape [N] int."""
+    contact_estimates: ContactEstimates
+    """How well the policy knew what it touched, N rows."""
+    use: UseOutcomes | None = None
+    """Outcomes of the use tests that followed; None if there were none."""
+    attempts: AttemptRecord | None = None
+    """What became of the attempts; None if there was one only."""
+    quality: StaticQuality | None = None
+    """Of the grasps, if it was asked for and the human grasps are known."""
+    conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
+    """By name, this one included; empty where there is only one."""
+    grasps: RobotGraspSet | None = None
+    """The grasps that were tried; not written to files."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Theirs, by name; not written to files."""
+    seconds: float = 0.0
+    """Time that it took, that of an earlier run that was interrupted left out [s]."""
+
+    @property
+    def policy(self) -> str:
+        """Name or file of the policy."""
+        return self.spec.policy
+
+    @property
+    def success(self) -> np.ndarray:
+        """Whether the object was lifted and held, shape [N] bool."""
+        return self.outcomes.success
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes of all conditions."""
+        return sum(len(each.index) for each in self.conditions.values()) or len(self.index)
+
+    def table(self) -> str:
+        """Rates of success by object, or by condition, and why episodes failed, as text."""
+        parts = [robustness_table(self.conditions) if self.conditions else _object_table(self)]
+        if self.use is not None:
+            parts.append(_use_table(self.use, self.task))
+        if self.quality is not None:
+            parts.append(self.quality.table())
+        return "\n".join(parts)
+
+    def json(self) -> dict[str, Any]:
+        """All numbers, what was asked, and what ran where; nothing in it is NaN or infinite."""
+        numbers = result_json(self)
+        return run_record(numbers["seed"]) | numbers | {"seconds": self.seconds}
+
+    def save(self, path: str | Path, compact: bool = False) -> None:
+        """Write all numbers; ``fungrasp.evaluation.read_result`` reads them.
+
+        Args:
+            path: of a JSON file.
+            compact: the episodes go to a CSV file beside it, with one row each.
+
+        Raises:
+            FungraspError: a file can't be written.
+        """
+        save_result(path, self.json(), compact)
+
+    def frame(self) -> Any:
+        """One row for each episode, as a data frame of pandas, or of Polars where pandas is not installed.
+
+        Raises:
+            FungraspError: neither is installed.
+        """
+        rows = self.json()["trials"]
+        for name in ("pandas", "polars"):
+            if find_spec(name) is not None:
+                return import_module(name).DataFrame(rows)
+        raise FungraspError("a frame needs pandas or Polars: pip install pandas")
+
+    def __repr__(self) -> str:
+        held = int(np.sum(self.success))
+        return (
+            f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+        )
 
 
 def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str, Any]:
@@ -49,7 +163,7 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
         values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
     values["contact_estimate"] = result.contact_estimates.summary(which)
     if result.attempts is not None:
-        values["attempts"] = {"most": result.spec.attempts, **result.attempts.summary(which)}
+        values["attempts"] = {"most": result.spec.attempts, **attempts_json(result.attempts, which)}
     displacement = values["sim_distance_world_mm_s"] * LEGACY_PERIOD
     values["legacy"] = {
         "success_rate": float(np.mean(result.outcomes.legacy_success[which])),
@@ -108,11 +222,6 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     )
 
 
-def result_record(numbers: Mapping[str, Any], seconds: float) -> dict[str, Any]:
-    """Numbers of one result or of several, with command, versions, machine and date."""
-    return run_record(numbers.get("seed", 0)) | dict(numbers) | {"seconds": seconds}
-
-
 def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
     """Rates and means of a policy under each condition, and whether each episode succeeded.
 
@@ -139,3 +248,104 @@ def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
         )
         for name, result in results.items()
     }
+
+
+def attempts_json(attempts: AttemptRecord, which: np.ndarray) -> dict[str, Any]:
+    """Rates and counts of some episodes. which: shape [N] bool."""
+    count, first = int(which.sum()), int(attempts.first_success[which].sum())
+    again = which & (attempts.attempts > 1)
+    return {
+        "first_success_rate": first / count,
+        "first_success_interval": list(wilson_interval(first, count)),
+        "tried_again": int(again.sum()),
+        "held_given_up": int(attempts.held_given_up[which].sum()),
+        "misses_unnoticed": int(attempts.misses_unnoticed[which].sum()),
+        "no_plan": int(attempts.no_plan[which].sum()),
+    }
+
+
+def _object_table(result: LiftTestResult) -> str:
+    """Objects and their rates of success, and why episodes failed."""
+    numbers = result_json(result)
+    rows = [("object", *HEAD)]
+    rows += [_row(name, part) for name, part in numbers["by_object"].items()]
+    rows.append(_row("all", numbers))
+    rows.append(_row("mean over objects", numbers["mean_over_objects"]))
+    lines = contact_estimate_lines(numbers["contact_estimate"])
+    lines += attempt_lines(numbers.get("attempts"))
+    reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
+    lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
+    return "\n".join([table(rows), *lines])
+
+
+def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
+    """How well a student knew what it touched, a line, or none."""
+    if estimate is None:
+        return []
+    return [
+        f"estimated contacts: F1 {estimate['f1']:.2f} (precision {estimate['precision']:.2f}, "
+        f"recall {estimate['recall']:.2f}); forces off by {estimate['force_error_n']:.1f} N "
+        f"of {estimate['force_n']:.1f} N"
+    ]
+
+
+def attempt_lines(attempts: Mapping[str, Any] | None) -> list[str]:
+    """What further attempts were worth, two lines, or none."""
+    if attempts is None:
+        return []
+    low, high = attempts["first_success_interval"]
+    return [
+        f"first attempt: {attempts['first_success_rate']:.1%} ({low:.1%} – {high:.1%}); "
+        f"tried again: {attempts['tried_again']}, {attempts['most']} attempts at most",
+        f"judged wrongly: {attempts['held_given_up']} held objects given up, "
+        f"{attempts['misses_unnoticed']} failures not noticed; without another plan: {attempts['no_plan']}",
+    ]
+
+
+def _use_table(use: UseOutcomes, task: np.ndarray) -> str:
+    """Tasks and how many of their held grasps passed the use test, and why the others failed."""
+    numbers = use_json(use, task)
+    if not numbers["count"]:
+        return "no held grasp is for a task that has a use motion"
+    rows = [("task", "held", "used", "95 % interval", "functional contact", "shift [mm]", "turn [deg]")]
+    for name, part in (*numbers["by_task"].items(), ("all", numbers)):
+        low, high = part["success_interval"]
+        rows.append(
+            (
+                name,
+                str(part["count"]),
+                f"{part['success_rate']:.1%}",
+                f"{low:.1%} – {high:.1%}",
+                f"{part['functional_contact']:.2f}",
+                f"{part['shift_mm_median']:.1f}",
+                f"{part['turn_deg_median']:.1f}",
+            )
+        )
+    reasons = Counter(reason for reason in use.reason.tolist() if reason)
+    return "\n".join(
+        [table(rows), *(f"failed: {count:3d} {reason}" for reason, count in reasons.most_common())]
+    )
+
+
+def robustness_table(results: Mapping[str, LiftTestResult]) -> str:
+    """Conditions side by side, and the mean of their rates of success; the first is undisturbed."""
+    rates = [float(result.outcomes.success.mean()) for result in results.values()]
+    mean = f"mean over the {len(rates) - 1} disturbed conditions: {sum(rates[1:]) / (len(rates) - 1):.1%}"
+    return "\n".join([_side_by_side("condition", results), mean])
+
+
+def _side_by_side(first: str, results: Mapping[str, LiftTestResult]) -> str:
+    return table([(first, *HEAD), *(_row(name, summary(result)) for name, result in results.items())])
+
+
+def _row(name: str, part: Mapping[str, Any]) -> tuple[str, str, str, str, str, str, str]:
+    low, high = part.get("success_interval", (None, None))
+    return (
+        name,
+        str(part.get("count", "")),
+        f"{part['success_rate']:.1%}",
+        "" if low is None else f"{low:.1%} – {high:.1%}",
+        f"{part['contact_ratio']:.2f}",
+        f"{part['sim_distance_hand_mm_s']:.1f}",
+        f"{1e3 * part['pushed_m']:.0f}",
+    )

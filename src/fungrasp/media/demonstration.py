@@ -29,8 +29,6 @@ from fungrasp.media.page import GraspReport, Page, write_page
 from fungrasp.media.render import render
 from fungrasp.media.video import write_video
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import make_planner
 from fungrasp.retargeting import retarget
 
 FILM = FilmSettings(fps=10.0, speed=2.5, width=720, height=406)
@@ -120,7 +118,6 @@ def demonstrate(
         with stages(f"retargeting to {hand.name}", 1.0) as show:
             robot = retarget(human, objects, hand, threads=threads, progress=show)
         quality = static_quality(robot, human, objects, hand)
-        selection = SelectionSettings.for_protocol("nominal", for_use=True)
         with stages("lifting and using", 1.0) as show:
             result = evaluate(
                 robot,
@@ -128,7 +125,6 @@ def demonstrate(
                 policy,
                 spec=LiftTestSpec(use=True),
                 human=human,
-                planner=make_planner(policy, hand, objects, selection, threads=threads),
                 threads=threads,
                 record=folder,
                 progress=show,

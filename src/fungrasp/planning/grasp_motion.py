@@ -25,9 +25,8 @@ from fungrasp.planning.expected_loads import use_loads
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
 from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
-from fungrasp.task.setpoints import SETPOINT_PERIOD
+from fungrasp.task.setpoints import SETPOINT_PERIOD, WristSetpoint
 from fungrasp.task.use import UseMotion, load_use_motions, motion_of
-from fungrasp.task.wrist_limits import WristSetpoint
 
 TABLE_TOLERANCE = 0.005
 """The table is taken to be under an object at rest that is farther from the nominal table than this [m]."""

@@ -1,4 +1,5 @@
-"""Between two attempts: the way of the hand off the object, and round it to where the next one starts."""
+"""Between two attempts: the way of the hand off the object, and round it to where the next one starts; and a
+policy that takes hands along ways, on which nothing is grasped."""
 
 from __future__ import annotations
 
@@ -10,13 +11,15 @@ import numpy as np
 from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.poses import (
     compose,
+    quaternion_conjugate,
     quaternion_from_rotation_vector,
+    quaternion_multiply,
     relative,
     rotate,
     rotation_vector,
 )
 from fungrasp.objects import ObjectModel
-from fungrasp.task import GraspPlan, Observation
+from fungrasp.task import Action, GraspPlan, Observation
 
 OPENING_STEPS = 10
 """Control steps in which the hand opens: a second."""
@@ -27,6 +30,8 @@ PASSING = 0.05
 """Way points are passed by at this distance [m], so that the wrist need not stop."""
 ARRIVED = 0.002
 """The palm's setpoint has arrived at this distance [m]."""
+TURNED = 0.02
+"""At the last point the palm's setpoint is turned as it should be to this angle [rad]."""
 WAY_ROUND = 0.35
 """Least distance of the palm from the object's center on the way round it, for an object without extent [m]:
 a hand's length and 15 cm."""
@@ -135,3 +140,27 @@ def _turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     over /= np.maximum(np.linalg.norm(over, axis=1, keepdims=True), 1e-9)
     axis = np.where(size > 1e-6, axis / np.maximum(size, 1e-9), over)
     return angle[:, None] * axis
+
+
+class WaypointPolicy:
+    """Goes from point to point as the palm's setpoint comes near, and stays at the last."""
+
+    def __init__(self, ways: Waypoints):
+        """ways: of W hands."""
+        self._ways, self._at = ways, np.zeros(len(ways), dtype=int)
+        self.arrived = np.zeros(len(ways), dtype=bool)
+        """Whether the last point has been reached, shape [W] bool."""
+
+    def act(self, observation: Observation) -> Action:
+        """See ``Policy.act``."""
+        ways, rows = self._ways, np.arange(len(self._at))
+        last = ways.palm.shape[1] - 1
+        goal, setpoint = ways.palm[rows, self._at], observation.palm_setpoint
+        near = np.linalg.norm(goal[:, :3] - setpoint[:, :3], axis=1) < ways.near[rows, self._at]
+        apart = rotation_vector(quaternion_multiply(quaternion_conjugate(goal[:, 3:]), setpoint[:, 3:]))
+        turned = np.linalg.norm(apart, axis=1) < TURNED
+        self.arrived |= (self._at == last) & near & turned
+        self._at = np.minimum(self._at + near, last)
+        return Action(
+            ways.palm[rows, self._at], ways.fingers[rows, self._at], np.zeros(len(rows), dtype=bool)
+        )

@@ -1,4 +1,4 @@
-"""Policies by name, each with the planner whose plans it follows."""
+"""Policies by name; their planners are made by ``fungrasp.planning.make_planner``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from pathlib import Path
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionPlanner, MotionSettings, Planner
-from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
 from fungrasp.policies.open_loop import OpenLoopPolicy
-from fungrasp.policies.residual_policy import NetworkPredictor, check_card, residual_policy
-from fungrasp.task import LiftProtocol, Policy, PrivilegedPolicy
+from fungrasp.policies.residual_policy import residual_policy
+from fungrasp.task import Policy, PrivilegedPolicy
 
 REFERENCE = "reference"
 """Name of the policy that plays one planned motion open loop, without a network and without rollouts."""
@@ -106,57 +104,3 @@ def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Po
     """
     path = policy_files(name, hand.name).network
     return OpenLoopPolicy() if path is None else residual_policy(load_policy(path), hand, objects)
-
-
-def make_planner(
-    name: str,
-    hand: Hand,
-    objects: Mapping[str, ObjectModel],
-    settings: SelectionSettings | None = None,
-    protocol: LiftProtocol | None = None,
-    threads: int = 0,
-    motions: MotionSettings | None = None,
-) -> Planner:
-    """The planner whose plans a policy follows.
-
-    Args:
-        name: of the policy, as for ``policy_files``.
-        settings: of the selection among candidates; the defaults if None.
-        protocol: of the motions; the published one if None.
-        threads: 0 means all processors. Plans do not depend on it.
-        motions: how grasps are adapted, approached, closed and lifted; the defaults if None.
-
-    Raises:
-        FungraspError: no such policy, or one for another hand.
-    """
-    # The student's own plans, selected by rollouts of the student, are what "plan" plays open loop.
-    files = policy_files("student" if name == PLAN else name, hand.name)
-    if files.predictor is None:
-        return MotionPlanner(hand, objects, motions, protocol)
-    predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
-    policy: Policy = OpenLoopPolicy()
-    if files.network is not None:
-        check_card(read_card(files.network), hand)
-        made = residual_policy(load_policy(files.network), hand, objects)
-        policy = made  # pyright: ignore[reportAssignmentType]
-    digest = files.digests()[0]
-    return SearchPlanner(hand, objects, predictor, policy, digest, settings, protocol, threads, motions)
-
-
-def check_attempts(attempts: int, watches: bool) -> None:
-    """Complain about a number of attempts that can't be.
-
-    Args:
-        attempts: of an episode, at most.
-        watches: whether the policy acts on what it sees.
-
-    Raises:
-        FungraspError: none, or several of a policy that plays a plan blindly.
-    """
-    if attempts < 1:
-        raise FungraspError(f"there must be 1 attempt or more, not {attempts}")
-    if attempts > 1 and not watches:
-        raise FungraspError(
-            "a plan that is played blindly can't be tried again, as nothing says that it failed: take "
-            "--policy student, or --attempts 1"
-        )

@@ -10,14 +10,12 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning.selection.success_predictor import plan_features
 from fungrasp.policies.checkpoint.card import PolicyCard
 from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, check_fits
 from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.policies.residual_action import Base, ResidualSettings
 from fungrasp.task import Action, GraspPlan, Observation, Privileged
-from fungrasp.task.features import contact_features, flatten, layout, network_input
-from fungrasp.task.observation_layouts import network_parts
+from fungrasp.task.features import contact_features, layout, network_input, network_parts
 
 ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
     "plan": ("position", "rotation", "fingers"),
@@ -91,29 +89,6 @@ class TeacherPolicy(_ResidualNetwork):
         """See ``PrivilegedPolicy.act_privileged``."""
         targets = self._tracker.plans.link_contacts
         return self._act(observation, contact_features(privileged.contacts, privileged.forces, targets))
-
-
-class NetworkPredictor:
-    """See ``fungrasp.planning.selection.success_predictor.SuccessPredictor``."""
-
-    def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
-        """
-        Args:
-            network: of a policy file of the kind "predictor".
-        """
-        self._network, self._hand, self._objects = network, hand, objects
-        self.digest = network.card.sha256
-
-    def __call__(self, plans: GraspPlan) -> np.ndarray:
-        """Probability of success, shape [N].
-
-        Raises:
-            FungraspError: the network was made for another hand, other features or another rate.
-        """
-        parts = plan_features(plans, self._objects)
-        check_fits(self._network.card, self._hand, layout(parts), (), 1 / plans.control_period)
-        value, _, _ = self._network(np.nan_to_num(flatten(parts)).astype(np.float32))
-        return value[:, 0]
 
 
 def residual_policy(

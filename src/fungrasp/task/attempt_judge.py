@@ -17,7 +17,7 @@ from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.poses import invert, rotate, transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.task.grasp_plan import GraspPlan
-from fungrasp.task.observation import Observation
+from fungrasp.task.policy import Observation
 from fungrasp.task.protocol import LiftProtocol
 
 FRAMES = 10

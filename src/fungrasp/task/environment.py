@@ -15,14 +15,12 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.sim2real import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
 from fungrasp.simulation import Engine, Scene, make_engine
-from fungrasp.task.action import Action
 from fungrasp.task.belief import Belief
 from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.lift import LiftTask
 from fungrasp.task.object_placement import Placement, on_drawn_table, resting_shift, where_seen
-from fungrasp.task.observation import Observation, Privileged
 from fungrasp.task.outcome import Outcomes
-from fungrasp.task.policy import Policy, PrivilegedPolicy
+from fungrasp.task.policy import Action, Observation, Policy, Privileged, PrivilegedPolicy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import Jitter, SimulatedSensors
 

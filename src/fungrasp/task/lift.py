@@ -10,9 +10,9 @@ from fungrasp.geometry.arrays import copied, is_numpy, may_be_any, moved_to, row
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.simulation import Engine
-from fungrasp.task.action import Action
 from fungrasp.task.actuation import Actuation
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
+from fungrasp.task.policy import Action
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
 from fungrasp.task.start_pose import StartPoses, start_fingers

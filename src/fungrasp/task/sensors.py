@@ -22,7 +22,7 @@ from fungrasp.geometry.poses import (
 from fungrasp.sim2real import EpisodeSample, MeasurementError, Randomization, offset_pose
 from fungrasp.task.hand_clearance import HandClearance
 from fungrasp.task.lift import LiftTask
-from fungrasp.task.observation import Observation
+from fungrasp.task.policy import Observation
 
 UNCOVERED = 0.05
 """A tracker that has lost the object sees it again when no part of the hand is this near to it [m]: a hand

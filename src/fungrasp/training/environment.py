@@ -16,8 +16,15 @@ from fungrasp.policies.plan_tracking import PlanTracker
 from fungrasp.sim2real import draw
 from fungrasp.simulation import SceneSettings, build_scene, make_engine
 from fungrasp.task import LiftEnvironment, LiftProtocol
-from fungrasp.task.features import contact_features, layout, limited, network_input, value_features
-from fungrasp.task.observation_layouts import encoder_parts, network_parts
+from fungrasp.task.features import (
+    contact_features,
+    encoder_parts,
+    layout,
+    limited,
+    network_input,
+    network_parts,
+    value_features,
+)
 from fungrasp.task.reward import total
 from fungrasp.training.rewards import LiftReward
 from fungrasp.training.settings import EnvironmentSettings

@@ -16,7 +16,7 @@ from fungrasp.geometry.poses import (
 from fungrasp.hands import Hand
 from fungrasp.policies.plan_tracking import TrackingState, link_directions_of
 from fungrasp.task import reward
-from fungrasp.task.observation import Privileged
+from fungrasp.task.policy import Privileged
 
 TIP_WEIGHT, THUMB_TIP_WEIGHT = 4.0, 6.0
 """Weights of fingertips among the key points; the others count 1 (the published set-up)."""

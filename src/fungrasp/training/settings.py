@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.planning.selection.variations import VariationSpread
+from fungrasp.planning.selection.candidates import VariationSpread
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization
-from fungrasp.task.observation_layouts import LayoutName
+from fungrasp.task.features import LayoutName
 from fungrasp.task.reward import RewardWeights
 
 Sees = Literal["contacts", "nothing", "history"]

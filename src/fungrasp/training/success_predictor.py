@@ -21,8 +21,8 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.candidates import VariationSpread, vary, with_settings
 from fungrasp.planning.selection.success_predictor import plan_features
-from fungrasp.planning.selection.variations import VariationSpread, vary, with_settings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.policies.checkpoint.card import ActionPart, Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import save_policy
@@ -80,17 +80,13 @@ class PlanTrials(Job[range]):
     """By name."""
     hand: Hand
     """The robot hand."""
-    settings: PredictorSettings
+    spec: PredictorSpec
     """How many variations, and how they are tried."""
-    seed: int
-    """Of the variations."""
-    threads: int = 0
-    """0 means all processors."""
 
     @cached_property
     def scene(self) -> Scene:
         """What is simulated."""
-        return build_scene(self.hand, self.objects, SceneSettings(timestep=self.settings.timestep))
+        return build_scene(self.hand, self.objects, SceneSettings(timestep=self.spec.settings.timestep))
 
     @cached_property
     def start(self) -> RobotGraspSet:
@@ -99,13 +95,14 @@ class PlanTrials(Job[range]):
 
     def parts(self) -> list[range]:
         """So many episodes at most."""
-        count, chunk = len(self.grasps) * self.settings.attempts, self.settings.chunk
+        count, chunk = len(self.grasps) * self.spec.settings.attempts, self.spec.settings.chunk
         return [range(first, min(first + chunk, count)) for first in range(0, count, chunk)]
 
     def key(self, part: range) -> str:
         """Digest of all that decides the outcomes; the number of variations does not."""
-        s, objects = self.settings, {name: self.objects[name] for name in np.unique(self.grasps.object_name)}
-        numbers = (s.timestep, s.hold_time, s.early, self.seed, part.start, part.stop)
+        objects = {name: self.objects[name] for name in np.unique(self.grasps.object_name)}
+        s = self.spec.settings
+        numbers = (s.timestep, s.hold_time, s.early, self.spec.seed, part.start, part.stop)
         return part_key("plan trials", self.start, objects, self.hand, numbers)
 
     def size(self, part: range) -> float:
@@ -114,15 +111,17 @@ class PlanTrials(Job[range]):
 
     def on_one_processor(self) -> Self:
         """With one thread."""
-        return replace(self, threads=1)
+        return replace(self, spec=replace(self.spec, threads=1))
 
     def run(self, parts: Sequence[range], progress: Callable[[float], None]) -> list[Arrays]:
         """Fields of ``PlanOutcomes``, and the layout of their features as JSON."""
         results: list[Arrays] = []
         for part in parts:
             attempt, grasp = np.divmod(np.array(part), len(self.grasps))
-            varied = vary(self.start.select(grasp), self.hand, grasp, attempt, self.seed, VariationSpread())
-            plans, success, ratio = _try(varied, self.objects, self.scene, self.settings, self.threads)
+            varied = vary(
+                self.start.select(grasp), self.hand, grasp, attempt, self.spec.seed, VariationSpread()
+            )
+            plans, success, ratio = _try(varied, self.objects, self.scene, self.spec)
             features = plan_features(plans, self.objects)
             flat = np.nan_to_num(flatten(features)).astype(np.float32)
             outcomes = PlanOutcomes(flat, grasp, attempt, success, ratio)
@@ -152,26 +151,21 @@ def try_plans(
     Raises:
         FungraspError: a part can't be written.
     """
-    job = PlanTrials(grasps, objects, hand, spec.settings, spec.seed, spec.threads)
-    found = run_job(job, store, progress=progress)
+    found = run_job(PlanTrials(grasps, objects, hand, spec), store, progress=progress)
     names = tuple((str(name), int(size)) for name, size in parse_json(str(found[-1][LAYOUT]), "kept layout"))
     columns = [np.concatenate([part[f.name] for part in found]) for f in fields(PlanOutcomes)]
     return PlanOutcomes(*columns), names
 
 
 def _try(
-    grasps: RobotGraspSet,
-    objects: Mapping[str, ObjectModel],
-    scene: Scene,
-    s: PredictorSettings,
-    threads: int,
+    grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], scene: Scene, spec: PredictorSpec
 ) -> tuple[GraspPlan, np.ndarray, np.ndarray]:
     """The plans, whether they held, and their contact ratio."""
-    protocol = replace(LiftProtocol(), hold_time=s.hold_time)
-    environment = LiftEnvironment(scene, len(grasps), protocol=protocol, threads=threads)
+    protocol = replace(LiftProtocol(), hold_time=spec.settings.hold_time)
+    environment = LiftEnvironment(scene, len(grasps), protocol=protocol, threads=spec.threads)
     plans = MotionPlanner(scene.hand, objects).plan(grasps, environment.settle(grasps))
     ids = np.arange(len(grasps))
-    environment.begin(ids, plans, np.maximum(plans.closing_step - s.early, 0), environment.sample)
+    environment.begin(ids, plans, np.maximum(plans.closing_step - spec.settings.early, 0), environment.sample)
     outcomes = play(environment, OpenLoopPolicy(), plans, end_lost=True)
     lost = outcomes.reason == "lost before the hold"
     return plans, outcomes.success, np.where(lost, 0.0, np.nan_to_num(outcomes.contact_ratio))

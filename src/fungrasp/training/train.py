@@ -15,10 +15,10 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.provenance import git_revision, machine
 from fungrasp.hands import Hand, as_hand, hand_files
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
 from fungrasp.policies import policy_files
 from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
-from fungrasp.policies.residual_policy import NetworkPredictor
 from fungrasp.simulation import BufferSizes, SceneSettings, found_device
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph

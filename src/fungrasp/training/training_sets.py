@@ -18,8 +18,8 @@ from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
+from fungrasp.planning.selection.candidates import vary, with_settings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
-from fungrasp.planning.selection.variations import vary, with_settings
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
 from fungrasp.simulation import build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment

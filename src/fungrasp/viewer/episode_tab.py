@@ -16,9 +16,9 @@ from fungrasp.evaluation import Trajectory
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import MotionSettings
+from fungrasp.planning import MotionSettings, make_planner
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.policies import StudentPolicy, default_policy, make_planner, make_policy
+from fungrasp.policies import StudentPolicy, default_policy, make_policy
 from fungrasp.policies.registry import REFERENCE
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 from fungrasp.sim2real.episode_sample import draw_each

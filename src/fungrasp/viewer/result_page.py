@@ -257,11 +257,11 @@ def evaluate_row(
     Raises:
         FungraspError: of ``evaluate``.
     """
-    from fungrasp.evaluation.lift_test_job import Episodes, LiftTest
+    from fungrasp.evaluation.lift_episodes import Episodes, LiftTest
 
-    job = LiftTest(grasps, objects, grasps.load_hand(), spec, record=folder, threads=1)
+    test = LiftTest(grasps, objects, grasps.load_hand(), spec, record=folder, threads=1)
     condition = next(iter(spec.conditions))
-    job.run([Episodes(condition, spec.seeds[0], np.array([row]))], lambda done: None)
+    test.simulate(Episodes(condition, spec.seeds[0], np.array([row])), lambda done: None)
     return next(folder.rglob("*.npz"))
 
 

@@ -10,7 +10,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
-from benchmarks.choose.confirm_uses import record_use
+from benchmarks.choose.commands import record_use
 from benchmarks.choose.measurement import MeasurementRequest
 from benchmarks.choose.pairing import paired_interval, paired_means, paired_rates
 from benchmarks.choose.variant import Variant
@@ -77,7 +77,7 @@ def test_rates_and_means_by_stratum():
     assert (gap.first, gap.second) == pytest.approx((4 / 3, 7 / 3))
 
 
-def test_uses_of_confirm_are_counted(tmp_path):
+def test_uses_of_the_test_part_are_counted(tmp_path):
     rate = paired_rates(
         {"success": np.array([True])}, {"success": np.array([True])}, np.array(["x"]), np.array(["flat"])
     )[-1]
@@ -96,7 +96,7 @@ def small_set(tmp_path_factory):
     folder = tmp_path_factory.mktemp("set")
     grasps = some_grasps(("can", "tennis_ball", "box", "marker"))
     names = sorted(set(grasps.object_name.tolist()))
-    parts = dict.fromkeys(names, "choose") | {names[0]: "train", names[1]: "confirm"}
+    parts = dict.fromkeys(names, "validation") | {names[0]: "train", names[1]: "test"}
     (folder / OBJECTS).mkdir()
     save_set(folder, grasps, np.array(["builtin"] * len(grasps)), parts, {})
     return folder
@@ -119,7 +119,7 @@ def test_what_was_measured_is_not_measured_again(small_set, tmp_path, capsys, mo
     monkeypatch.setattr("benchmarks.choose.measurement.evaluate", stop)
     assert run_benchmark(capsys, "choose", *arguments)[1] == out
     uses = tmp_path / "uses.csv"
-    status, _, error = run_benchmark(capsys, "choose", *arguments, "--part", "confirm", "--uses", uses)
+    status, _, error = run_benchmark(capsys, "choose", *arguments, "--part", "test", "--uses", uses)
     assert status == 2 and "--decision" in error and not uses.exists()
 
 
@@ -129,7 +129,7 @@ def test_another_checkout_is_measured_by_its_own_package(small_set, tmp_path):
     (package / "__init__.py").write_text(
         "import pathlib\npathlib.Path(__file__).with_name('imported').touch()\nraise SystemExit(3)\n"
     )
-    here = ("choose", 1, "allegro", 0, str(tmp_path / "kept"))
+    here = ("validation", 1, "allegro", 0, str(tmp_path / "kept"))
     request = MeasurementRequest(f"{tmp_path / 'other'}::contact,any.thing=1", str(small_set), *here)
     with pytest.raises(FungraspError, match=r"measuring 'contact,any\.thing=1' failed"):
         request.measure()

@@ -106,11 +106,15 @@ def test_the_command_goes_on_and_gives_the_same(tmp_path, capsys, monkeypatch):
         assert part.objects[str(part.grasps.object_name[0])].mass == part.grasps.object_mass[0]
         held |= set(part.grasps.object_name.tolist())
     assert len(held) == 3
-    save_human_grasps(tmp_path / "a" / "choose.npz", some_grasps())
-    with pytest.raises(FungraspError, match=r"not the index of choose\.npz"):
-        load_part(tmp_path / "a", "choose")
+    (tmp_path / "a" / "test.npz").rename(tmp_path / "a" / "confirm.npz")
+    index["parts"]["confirm"] = index["parts"].pop("test")
+    (tmp_path / "a" / "set.json").write_text(json.dumps(index))
+    assert len(load_part(tmp_path / "a", "test").grasps) == 1, "a set that was made with earlier names"
+    save_human_grasps(tmp_path / "a" / "validation.npz", some_grasps())
+    with pytest.raises(FungraspError, match=r"not the index of validation\.npz"):
+        load_part(tmp_path / "a", "validation")
     with pytest.raises(FungraspError, match="part"):
-        load_part(tmp_path / "a", "test")
+        load_part(tmp_path / "a", "tested")
 
 
 def test_what_is_missing_is_said(tmp_path, capsys):

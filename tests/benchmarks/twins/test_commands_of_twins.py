@@ -23,7 +23,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def evaluate(out: Path, **options) -> EvaluateOnTwins:
     images = options.pop("images_per_grasp", 0)
-    asked = {"policy": "reference", "given_dynamics": True, "in_turn": True, **options}
+    asked = {"policy": "reference", "in_turn": True, **options}
     spec = TwinSeriesSpec(**asked)
     return EvaluateOnTwins(out, spec, rows=(0, 3), images_per_grasp=images, threads=1)
 
@@ -97,10 +97,10 @@ def test_a_second_attempt_of_a_blind_policy_is_refused_before_images_are_seen(
 
 def test_the_request_is_in_the_result(played, tmp_path) -> None:
     out = tmp_path / "twins.json"
-    asked = ["--grasps-per-object", "1", "--placements", "2", "--given-dynamics", "--variants", "full"]
-    now = ["--rows", "0", "3", "--policy", "reference", "--in-turn", "--threads", "1", "--out", str(out)]
+    asked = ["--grasps-per-object", "1", "--placements", "2", "--in-turn", "--variants", "full"]
+    now = ["--rows", "0", "3", "--policy", "reference", "--threads", "1", "--out", str(out)]
     assert run_command("python -m benchmarks.twins", EvaluateOnTwins, [*asked, *now]) == 0
     result = read_result(out)
     assert {row["variant"] for row in result.rows} == {"full"}
     spec = result.header["spec"]
-    assert (spec["grasps_per_object"], spec["placements"], spec["given_dynamics"]) == (1, 2, True)
+    assert (spec["grasps_per_object"], spec["placements"], spec["in_turn"]) == (1, 2, True)

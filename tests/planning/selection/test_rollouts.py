@@ -168,17 +168,17 @@ def test_candidates_that_fail_lower_what_is_expected_of_those_not_tried():
 # What is believed
 
 
-def drawn_in_rollouts(monkeypatch, beliefs, settings: RolloutSettings = SHORT) -> list[EpisodeSample]:
-    """What the rollouts of candidates were told to differ in, round by round."""
-    seen, roll = [], rollouts.roll_out
+def drawn(monkeypatch, beliefs) -> EpisodeSample:
+    """What 4,000 rollouts of each of two plans are told to differ in."""
+    seen = []
 
     def spy(plans, rows, sample, *others):
         seen.append(sample)
-        return roll(plans, rows, sample, *others)
+        return rollouts.RolloutResults(*np.zeros((3, len(plans))))
 
     monkeypatch.setattr(rollouts, "roll_out", spy)
-    tried(candidates(proposals(), beliefs=beliefs), settings=settings)
-    return seen
+    tried(candidates(GraspPlan.join([plan()]), np.full((1, 2), 0.5), beliefs), ((1, 4000),))
+    return seen[0]
 
 
 def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
@@ -186,64 +186,18 @@ def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
     scale = np.array([0.003, 0.001, 0.0, 0.0, 0.0, 0.1])
     mixed = scale[:, None] * rng.normal(size=(2, 6, 6))
     covariance = mixed @ mixed.mT
-    beliefs = replace(belief(), object_pose_covariance=covariance)
-    pool = candidates(GraspPlan.join([plan()]), np.full((1, 2), 0.5), beliefs)
-    seen = []
-    monkeypatch.setattr(
-        rollouts,
-        "roll_out",
-        lambda plans, rows, sample, *others: (
-            seen.append(sample) or rollouts.RolloutResults(*np.zeros((3, len(plans))))
-        ),
-    )
-    tried(pool, ((1, 4000),))
-    errors = seen[0].object_bias.reshape(2, 4000, 6)
-    for grasp in range(2):
-        found = np.cov(errors[grasp].T)
-        np.testing.assert_allclose(found, covariance[grasp], atol=0.1 * covariance[grasp].max())
-        assert np.abs(errors[grasp, :, 2:5]).max() < 1e-4, "what is sure is not varied"
+    errors = drawn(monkeypatch, replace(belief(), object_pose_covariance=covariance)).object_bias
+    for grasp, some in enumerate(errors.reshape(2, 4000, 6)):
+        np.testing.assert_allclose(np.cov(some.T), covariance[grasp], atol=0.1 * covariance[grasp].max())
+        assert np.abs(some[:, 2:5]).max() < 1e-4, "what is sure is not varied"
+    spread = drawn(monkeypatch, belief()).object_bias.std(axis=0)
+    assert (spread[:3] > 0.0005).all() and (spread[:3] < 0.006).all(), "without one, those of the rollouts"
 
 
 def test_guessed_masses_are_drawn_by_their_spread(monkeypatch):
-    beliefs = replace(belief(), object_mass_spread=np.full(2, 0.62))
-    drawn = np.log(np.concatenate([sample.mass for sample in drawn_in_rollouts(monkeypatch, beliefs)]))
-    known = np.concatenate([sample.mass for sample in drawn_in_rollouts(monkeypatch, belief())])
-    assert np.abs(drawn).max() <= 2 * 0.62 + 1e-9
-    assert drawn.std() > 1.5 * np.log(known).std()
-
-
-def test_without_a_covariance_errors_are_those_of_the_rollouts(monkeypatch):
-    believed = drawn_in_rollouts(monkeypatch, belief())
-    spread = np.concatenate([sample.object_bias for sample in believed]).std(axis=0)
-    assert (spread[:3] > 0.0005).all() and (spread[:3] < 0.006).all()
-
-
-def test_in_rollouts_objects_are_off_from_where_they_are_believed_and_seen(monkeypatch):
-    """The covariance counts even where the randomization knows no error of the object."""
-    seen: list[Observation] = []
-    true: list[np.ndarray] = []
-
-    class Watching(OpenLoopPolicy):
-        def act(self, observation: Observation) -> Action:
-            seen.append(observation)
-            return super().act(observation)
-
-    class Watched(LiftEnvironment):
-        def begin(self, *arguments, **options) -> None:
-            super().begin(*arguments, **options)
-            true.append(self.engine.object_pose)
-
-    monkeypatch.setattr(rollouts, "LiftEnvironment", Watched)
-    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-12, 1e-12, 1e-12, 1e-12]), (2, 1, 1))
-    pool = candidates(
-        GraspPlan.join([plan()]), np.full((1, 2), 0.5), replace(belief(), object_pose_covariance=covariance)
-    )
-    settings = replace(SHORT, randomization=NOMINAL)
-    tried(pool, ((1, 4),), settings, Watching())
-    believed = np.repeat(belief().object_pose, 4, axis=0)
-    np.testing.assert_allclose(seen[0].object_pose[:, :2], believed[:, :2], atol=1e-5)
-    off = (true[0] - believed)[:, :2]
-    assert (np.linalg.norm(off, axis=1) > 1e-4).all() and off.std() == pytest.approx(0.01, rel=0.7)
+    guessed = np.log(drawn(monkeypatch, replace(belief(), object_mass_spread=np.full(2, 0.62))).mass)
+    known = np.log(drawn(monkeypatch, belief()).mass)
+    assert np.abs(guessed).max() <= 2 * 0.62 + 1e-9 and guessed.std() > 1.5 * known.std()
 
 
 def test_rollouts_happen_in_the_hand_that_is_believed():

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects, plan, scene
 
 from fungrasp.geometry.poses import compose, euler_angles, invert, quaternion_from_rotation_vector, relative
+from fungrasp.hands import Hand
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import LiftEnvironment, play
-from fungrasp.task.use import UseMotion, load_use_motions, play_use
-from fungrasp.task.use.functional_contact import functional_contact
+from fungrasp.task.use import UseMotion, play_use
+from fungrasp.task.use.episode import FingerHold
 from fungrasp.task.use.geometry import far_end, turning_frame
 from fungrasp.task.use.motion import TriggerPress
+from fungrasp.task.use.outcome import functional_contact
 from fungrasp.task.use.worlds import UseWorlds
 
 ANY = [(frozenset(),) * 13] * 2
@@ -170,10 +173,43 @@ def test_the_far_end_is_the_farthest_point_of_the_surface():
     assert far_end(can, identity, above)[2] == pytest.approx(can.vertices[:, 2].min())
 
 
-def test_same_state_same_outcome():
-    runs = []
+# Fingers that hold on: joints stay where they were, as far as torques reach.
+
+KP, LIMIT, CONTACT = 4.0, 0.7, 20.0
+"""Of the servos [N m/rad] and [N m]; stiffness of what the joints press against [N m/rad]."""
+
+
+def two_joints() -> Hand:
+    servo = SimpleNamespace(kp=KP, force_limit=LIMIT)
+    return cast(Any, SimpleNamespace(actuators={"a": servo, "b": servo}))
+
+
+@pytest.mark.parametrize("load", [0.3, 0.9])
+def test_joints_return_to_where_they_were_as_far_as_the_torque_reaches(load):
+    """Two joints at rest in a contact, and a load on one of them: 0.9 N m is more than its servo's limit."""
+    place = np.array([[0.5, 0.5]])
+    joints = place.copy()
+    hold = FingerHold(two_joints(), joints, joints)
+    pull = np.array([[load, 0.0]])
+    moved = []
+    for _ in range(60):
+        setpoints = hold.keep(joints)
+        free = (KP * setpoints + CONTACT * place - pull) / (KP + CONTACT)
+        torque = np.clip(KP * (setpoints - free), -LIMIT, LIMIT)
+        joints = place + (torque - pull) / CONTACT
+        moved.append(joints - place)
+    assert abs(moved[-1][0, 1]) < 1e-9
+    left = max(load - LIMIT, 0.0) / CONTACT
+    assert moved[-1][0, 0] == pytest.approx(-left, abs=1e-3)
+    assert abs(moved[0][0, 0]) > left + 0.005, "it gave way at first"
+
+
+def test_a_setpoint_is_never_farther_from_its_joint_than_the_torque_limit():
+    joints = np.array([[0.5, 0.5]])
+    hold = FingerHold(two_joints(), joints, joints)
+    for _ in range(100):
+        setpoints = hold.keep(joints - 0.2)
+    np.testing.assert_allclose(setpoints, joints - 0.2 + LIMIT / KP)
     for _ in range(2):
-        environment, held = lifted()
-        runs.append(play_use(environment, [load_use_motions()["pour"]] * 2, held, ANY))
-    np.testing.assert_array_equal(runs[0].shift_m, runs[1].shift_m)
-    assert replace(runs[0]).success.tolist() == runs[1].success.tolist()
+        setpoints = hold.keep(joints + 0.3)
+    assert (setpoints < joints + 0.3).all(), "it comes back without delay"

@@ -37,21 +37,32 @@ SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Parts of each link that are looke
 class FingerSearchSettings:
     """What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse."""
 
-    landmark: float = 0.06  # Standard deviation of a landmark, as a part of the hand's extent in the image.
+    landmark: float = 0.06
+    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
     landmark_worst: float = 3.0
     """A landmark farther off [standard deviations] is wrong: those of hidden fingers are guesses."""
-    point: float = 0.006  # Standard deviation of a measured point's distance from the skin [m].
-    point_worst: float = 0.02  # Distance from the skin beyond which the cost of a point does not grow [m].
+    point: float = 0.006
+    """Standard deviation of a measured point's distance from the skin [m]."""
+    point_worst: float = 0.02
+    """Distance from the skin beyond which the cost of a point does not grow [m]."""
     points_weight: float = 60.0
     """Number of independent measurements that all measured points together count as."""
-    front: float = 0.006  # Standard deviation of how far skin is in front of what is seen there [m].
-    front_worst: float = 0.04  # Distance in front beyond which the cost does not grow [m].
-    inside: float = 0.004  # Standard deviation of how deep the finger is in the object or the table [m].
-    overlap: float = 0.004  # Standard deviation of how deep the finger is in other fingers [m].
-    touch: float = 0.008  # Standard deviation of the gap between the last link and the object [m].
-    touch_worst: float = 0.02  # Gap beyond which the cost does not grow [m].
-    opposed: float = 4.0  # Cost of thumb and fingers that touch the object from the same side.
-    unusual: float = 1.0  # Weight of the cost of an unusual posture.
+    front: float = 0.006
+    """Standard deviation of how far skin is in front of what is seen there [m]."""
+    front_worst: float = 0.04
+    """Distance in front beyond which the cost does not grow [m]."""
+    inside: float = 0.004
+    """Standard deviation of how deep the finger is in the object or the table [m]."""
+    overlap: float = 0.004
+    """Standard deviation of how deep the finger is in other fingers [m]."""
+    touch: float = 0.008
+    """Standard deviation of the gap between the last link and the object [m]."""
+    touch_worst: float = 0.02
+    """Gap beyond which the cost does not grow [m]."""
+    opposed: float = 4.0
+    """Cost of thumb and fingers that touch the object from the same side."""
+    unusual: float = 1.0
+    """Weight of the cost of an unusual posture."""
 
 
 def finger_joints(hand: Skeleton, finger: int, angles: np.ndarray) -> np.ndarray:

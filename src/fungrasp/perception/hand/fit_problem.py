@@ -54,34 +54,47 @@ class HandFitSettings:
 
     landmark_spread: float = 0.03
     """Standard deviation of a landmark, as a part of the hand's extent in the image."""
-    least_landmark_spread: float = 2.0  # Least standard deviation of a landmark [pixels].
+    least_landmark_spread: float = 2.0
+    """Least standard deviation of a landmark [pixels]."""
     late_landmarks: float = 0.35
     """Factor of a landmark's residual once the fingers have been searched, and in the cost."""
-    hidden: float = 0.03  # A joint so far behind what is seen there [m] is hidden.
-    hidden_landmarks: float = 0.5  # Further factor of the residual of a hidden joint's landmark then.
+    hidden: float = 0.03
+    """A joint so far behind what is seen there [m] is hidden."""
+    hidden_landmarks: float = 0.5
+    """Further factor of the residual of a hidden joint's landmark then."""
     depth_spread: float = 0.012
     """Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err
     alike."""
-    object_depth: float = 0.004  # What is seen so near to the known object's surface [m] is the object.
-    background: float = 0.02  # What is seen farther behind a part of the hand [m] is background to it.
+    object_depth: float = 0.004
+    """What is seen so near to the known object's surface [m] is the object."""
+    background: float = 0.02
+    """What is seen farther behind a part of the hand [m] is background to it."""
     background_levels: int = 3
     """Number of depth levels that the hand's parts are sorted into to find their background."""
-    held_background_levels: int = 2  # Number of depth levels where the object is known.
-    silhouette_spread: float = 3.0  # Standard deviation of the silhouette [pixels].
+    held_background_levels: int = 2
+    """Number of depth levels where the object is known."""
+    silhouette_spread: float = 3.0
+    """Standard deviation of the silhouette [pixels]."""
     silhouette_outlier: float = 20.0
     """A part farther in the background [pixels] is likelier hidden by a hole in the depth."""
-    silhouette_inset: float = 0.7  # Part of the hand's thickness that is surely inside the silhouette.
-    direction_spread: float = 0.35  # Standard deviation of the landmark model's bone directions [rad].
-    turn_spread: float = 0.25  # Standard deviation of the turn of all bone directions together [rad].
+    silhouette_inset: float = 0.7
+    """Part of the hand's thickness that is surely inside the silhouette."""
+    direction_spread: float = 0.35
+    """Standard deviation of the landmark model's bone directions [rad]."""
+    turn_spread: float = 0.25
+    """Standard deviation of the turn of all bone directions together [rad]."""
     point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
     """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
     points_worth: float = 85.0
     """Number of independent measurements that all measured points together count as: neighbors err alike."""
     front_spread: float = 0.016
     """Standard deviation of how far skin may be in front of what is seen there [m]."""
-    front_outlier: float = 0.05  # Skin farther in front [m] is likelier a fault of the depth.
-    front_slack: float = 0.004  # Skin so little in front [m] is not.
-    overlap_spread: float = 0.002  # Standard deviation of how deep fingers are in each other [m].
+    front_outlier: float = 0.05
+    """Skin farther in front [m] is likelier a fault of the depth."""
+    front_slack: float = 0.004
+    """Skin so little in front [m] is not."""
+    overlap_spread: float = 0.002
+    """Standard deviation of how deep fingers are in each other [m]."""
     contact: HandContactSettings = field(default_factory=HandContactSettings)
     """Weights of what the object and the table say, where they are known."""
 
@@ -92,9 +105,12 @@ class HandFitStage:
 
     depth_outlier: tuple[float, float] = (0.06, 0.06)
     """How far in front of the skin something else is seen, and how far behind [m]."""
-    point_outlier: float = 0.05  # A measured point so far from the skin [m] is none of the hand's.
-    contact: bool = False  # Whether object and table are taken to be right for this hand.
-    late: bool = False  # Whether the fingers have been searched: landmarks of hidden joints then weigh less.
+    point_outlier: float = 0.05
+    """A measured point so far from the skin [m] is none of the hand's."""
+    contact: bool = False
+    """Whether object and table are taken to be right for this hand."""
+    late: bool = False
+    """Whether the fingers have been searched: landmarks of hidden joints then weigh less."""
 
 
 @dataclass(frozen=True, eq=False)

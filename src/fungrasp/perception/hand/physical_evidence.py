@@ -177,9 +177,12 @@ class HandContactSettings:
 
     spread: float = 0.004
     """Standard deviation of the gap between a touching finger's skin and the surface [m]."""
-    reach: float = 0.008  # A gap beyond this [m] is likelier no contact.
-    pad: float = 0.6  # Part of the hand's thickness that is between bone and surface when a finger presses.
-    bone: float = 0.4  # Part of the hand's thickness that nothing goes into.
+    reach: float = 0.008
+    """A gap beyond this [m] is likelier no contact."""
+    pad: float = 0.6
+    """Part of the hand's thickness that is between bone and surface when a finger presses."""
+    bone: float = 0.4
+    """Part of the hand's thickness that nothing goes into."""
     penetration_spread: float = 0.003
     """Standard deviation of how deep that part is in the object or the table [m]."""
 

@@ -81,11 +81,16 @@ class ObjectEvidence:
 class IcpSettings:
     """One round of the coarse-to-fine fit."""
 
-    iterations: int  # Gauss-Newton steps.
-    points: int  # Number of measured points that are used.
-    samples: int  # Number of surface samples that are used.
-    scale: float  # Distance [m] at which a point's pull has fallen to a quarter.
-    free_weight: float = 1.0  # Weight of a surface sample in free space, in that of a measured point.
+    iterations: int
+    """Gauss-Newton steps."""
+    points: int
+    """Number of measured points that are used."""
+    samples: int
+    """Number of surface samples that are used."""
+    scale: float
+    """Distance [m] at which a point's pull has fallen to a quarter."""
+    free_weight: float = 1.0
+    """Weight of a surface sample in free space, in that of a measured point."""
     free_scale: float = 0.02
     """Intrusion of a surface sample into free space [m] at which its pull has fallen to a quarter."""
 

@@ -14,13 +14,11 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
-from fungrasp.planning.selection.candidates import Candidates, propose
-from fungrasp.planning.selection.grips import grips_for_use
+from fungrasp.planning.selection.candidates import Candidates, VariationSpread, propose, with_settings
+from fungrasp.planning.selection.regrasp_candidates import chance_of_use, parts_to_hold, regrasp_candidates
 from fungrasp.planning.selection.rollouts import try_candidates
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
-from fungrasp.planning.selection.use_strength import chance_of_use, parts_to_hold
-from fungrasp.planning.selection.variations import VariationSpread, with_settings
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
 Feasible = Callable[[GraspPlan], np.ndarray]
@@ -137,7 +135,7 @@ class SearchPlanner:
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
         numbers = np.repeat(np.arange(s.candidates), len(grasps))
         if s.for_use and s.grips_kept and grasps.task is not None:
-            grips = grips_for_use(
+            grips = regrasp_candidates(
                 with_settings(grasps), beliefs, self._hand, self._objects, *s.grips, s.grips_kept, seed
             )
             first = RobotGraspSet.concatenate([first, grips])

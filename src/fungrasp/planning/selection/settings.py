@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.planning.selection.candidates import VariationSpread
 from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
-from fungrasp.planning.selection.variations import VariationSpread
 from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName
 from fungrasp.simulation import BufferSizes, Device
 
@@ -56,7 +56,7 @@ class SelectionSettings:
     """Whether the use motions of the grasps' tasks count: the share of their loads that contacts can take in
     what is expected, and whether they are withstood in rollouts."""
     grips: tuple[int, int] = (64, 3)
-    """For use, other grips of each grasp that are solved in a round, and rounds (``grips.grips_for_use``)."""
+    """For use, other grips of each grasp that are solved in a round, and rounds (``regrasp_candidates``)."""
     grips_kept: int = 12
     """How many of these, the strongest, are candidates too."""
     chunk: int = 512

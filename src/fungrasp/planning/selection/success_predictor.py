@@ -9,9 +9,11 @@ import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, invert, rotate, rotation_matrix, transform_points
+from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, check_fits
 from fungrasp.task import GraspPlan
-from fungrasp.task.features import POSITION_UNIT
+from fungrasp.task.features import POSITION_UNIT, flatten, layout
 
 
 class SuccessPredictor(Protocol):
@@ -62,3 +64,28 @@ def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[
         "mass": np.log(plans.object_mass[:, None] / 0.3),
         "collision": plans.path_collision[:, None] / 0.01,
     }
+
+
+class NetworkPredictor:
+    """A ``SuccessPredictor`` from a policy file."""
+
+    def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
+        """
+        Args:
+            network: of a policy file of the kind "predictor".
+            hand: of the plans.
+            objects: by name, all that plans may be for.
+        """
+        self._network, self._hand, self._objects = network, hand, objects
+        self.digest = network.card.sha256
+
+    def __call__(self, plans: GraspPlan) -> np.ndarray:
+        """Probability of success, shape [N].
+
+        Raises:
+            FungraspError: the network was made for another hand, other features or another rate.
+        """
+        parts = plan_features(plans, self._objects)
+        check_fits(self._network.card, self._hand, layout(parts), (), 1 / plans.control_period)
+        value, _, _ = self._network(np.nan_to_num(flatten(parts)).astype(np.float32))
+        return value[:, 0]

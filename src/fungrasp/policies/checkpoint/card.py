@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hint
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.text_files import parse_json
-from fungrasp.task.observation_layouts import LayoutName, check_layout
+from fungrasp.task.features import LayoutName, check_layout
 
 FORMAT_VERSION = 1
 KINDS = ("teacher", "student", "predictor")
@@ -91,7 +91,7 @@ class PolicyCard:
     privileged: tuple[Part, ...] = ()
     """What it sees that only a simulation knows; nothing for a student."""
     layout_name: LayoutName = "full"
-    """Name of the layout of what it sees (``fungrasp.task.observation_layouts``)."""
+    """Name of the layout of what it sees (``fungrasp.task.features``)."""
     plans: str = ""
     """Name of the success predictor that chooses the plans it follows, a policy file beside it; none if
     empty."""

@@ -1,37 +1,28 @@
-"""The lift test as a job: its parts are episodes, which do not depend on each other."""
+"""What happens in the episodes of a lift test: worlds are drawn, plans are made and played, the use
+test follows."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.jobs import Arrays, Job, part_key
-from fungrasp.evaluation.attempts import AttemptSetting, play_attempts
+from fungrasp.core.jobs import Arrays
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
-from fungrasp.evaluation.trajectory import Recorder
-from fungrasp.evaluation.use_evaluation import UseTest
-from fungrasp.evaluation.use_recording import UseRecorder
+from fungrasp.evaluation.trajectory import Recorder, UseRecorder
+from fungrasp.evaluation.use_test import UseTest
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
-from fungrasp.planning import MotionPlanner, MotionSettings, Planner
+from fungrasp.planning import MotionPlanner, MotionSettings, Planner, make_planner
+from fungrasp.planning.attempts import AttemptSetting, check_attempts, play_attempts
 from fungrasp.planning.selection import SearchPlanner
-from fungrasp.policies import (
-    OpenLoopPolicy,
-    StudentPolicy,
-    check_attempts,
-    make_planner,
-    make_policy,
-    policy_files,
-)
+from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy_files
 from fungrasp.sim2real import Randomization, draw_each, random_stream
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftEnvironment, Policy, PrivilegedPolicy, play
@@ -44,20 +35,6 @@ USE_FILE = "{}_use.npz"
 
 ATTEMPT_PREFIX = "attempts."
 """The same of ``AttemptRecord``."""
-
-EPISODES = (8, 32)
-"""Fewest and most episodes of a part: 5 s of work at most, beside which what a part costs is little, and many
-enough parts for many processors."""
-
-SEARCHED_EPISODES = (2, 32)
-"""The same where plans are searched for, which takes ten times as long and more."""
-
-TOGETHER = 128
-"""Most episodes that one process simulates together, whose threads have more to share in this way: what it
-may lose where it is interrupted. It bounds the memory."""
-
-LOSS = 8
-"""Parts of the work of which an interrupted run loses one at most, where the numbers above allow it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +50,7 @@ class Episodes:
 
 
 @dataclass(frozen=True, eq=False)
-class LiftTest(Job[Episodes]):
+class LiftTest:
     """Grasps to be tried, and how.
 
     Raises:
@@ -107,7 +84,7 @@ class LiftTest(Job[Episodes]):
         check_attempts(spec.attempts, not isinstance(self.policy, OpenLoopPolicy))
         if spec.attempts > 1 and self.record is not None:
             raise FungraspError("--record keeps one attempt: record one attempt, or leave --record out")
-        if len(spec.seeds) > 1 and not any(map(self._is_random, spec.conditions.values())):
+        if len(spec.seeds) > 1 and not any(map(self.is_random, spec.conditions.values())):
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same episodes: give one "
                 "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, "
@@ -147,77 +124,29 @@ class LiftTest(Job[Episodes]):
         return UseTest.of(self.human, self.grasps, self.objects, self.hand)
 
     @cached_property
+    def searches(self) -> bool:
+        """Whether plans are searched for, which takes ten times as long and more."""
+        return bool(self.policy_digests[1])
+
+    @cached_property
     def _scenes(self) -> dict[str, Scene]:
         return {}
 
-    def is_named(self) -> bool:
-        """Whether policy and planner have names, so that what they do can be kept and done elsewhere."""
-        return self.given_policy is None and (
-            self.given_planner is None or hasattr(self.given_planner, "key")
-        )
+    def is_random(self, randomization: Randomization) -> bool:
+        """Whether episodes depend on the seed. Of a policy or planner of somebody's own that is not known."""
+        own = self.given_policy is not None or self.given_planner is not None
+        return bool(own or randomization.is_random or self.searches)
 
-    def parts(self) -> list[Episodes]:
-        """All episodes, conditions one after the other; where nothing is random, of the first seed only."""
-        size, count, spec = self._part_size, len(self.grasps), self.spec
-        return [
-            Episodes(name, seed, np.arange(first, min(first + size, count)))
-            for name, randomization in spec.conditions.items()
-            for seed in (spec.seeds if self._is_random(randomization) else spec.seeds[:1])
-            for first in range(0, count, size)
-        ]
-
-    def key(self, part: Episodes) -> str:
-        """Digest of all that the outcomes depend on."""
-        grasps, spec, use = self.grasps.select(part.rows), self.spec, self.use_test
-        return part_key(
-            "lift test",
-            self.hand,
-            grasps,
-            {name: self.objects[name] for name in np.unique(grasps.object_name).tolist()},
-            (spec.policy, self.policy_digests),
-            getattr(self.planner, "key", ""),
-            (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
-            (part.rows, part.seed),
-            [str(file.absolute()) for file in self._files(part)],
-            "" if use is None else use.key(part.rows),
-        )
-
-    def size(self, part: Episodes) -> float:
-        """Number of episodes."""
-        return len(part.rows)
-
-    def together(self, missing: list[Episodes]) -> list[list[Episodes]]:
-        """Parts of one condition and seed."""
-        size = self._part_size
-        most = min(max(math.ceil(len(self.grasps) / LOSS), size), TOGETHER)
-        groups: list[list[Episodes]] = []
-        episodes = 0
-        for part in missing:
-            episodes += len(part.rows)
-            last = groups[-1][0] if groups else None
-            same = last is not None and (last.condition, last.seed) == (part.condition, part.seed)
-            if not same or episodes > most or self._takes_long:
-                groups.append([])
-                episodes = len(part.rows)
-            groups[-1].append(part)
-        return groups
-
-    def is_whole(self, part: Episodes) -> bool:
-        """Whether the recorded episodes are there."""
-        return all(file.is_file() for file in self._files(part))
-
-    def on_one_processor(self) -> Self:
-        """With one thread."""
-        return replace(self, threads=1)
-
-    def run(self, parts: Sequence[Episodes], progress: Callable[[float], None]) -> list[Arrays]:
-        """Plan and play; what ``simulate`` returns of each part."""
-        first = parts[0]
-        rows = np.concatenate([part.rows for part in parts])
-        found = self.simulate(Episodes(first.condition, first.seed, rows), progress)
-        ends = np.cumsum([len(part.rows) for part in parts])[:-1]
-        split = {name: np.split(values, ends) for name, values in found.items()}
-        return [{name: values[i] for name, values in split.items()} for i in range(len(parts))]
+    def files(self, part: Episodes) -> list[Path]:
+        """For the recorded episodes of a part: none, or W."""
+        if self.record is None:
+            return []
+        folder = self.record / part.condition.replace(",", "").replace(" ", "-")
+        label = ""
+        if len(self.spec.seeds) > 1 and self.is_random(self.spec.conditions[part.condition]):
+            label = f"_{part.seed}"
+        names = self.grasps.object_name
+        return [folder / f"{row:04d}{label}_{names[row]}.npz" for row in part.rows.tolist()]
 
     def simulate(self, part: Episodes, progress: Callable[[float], None]) -> Arrays:
         """Plan and play.
@@ -230,7 +159,7 @@ class LiftTest(Job[Episodes]):
             fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, with several
             attempts those of ``AttemptRecord``, each of shape [W].
         """
-        rows, seed, files, spec = part.rows, part.seed, self._files(part), self.spec
+        rows, seed, files, spec = part.rows, part.seed, self.files(part), self.spec
         r, p = spec.conditions[part.condition], spec.lift
         grasps = self.grasps.select(rows)
         sample = draw_each(r, seed, rows, len(self.hand.joint_names))
@@ -303,28 +232,3 @@ class LiftTest(Job[Episodes]):
         if key not in self._scenes:
             self._scenes[key] = build_scene(self.hand, objects, self.spec.physics)
         return self._scenes[key]
-
-    @cached_property
-    def _takes_long(self) -> bool:
-        return bool(self.policy_digests[1])
-
-    @property
-    def _part_size(self) -> int:
-        fewest, most = SEARCHED_EPISODES if self._takes_long else EPISODES
-        return min(max(math.ceil(len(self.grasps) / LOSS), fewest), most)
-
-    def _is_random(self, randomization: Randomization) -> bool:
-        """Whether episodes depend on the seed. Of a policy or planner of somebody's own that is not known."""
-        own = self.given_policy is not None or self.given_planner is not None
-        return bool(own or randomization.is_random or self._takes_long)
-
-    def _files(self, part: Episodes) -> list[Path]:
-        """For the recorded episodes of a part: none, or W."""
-        if self.record is None:
-            return []
-        folder = self.record / part.condition.replace(",", "").replace(" ", "-")
-        label = ""
-        if len(self.spec.seeds) > 1 and self._is_random(self.spec.conditions[part.condition]):
-            label = f"_{part.seed}"
-        names = self.grasps.object_name
-        return [folder / f"{row:04d}{label}_{names[row]}.npz" for row in part.rows.tolist()]

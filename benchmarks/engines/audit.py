@@ -1,25 +1,28 @@
-"""Recorded grasps in another physics engine: which hold there as well, how much slips, and what differs."""
+"""``python -m benchmarks.engines audit``: which recorded grasps hold in another physics engine as well, how
+much slips, and what differs."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
 
-from benchmarks.engines.audit.bundle import SUFFIX as BUNDLE
-from benchmarks.engines.audit.bundle import EpisodeBundle, load_bundle, make_bundle, scene_of
-from benchmarks.engines.audit.replay import EpisodeWorld, Replayed, play_bundle
+from benchmarks.engines.bundle import EpisodeBundle, make_bundle, scene_of
+from benchmarks.engines.replay import EpisodeWorld, Replayed, play_bundle
+from fungrasp.cli.console import Answer, progress_bar, write_json
+from fungrasp.cli.options import JsonOut, json_path
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.records import record_to_json
 from fungrasp.core.text_table import table
 from fungrasp.evaluation import Trajectory, replay
 from fungrasp.evaluation.statistics import wilson_interval
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, load_object
 from fungrasp.simulation import Scene
 
 EngineName = Literal["mujoco", "drake"]
@@ -75,8 +78,6 @@ class AuditResult:
 def audit(
     bundles: Sequence[EpisodeBundle],
     engine: EngineName,
-    known: Mapping[str, Replayed] | None = None,
-    keep: Callable[[Replayed], None] = lambda one: None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> AuditResult:
     """Play recorded episodes open loop in another engine.
@@ -84,8 +85,6 @@ def audit(
     Args:
         bundles: N of them.
         engine: its name.
-        known: what was found before, by the name of the recording.
-        keep: called with what is found of each episode.
         progress: called with the number of episodes that are done.
 
     Raises:
@@ -93,11 +92,7 @@ def audit(
     """
     make, found = world_maker(engine), []
     for number, bundle in enumerate(bundles):
-        one = (known or {}).get(bundle.name)
-        if one is None:
-            one = play_bundle(bundle, make(bundle))
-            keep(one)
-        found.append(one)
+        found.append(play_bundle(bundle, make(bundle)))
         progress(number + 1)
     return AuditResult(engine, tuple(found))
 
@@ -113,10 +108,10 @@ def world_maker(engine: EngineName) -> Callable[[EpisodeBundle], EpisodeWorld]:
     if find_spec(PACKAGES[engine]) is None:
         raise FungraspError(f'--engine {engine} is not installed: pip install "fungrasp[{engine}]"')
     if engine == "drake":
-        from benchmarks.engines.audit.drake_world import DrakeWorld
+        from benchmarks.engines.drake_world import DrakeWorld
 
         return DrakeWorld
-    from benchmarks.engines.audit.mujoco_world import MujocoWorld
+    from benchmarks.engines.mujoco_world import MujocoWorld
 
     return MujocoWorld
 
@@ -127,7 +122,7 @@ def load_bundles(
     """The bundles of recordings.
 
     Args:
-        paths: recorded episodes, bundles, or folders of them.
+        paths: recorded episodes, or folders of them.
         objects: gives the object of a recording.
         use: whether to take use tests from folders, those in which only the hand moves, in place of lift
             tests.
@@ -138,7 +133,7 @@ def load_bundles(
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = sorted([*path.glob("*.npz"), *path.glob(f"*{BUNDLE}")])
+            inside = sorted(path.glob("*.npz"))
             files += [file for file in inside if file.name.split(".")[0].endswith("_use") == use]
         else:
             files.append(path)
@@ -147,9 +142,6 @@ def load_bundles(
     scenes: dict[tuple[str, str], Scene] = {}
     found = []
     for file in files:
-        if file.name.endswith(BUNDLE):
-            found.append(load_bundle(file))
-            continue
         recorded = replay(file)
         if recorded.controls is None and use and file not in paths:
             continue
@@ -160,3 +152,37 @@ def load_bundles(
     if not found:
         raise FungraspError("in all of these use tests the world pushes or pulls at the object")
     return found
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Play recorded episodes open loop in another physics engine: what holds there, how much slips, what
+    differs and why."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Episodes that `fungrasp evaluate --record` wrote in the nominal world, or folders of them."""
+    engine: Literal["drake", "mujoco"] = "drake"
+    """Drake (extra "drake"), or MuJoCo built anew from what was recorded: the control."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+    use: bool = False
+    """Take the recorded use tests from folders in place of lift tests: those in which only the hand moves, as
+    it pours or hammers. The object has to stay where it is in the palm."""
+    json: JsonOut = None
+    """Write what is found of each episode here (.json); without a file, print it."""
+
+    def run(self) -> Answer:
+        world_maker(self.engine)
+        made = load_bundles(
+            self.recordings, lambda one: load_object(one.object_name, one.object_mass, self.objects), self.use
+        )
+        with progress_bar(f"in {self.engine}", len(made)) as show:
+            result = audit(made, self.engine, show)
+        path = json_path(self.json)
+        if path is not None:
+            write_json(path, result.json())
+        return Answer(result.json(), result.table())
+
+
+COMMAND = {"audit": Audit}
+"""By subcommand name."""

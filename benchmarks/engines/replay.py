@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from benchmarks.engines.audit.bundle import EpisodeBundle, moved_in_palm
+from benchmarks.engines.bundle import EpisodeBundle, moved_in_palm
 from fungrasp.geometry.poses import compose, invert, relative, rotate, rotation_vector
 from fungrasp.task import LiftProtocol
 from fungrasp.task.outcome import lifted_and_held

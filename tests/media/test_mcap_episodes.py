@@ -11,7 +11,7 @@ from recorded_episodes import episode
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import Trajectory
-from fungrasp.evaluation.episode_export import read_mcap_episode, write_mcap_episodes
+from fungrasp.media.mcap_episodes import read_mcap_episode, write_mcap_episodes
 
 
 @pytest.mark.parametrize("controls", [True, False])

@@ -7,8 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from benchmarks.engines.audit.bundle import EpisodeBundle
-from benchmarks.engines.audit.hand_parts import Vector
+from benchmarks.engines.bundle import EpisodeBundle, Vector
 from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.simulation import SceneSettings
 
@@ -22,7 +21,7 @@ _TYPES = {
 
 
 class MujocoWorld:
-    """See ``benchmarks.engines.audit.replay.EpisodeWorld``."""
+    """See ``benchmarks.engines.replay.EpisodeWorld``."""
 
     def __init__(self, bundle: EpisodeBundle):
         """bundle: of the episode."""

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.engines.audit.bundle import EpisodeBundle
-from benchmarks.engines.audit.hand_parts import Inertia, Shape
+from benchmarks.engines.bundle import EpisodeBundle, Inertia, Shape
 
 TIMESTEP = 0.004
 """[s]; the setpoint period is a multiple of it."""
@@ -25,7 +24,7 @@ RESOLUTION = 0.006
 
 
 class DrakeWorld:
-    """See ``benchmarks.engines.audit.replay.EpisodeWorld``. Drake has no dry friction of joints."""
+    """See ``benchmarks.engines.replay.EpisodeWorld``. Drake has no dry friction of joints."""
 
     def __init__(self, bundle: EpisodeBundle):
         """bundle: of the episode."""

@@ -1,0 +1,107 @@
+"""The verb ``plan``, and planners by the names of the policies that follow their plans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.objects import ObjectModel
+from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings
+from fungrasp.planning.planner import Planner
+from fungrasp.planning.selection.search import SearchPlanner
+from fungrasp.planning.selection.settings import SelectionSettings
+from fungrasp.planning.selection.success_predictor import NetworkPredictor
+from fungrasp.policies import OpenLoopPolicy, policy_files
+from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
+from fungrasp.policies.registry import PLAN, REFERENCE
+from fungrasp.policies.residual_policy import check_card, residual_policy
+from fungrasp.sim2real import ProtocolName
+from fungrasp.simulation import build_scene
+from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, Policy
+
+BATCH = 128
+"""Grasps planned together. It bounds the memory."""
+
+
+def plan(
+    robot: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    policy: str = REFERENCE,
+    *,
+    protocol: ProtocolName = "nominal",
+    rollouts: bool = True,
+    for_use: bool = False,
+    seed: int = 0,
+    threads: int = 0,
+    progress: Callable[[float], None] = lambda done: None,
+) -> GraspPlan:
+    """Plan grasps as the lift test does: objects settle in nominal worlds, then the policy's planner makes
+    the motion of each grasp, or selects one of many.
+
+    Args:
+        robot: N grasps.
+        objects: each object of the grasps, by name.
+        policy: whose planner it is: a name or a file (``fungrasp.policies.policy_files``).
+        protocol: what rollouts are to expect of the worlds.
+        rollouts: whether a planner that chooses among candidates tries them in simulation.
+        for_use: whether the use motions of the grasps' tasks count.
+        seed: of everything that the planner draws.
+        threads: 0 means all processors. The plans do not depend on it.
+        progress: called with the number of grasps that are planned, fractions included.
+
+    Returns:
+        N plans; world frame where a plan's field does not say otherwise.
+
+    Raises:
+        FungraspError: no such hand or policy, or one for another hand.
+    """
+    hand = robot.load_hand()
+    selection = SelectionSettings.for_protocol(protocol, rollouts, for_use)
+    motions = MotionSettings(for_use=for_use)
+    planner = make_planner(policy, hand, objects, selection, threads=threads, motions=motions)
+    scene, parts = build_scene(hand, objects), []
+    for first in range(0, len(robot), BATCH):
+        some = robot.select(np.arange(first, min(first + BATCH, len(robot))))
+        belief = LiftEnvironment(scene, len(some), threads=threads).settle(some)
+        parts.append(planner.plan(some, belief, seed, lambda done, before=first: progress(before + done)))
+    return GraspPlan.join(parts)
+
+
+def make_planner(
+    name: str,
+    hand: Hand,
+    objects: Mapping[str, ObjectModel],
+    settings: SelectionSettings | None = None,
+    protocol: LiftProtocol | None = None,
+    threads: int = 0,
+    motions: MotionSettings | None = None,
+) -> Planner:
+    """The planner whose plans a policy follows.
+
+    Args:
+        name: of the policy, as for ``policy_files``.
+        hand: that it moves.
+        objects: by name.
+        settings: of the selection among candidates; the defaults if None.
+        protocol: of the motions; the published one if None.
+        threads: 0 means all processors. Plans do not depend on it.
+        motions: how grasps are adapted, approached, closed and lifted; the defaults if None.
+
+    Raises:
+        FungraspError: no such policy, or one for another hand.
+    """
+    # The student's own plans, selected by rollouts of the student, are what "plan" plays open loop.
+    files = policy_files("student" if name == PLAN else name, hand.name)
+    if files.predictor is None:
+        return MotionPlanner(hand, objects, motions, protocol)
+    predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
+    policy: Policy = OpenLoopPolicy()
+    if files.network is not None:
+        check_card(read_card(files.network), hand)
+        made = residual_policy(load_policy(files.network), hand, objects)
+        policy = made  # pyright: ignore[reportAssignmentType]
+    digest = files.digests()[0]
+    return SearchPlanner(hand, objects, predictor, policy, digest, settings, protocol, threads, motions)
