@@ -153,7 +153,10 @@ class _Tree:
         moving = (m.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (m.actuator_trnid[:, 0] == number)
         torques = [m.jnt_actfrcrange[number], *m.actuator_forcerange[moving]]
         effort = float(np.abs(torques).max()) or FAR
-        _moving(self._robot, name, kind, parent, child, pose, m.jnt_axis[number], limits, effort)
+        joint = _joint(self._robot, name, kind, parent, child, pose)
+        xml.SubElement(joint, "axis", xyz=_text(m.jnt_axis[number]))
+        low, high = (_text([v]) for v in limits)
+        xml.SubElement(joint, "limit", lower=low, upper=high, effort=_text([effort]), velocity=_text([SPEED]))
 
     def _link(self, body: int, name: str) -> None:
         m = self._model
@@ -236,23 +239,6 @@ def _joint(
     xml.SubElement(joint, "parent", link=parent)
     xml.SubElement(joint, "child", link=child)
     return joint
-
-
-def _moving(
-    robot: xml.Element,
-    name: str,
-    kind: str,
-    parent: str,
-    child: str,
-    pose: np.ndarray,
-    axis: np.ndarray,
-    limits: np.ndarray,
-    effort: float,
-) -> None:
-    joint = _joint(robot, name, kind, parent, child, pose)
-    xml.SubElement(joint, "axis", xyz=_text(axis))
-    low, high = (_text([v]) for v in limits)
-    xml.SubElement(joint, "limit", lower=low, upper=high, effort=_text([effort]), velocity=_text([SPEED]))
 
 
 def _mimic(robot: xml.Element, m: mujoco.MjModel) -> None:

@@ -23,7 +23,8 @@ MEMORY = 1_600_000_000
 """Bytes that a child may take."""
 
 SECONDS = 4.0
-"""Processor time that a child may take for a small file [s]; it may take 1.6 times as long by the clock."""
+"""Processor time that a child may take for a small file [s]; by the clock it may take five times as long, for
+where other programs keep the processors busy."""
 
 BYTES_PER_SECOND = 5e6
 """A larger file gets one more second for each of these many bytes."""

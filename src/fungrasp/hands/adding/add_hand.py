@@ -86,7 +86,8 @@ def add_hand(
     poses = Poses(foreign.model, couplings, structure.palm)
     shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)
     physics = joint_physics(poses, structure, shapes.tips, findings)
-    spec = new_model(foreign, structure, poses, shapes, couplings, physics, name, findings)
+    spec = new_model(foreign, structure, poses, shapes, couplings, physics)
+    spec.modelname = name
     text = self_contained_xml(spec)
     toml = _toml(name, path, foreign.model, structure, shapes, physics, poses)
     with atomic_path(model_path) as temporary:

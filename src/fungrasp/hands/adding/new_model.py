@@ -14,7 +14,7 @@ from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.servos import JointPhysics
 from fungrasp.hands.adding.shape_fitting import Box, Capsule, coarse
 from fungrasp.hands.adding.structure import HandStructure
-from fungrasp.hands.checking.findings import Finding, listed, note, warning
+from fungrasp.hands.checking.findings import listed, note, warning
 from fungrasp.hands.collisions import self_contacts, zero_and_random_poses
 from fungrasp.hands.kinematic_tree import body_name, joint_name
 
@@ -35,8 +35,6 @@ def new_model(
     shapes: HandShapes,
     couplings: list[Coupling],
     physics: JointPhysics,
-    name: str,
-    findings: list[Finding],
 ) -> mujoco.MjSpec:
     """Build the model; its palm stands still at the origin. Sites mark joints ("index_joint_1") and tips
     ("index_tip")."""
@@ -44,7 +42,6 @@ def new_model(
     poses.data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, poses.data)
     spec = mujoco.MjSpec()
-    spec.modelname = name
     spec.compiler.degree = False
     bodies: dict[int, mujoco.MjsBody] = {}
     guessed = []
@@ -83,12 +80,12 @@ def new_model(
         equality.solref[:2] = [0.01, 1.0]
         equality.solimp[:3] = [0.99, 0.999, 0.001]
     if guessed:
-        findings.append(
+        foreign.findings.append(
             warning(
                 f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
             )
         )
-    exclude_neighbors(spec, foreign, structure, shapes, findings)
+    exclude_neighbors(spec, foreign, structure, shapes)
     return spec
 
 
@@ -238,7 +235,6 @@ def exclude_neighbors(
     foreign: ForeignModel,
     structure: HandStructure,
     shapes: HandShapes,
-    findings: list[Finding],
 ) -> None:
     """Let neighbors, links of one finger, and shapes that always touch pass through each other."""
 
@@ -280,7 +276,7 @@ def exclude_neighbors(
         pairs |= set(extra)
         if extra:
             shown = [f"{first} and {second}" for first, second in extra]
-            findings.append(note(f"these {text}, and may pass through each other: {listed(shown)}"))
+            foreign.findings.append(note(f"these {text}, and may pass through each other: {listed(shown)}"))
     for first, second in sorted(pairs):
         spec.add_exclude(bodyname1=first, bodyname2=second)
 

@@ -119,7 +119,7 @@ def find_structure(
         normal = np.array(answers.normal, dtype=float)
         normal = normal - (normal @ along) * along
     normal /= np.linalg.norm(normal)
-    names, side = _names(model, palm, chains, features, thumb, np.cross(along, normal), answers, findings)
+    names, side = _names(poses, chains, features, thumb, np.cross(along, normal), answers, findings)
     fingers = {name: chains[names[name]] for name in FINGERS if name in names}
     return HandStructure(palm, fingers, along, normal, side, joints)
 
@@ -244,8 +244,7 @@ def _thumbs_by_name(model: mujoco.MjModel, chains: list[Chain]) -> list[int]:
 
 
 def _names(
-    model: mujoco.MjModel,
-    palm: int,
+    poses: Poses,
     chains: list[Chain],
     features: list[_Features],
     thumb: int,
@@ -254,7 +253,7 @@ def _names(
     findings: list[Finding],
 ) -> tuple[dict[str, int], str]:
     """Chain of each finger, and the side. across: to the thumb's side of a right hand, shape [3]."""
-    long = [i for i in range(len(chains)) if i != thumb]
+    model, long = poses.model, [i for i in range(len(chains)) if i != thumb]
     bases = np.array([features[i].base @ across for i in long])
     offset = float(features[thumb].base @ across - bases.mean())
     leaning = float(features[thumb].middle @ across - bases.mean())
@@ -263,7 +262,7 @@ def _names(
     standing = None
     if abs(distance) >= 0.5 * SIDE_RATIO * length:
         standing = "right" if distance > 0 else "left"
-    side = find_side(model, palm, standing, len(long), answers.side, findings)
+    side = find_side(model, poses.palm, standing, len(long), answers.side, findings)
     if answers.fingers:
         names = {
             name: _chain_of(model, chains, body, f"--finger {name}=")
