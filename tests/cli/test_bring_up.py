@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from fungrasp.cli import bring_up, devices
-from fungrasp.cli.bring_up import FAILED, PASSED, SKIPPED, BringUp, BringUpLog, Step
+from fungrasp.cli.bring_up import FAILED, PASSED, SKIPPED, BringUp, BringUpLog, BringUpStep
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots import single_devices
@@ -36,7 +36,7 @@ def played(
         return ended.get(words[1], 0), [f"{words[1]} measured"]
 
     steps = [
-        Step(name, f"{name} is tried.", ("robots", name), "Well?" if name == "b" else "") for name in names
+        BringUpStep(name, f"Try {name}.", ("robots", name), "Well?" if name == "b" else "") for name in names
     ]
     left = iter(answers)
     monkeypatch.setattr(BringUp, "steps", lambda *given: steps)
@@ -73,7 +73,7 @@ def test_logs_of_others_are_refused_and_left_alone(tmp_path: Path) -> None:
     with pytest.raises(FungraspError, match="is no log of a bring-up"):
         BringUpLog(other, "one", "0")
     assert other.read_text() == "# My notes\n"
-    BringUpLog(log, "one", "0123").append(Step("doctor", "It answers.", ()), PASSED, ["a\nb"])
+    BringUpLog(log, "one", "0123").append(BringUpStep("doctor", "It answers.", ()), PASSED, ["a\nb"])
     with pytest.raises(FungraspError, match="is of the cell one, not two"):
         BringUpLog(log, "two", "0123")
     assert not BringUpLog(log, "one", "0123").other_cell
@@ -201,7 +201,7 @@ def test_emulated_devices_are_brought_up_to_the_plan(
     monkeypatch.setattr(bring_up, "run_fungrasp", in_this_process)
     every = BringUp.steps
 
-    def of_devices(self: BringUp, *given: Any) -> list[Step]:
+    def of_devices(self: BringUp, *given: Any) -> list[BringUpStep]:
         return [step for step in every(self, *given) if step.words[0] == "robots"]
 
     monkeypatch.setattr(BringUp, "steps", of_devices)

@@ -71,7 +71,7 @@ def test_a_specification_travels_as_json():
     assert record_from_json(DeploymentSpec, record_to_json(FAST), "spec") == FAST
 
 
-VERDICT = SimpleNamespace(words="not sure: 40 %")
+ACCEPTANCE = SimpleNamespace(summary=lambda: "not sure: 40 %")
 
 
 def seen(name: str, confident: bool, *warnings: str) -> Any:
@@ -79,7 +79,7 @@ def seen(name: str, confident: bool, *warnings: str) -> Any:
     grasp = SimpleNamespace(object_name=name)
     model = SimpleNamespace(name="mug")
     return SimpleNamespace(
-        grasp=grasp, object_model=model, confident=confident, warnings=warnings, verdict=VERDICT
+        grasp=grasp, object_model=model, confident=confident, warnings=warnings, acceptance=ACCEPTANCE
     )
 
 
@@ -106,7 +106,7 @@ def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
         object_model=model,
         objects={model.name: model},
         confident=True,
-        verdict=VERDICT,
+        acceptance=ACCEPTANCE,
         warnings=(),
     )
 
@@ -114,7 +114,7 @@ def test_the_grasp_in_an_image(monkeypatch: pytest.MonkeyPatch) -> None:
         asked.append((folder, mesh, mass, options["seed"]))
         return found
 
-    monkeypatch.setattr("fungrasp.perception.builtin_image.perceive_folder", perceive)
+    monkeypatch.setattr("fungrasp.perception.pipeline.perceive_folder", perceive)
     choice = GraspChoice(image="photo", mesh="mug", mass=0.3)
     human, objects = choice.human(seed=4)
     assert asked == [("photo", "mug", 0.3, 4)]

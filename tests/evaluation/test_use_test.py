@@ -7,7 +7,7 @@ from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_gras
 
 from fungrasp.evaluation import LiftTestSpec, evaluate, replay
 from fungrasp.evaluation.results import result_json
-from fungrasp.evaluation.use_test import UseTest, held_parts, use_json
+from fungrasp.evaluation.use_evaluation import UseTest, held_parts, use_json
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.planning import MotionPlanner, MotionSettings

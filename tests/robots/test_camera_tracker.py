@@ -135,7 +135,7 @@ def test_a_camera_gives_its_newest_frame_until_it_fails(monkeypatch: pytest.Monk
     assert frame is not None and frame.capture.color[0, 0, 1] == 3
     assert 0.2 <= time.monotonic() - frame.captured < 5.0, "the camera's time stamp counts"
     assert frames.newest(0.0) is None
-    fake.images, fake.millimetres = 5, 0
+    fake.images, fake.millimeters = 5, 0
     with pytest.raises(FungraspError):
         frames.newest(0.0)
     frames.close()

@@ -80,7 +80,7 @@ MISTAKES = {
     "missing mount": (
         "pose_flange_hand = [0.0, 0.0, 0.156, 0.7071068, 0.0, 0.0, 0.7071068]",
         "",
-        ["'mount.pose_flange_hand' is missing", "3 metres and a unit quaternion wxyz"],
+        ["'mount.pose_flange_hand' is missing", "3 meters and a unit quaternion wxyz"],
     ),
     "residual too large": (
         "calibration_residual = 0.002",
@@ -142,7 +142,7 @@ MISTAKES = {
     "a quaternion that is none": (
         "0.3, 1.0, 0.0, 0.0, 0.0]",
         "0.3, 0.0, 0.0, 180.0]",
-        ["'arm.pose_world_base' must be 3 metres and a unit quaternion wxyz"],
+        ["'arm.pose_world_base' must be 3 meters and a unit quaternion wxyz"],
     ),
 }
 

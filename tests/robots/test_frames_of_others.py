@@ -157,12 +157,6 @@ UR_FRAMES = {
     "stopScript": (UR_STOP, "04 000000ff"),
 }
 JOINT_REGISTERS = tuple(f"input_double_register_{i}" for i in range(6))
-SERVOJ_REGISTERS = ("input_int_register_0", *(f"input_double_register_{i}" for i in range(11)))
-UR_RECIPES = {
-    "02": SERVOJ_REGISTERS,
-    "08": ("input_int_register_0", "input_double_register_0"),
-    "04": ("input_int_register_0",),
-}
 UR_EXAMPLE = """
 import sys
 import rtde_control
@@ -179,18 +173,6 @@ control.servoStop()
 control.stopScript()
 """
 """As the example of ur_rtde's documentation does: setpoints 1 mrad apart on two joints, then both stops."""
-
-
-@pytest.mark.parametrize("name", UR_FRAMES)
-def test_packages_of_the_servoj_example(name: str):
-    command, text = UR_FRAMES[name]
-    content = bytes.fromhex(text)
-    recipe = rtde.make_recipe(",".join(UR_RECIPES[text[:2]]))
-    values = rtde.decode_values(recipe, content[1:])
-    assert values["input_int_register_0"] == command
-    assert rtde.encode_values(recipe, content[0], values) == rtde.package(rtde.DATA, content)
-    if command == UR_SERVOJ:
-        assert [values[name] for name in SERVOJ_REGISTERS[1:]] == [*HOME, 0.5, 0.5, 0.002, 0.1, 300.0]
 
 
 class RecordingController(URControllerEmulator):

@@ -10,14 +10,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
-from hypothesis import given
-from hypothesis import strategies as st
 
 from fungrasp.hands import load_hand
 from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
-from fungrasp_emulators import leap as wire
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.plants import ServoPlant
@@ -44,31 +41,6 @@ class TestLeap(DriverContract):
 
     def running(self, **settings):
         return emulated(**settings)
-
-
-def test_packets_of_the_manual():
-    # Examples of the e-Manual: ping of servo 1, and its answer by model 1030 with firmware 38.
-    ping = bytes.fromhex("fffffd00010300 01 194e")
-    assert wire.encode_packet(wire.ServoPacket(1, wire.PING, b"")) == ping
-    answer = bytes.fromhex("fffffd00010700 55 00 060426 655d")
-    packets, rest = wire.split_servo_packets(b"\x00" + ping + answer + b"\xff")
-    assert packets == [
-        wire.ServoPacket(1, wire.PING, b""),
-        wire.ServoPacket(1, wire.STATUS, b"\x00\x06\x04\x26"),
-    ]
-    assert rest == b"\xff"
-    # Read 4 bytes of the present position, 132 = 0x84, of servo 1.
-    read = wire.encode_packet(wire.ServoPacket(1, wire.READ, b"\x84\x00\x04\x00"))
-    assert read == bytes.fromhex("fffffd00010700 02 84000400 1d15")
-
-
-@given(st.binary(max_size=40), st.integers(0, 252))
-def test_any_parameters_come_back(parameters: bytes, device: int):
-    packet = wire.ServoPacket(device, wire.WRITE, parameters)
-    packets, rest = wire.split_servo_packets(wire.encode_packet(packet))
-    # A parameter string that holds the escape itself can't be told from an escaped one.
-    if b"\xff\xff\xfd\xfd" not in parameters:
-        assert packets == [packet] and rest == b""
 
 
 def test_units():

@@ -68,17 +68,6 @@ def test_packages():
     assert not codec.make_recipe("actual_q,no_such_thing").valid
 
 
-def test_packages_are_found_in_any_pieces():
-    stream = codec.package(b"V", b"\x00\x02") + codec.package(b"S") + codec.package(b"v", b"abc")
-    whole, rest = codec.split_packages(stream)
-    assert [kind for kind, _ in whole] == [b"V", b"S", b"v"] and rest == b""
-    pieces, left = [], b""
-    for byte in stream:
-        found, left = codec.split_packages(left + bytes([byte]))
-        pieces += found
-    assert pieces == whole
-
-
 def test_another_model_or_serial_number_is_refused():
     with emulated() as device:
         device.emulator.inject(Fault.WRONG_DEVICE)

@@ -478,10 +478,3 @@ def test_lost_episodes_can_be_ended_at_once():
         assert not outcomes.success.any() and (outcomes.reason == "lost before the hold").all()
         both.append(environment.task.time.copy())
     assert (both[1] < both[0] - 2.0).all()
-
-
-def test_what_is_seen_and_what_is_are_of_one_frame():
-    environment = start()
-    truth = relative(environment.engine.palm_pose, environment.engine.object_pose)
-    seen = environment.observe()
-    np.testing.assert_allclose(relative(seen.palm_pose, seen.object_pose), truth, atol=1e-12)

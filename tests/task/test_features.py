@@ -252,19 +252,3 @@ def test_layouts_follow_the_hand(name):
     assert layout(contacts) == (("contacts", links), ("contact_errors", links), ("contact_forces", links))
     more = value_features(truth, now.palm_pose)
     assert flatten(more).shape == (2, 3 + 3 + links + 4)
-
-
-def test_flattened_parts_keep_their_order(allegro):
-    rng = np.random.default_rng(1)
-    parts = robot_features(*example())
-    flat, first = flatten(parts), 0
-    for name, size in layout(parts):
-        np.testing.assert_array_equal(flat[:, first : first + size], parts[name])
-        first += size
-    many = robot_features(
-        measured_state(rng, allegro, 4),
-        measured_state(rng, allegro, 4),
-        plan_target(rng, allegro, 4),
-        action(rng, allegro, 4),
-    )
-    assert np.isfinite(flatten(many)).all()

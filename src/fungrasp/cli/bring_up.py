@@ -36,7 +36,7 @@ _SECTION = re.compile(r"^## (?P<step>[a-z-]+): (?P<status>passed|failed|skipped)
 
 
 @dataclass(frozen=True)
-class Step:
+class BringUpStep:
     """A line of the checklist."""
 
     name: str
@@ -108,7 +108,7 @@ class BringUp:
                 )
         print(f"brought up; the log is {self.log}", flush=True)
 
-    def steps(self, cell: RobotCell, hand: Hand) -> list[Step]:
+    def steps(self, cell: RobotCell, hand: Hand) -> list[BringUpStep]:
         """The checklist of a cell."""
         from fungrasp.robots.single_devices import joint_names
 
@@ -126,50 +126,50 @@ class BringUp:
         deploy = ("deploy", "--robot", name, *options, "--picture", str(plan))
         slow = (*deploy, "--speed", f"{self.speed:g}")
         steps = [
-            Step("doctor", "Every device answers; nothing moves.", (robots, "doctor", name)),
-            Step(
+            BringUpStep("doctor", "Every device answers; nothing moves.", (robots, "doctor", name)),
+            BringUpStep(
                 "read-arm",
                 "The arm's joints are shown; nothing moves. Compare them with the pendant.",
                 (robots, "read", name, "arm"),
                 "Do the joints agree with the pendant?",
             ),
-            Step(
+            BringUpStep(
                 "hold-arm",
                 "The arm is taken over and holds; its driver compares kinematics and payload.",
                 (robots, "hold", name, "arm"),
                 "Does the pendant say the payload that the cell says, kinematics and payload compared?",
             ),
-            Step("jog-arm", moved, (robots, "jog", name, "arm", "all")),
-            Step("stop", "Press Enter while the last joint of the arm moves.", stopped, stop="key"),
-            Step("stop-file", f"Make the file {cell.stop_file} while it moves.", stopped, stop="file"),
-            Step("base", "The base is where the cell has it, by points that were touched.", check, file=True),
-            Step(
+            BringUpStep("jog-arm", moved, (robots, "jog", name, "arm", "all")),
+            BringUpStep("stop", "Press Enter while the last joint of the arm moves.", stopped, stop="key"),
+            BringUpStep("stop-file", f"Make the file {cell.stop_file} while it moves.", stopped, stop="file"),
+            BringUpStep("base", "The base is where the cell has it, by touched points.", check, file=True),
+            BringUpStep(
                 "mount",
                 "The hand is on the flange as the cell says. Have a ruler ready.",
                 check,
                 "Does a ruler on the hand say so, too?",
             ),
-            Step(
+            BringUpStep(
                 "read-hand",
                 "The hand's joints are shown. Move each finger by hand, where it gives way.",
                 (robots, "read", name, "hand"),
                 "Did the right joints move, with the right sign and size?",
             ),
-            Step("hold-hand", "The hand is switched on and holds.", (robots, "hold", name, "hand")),
-            Step("jog-hand", moved, (robots, "jog", name, "hand", "all")),
-            Step(
+            BringUpStep("hold-hand", "The hand is switched on and holds.", (robots, "hold", name, "hand")),
+            BringUpStep("jog-hand", moved, (robots, "jog", name, "hand", "all")),
+            BringUpStep(
                 "plan",
                 "Put the object where the arm reaches it. The whole way is planned; nothing moves.",
                 (*deploy, "--until", "plan"),
                 "Is the way free, and the grasp one that you want?",
             ),
-            Step(
+            BringUpStep(
                 "approach",
                 "The arm goes to the start of the grasp in slow motion.",
                 (*slow, "--until", "approach"),
                 "Is the hand where the picture has it?",
             ),
-            Step(
+            BringUpStep(
                 "lift",
                 "Grasp, lift, put down and home in slow motion. A soft object, first.",
                 slow,
@@ -178,7 +178,7 @@ class BringUp:
         ]
         return [step for step in steps if step.name != "stop-file" or cell.stop_file]
 
-    def _done(self, step: Step, cell: RobotCell) -> tuple[str, list[str]]:
+    def _done(self, step: BringUpStep, cell: RobotCell) -> tuple[str, list[str]]:
         """How a step went, and what the log says of it."""
         from fungrasp.core.errors import FungraspError
 
@@ -307,7 +307,7 @@ class BringUpLog:
         """Whether steps were done before cell or hand were changed."""
         return bool(self.done) and f"cell {self._digest}" not in self._text.rpartition("\n## ")[2]
 
-    def append(self, step: Step, status: str, lines: Sequence[str]) -> None:
+    def append(self, step: BringUpStep, status: str, lines: Sequence[str]) -> None:
         """Write down how a step went.
 
         Raises:

@@ -24,13 +24,17 @@ class Evaluate(LiftTestSpec):
 
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(name="seed")] = (0,)
     """Of all that is random; with several, each grasp is tried with each."""
-    # These are given by other options, or in Python alone.
     randomization: tyro.conf.Suppress[tyro.conf.Fixed[Randomization]] = NOMINAL
+    """Made of ``differs``."""
     lift: tyro.conf.Suppress[tyro.conf.Fixed[LiftProtocol]] = field(default_factory=LiftProtocol)
+    """Given in Python alone."""
     physics: tyro.conf.Suppress[tyro.conf.Fixed[SceneSettings]] = field(default_factory=SceneSettings)
+    """Made of ``noslip``, ``device`` and ``buffers``."""
     selection: tyro.conf.Suppress[tyro.conf.Fixed[SelectionSettings | None]] = None
+    """Given in Python alone."""
 
     differs: WorldDifferences = field(default_factory=WorldDifferences)
+    """How worlds differ from what is believed, in the place of a protocol."""
     grasps: str = "builtin"
     """A file of human grasps (they are retargeted first) or of robot grasps, or "builtin"."""
     objects: Path | None = None

@@ -15,7 +15,7 @@ from fungrasp.core.jobs import Arrays
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.trajectory import Recorder, UseRecorder
-from fungrasp.evaluation.use_test import UseTest
+from fungrasp.evaluation.use_evaluation import UseTest
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes

@@ -23,7 +23,7 @@ from fungrasp.evaluation.grasp_quality import StaticQuality
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.result_files import save_result
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
-from fungrasp.evaluation.use_test import use_json
+from fungrasp.evaluation.use_evaluation import use_json
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.attempts import AttemptRecord

@@ -37,6 +37,15 @@ class Measure(NamedTuple):
     smoothing) / unit, about depth / unit [m]."""
 
 
+class Planes(NamedTuple):
+    """To stay above; none where it is the object that is not to be gone into."""
+
+    up: np.ndarray
+    """Normals, shape [N, T, 3]."""
+    height: np.ndarray
+    """Of the object's origin above each plane [m], shape [N, T]."""
+
+
 def object_penetration(
     points: HandPoints,
     problem: CollisionScene,
@@ -48,13 +57,28 @@ def object_penetration(
     """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A). For
     the numbers see ``Measure``."""
     shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, smoothing)
-    return lambda frames, equations, *_: _add_object_penetration(frames, equations, shapes, measure)
+    none = Planes(np.empty((len(problem), 0, 3)), np.empty((len(problem), 0)))
+    return lambda frames, equations, *_: _add_penetration(frames, equations, shapes, none, measure)
+
+
+def table_penetration(
+    points: HandPoints, problem: CollisionScene, unit: float = 0.001, margin: float = 0.001, count: int = 12
+) -> AddTerm:
+    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A). For the
+    numbers see ``Measure``."""
+    shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, 0.0)
+    table = Planes(plain(problem.up), plain(problem.height))
+    return lambda frames, equations, *_: _add_penetration(frames, equations, shapes, table, measure)
 
 
 @compiled
-def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes, measure: Measure) -> None:
-    """Add ``object_penetration``."""
+def _add_penetration(
+    frames: Frames, equations: Equations, shapes: Shapes, planes: Planes, measure: Measure
+) -> None:
+    """Add ``object_penetration``, or ``table_penetration`` where there are planes."""
     spheres, groups, grids, grid = shapes
+    up, height = planes
+    table = height.shape[1] > 0
     row = empty_row(equations.gradient.shape[1])
     total = len(spheres.radius)
     depth, ball, normal = np.empty(total), np.empty(total, np.int64), np.empty((total, 3))
@@ -64,17 +88,26 @@ def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes
             continue
         number = np.int64(0)
         for group in range(len(groups.reach)):
-            size = groups.start[group + 1] - groups.start[group]
-            if size > 2 and least_clearance(frames, i, groups, group, grids, grid[i]) >= margin:
+            bound = -math.inf
+            if table:
+                center = place(frames, i, groups.body[group], groups.center[group])
+                bound = _lowest(center, up, height, i)[0] - groups.reach[group]
+            elif groups.start[group + 1] - groups.start[group] > 2:
+                bound = least_clearance(frames, i, groups, group, grids, grid[i])
+            if bound >= margin:
                 continue
             for k in range(groups.start[group], groups.start[group + 1]):
                 member = groups.members[k]
                 point = place(frames, i, spheres.body[member], spheres.offset[member])
-                distance, gx, gy, gz = signed_distance(grids, grid[i], point)
+                if table:
+                    distance, t = _lowest(point, up, height, i)
+                    nx, ny, nz = up[i, t, 0], up[i, t, 1], up[i, t, 2]
+                else:
+                    distance, nx, ny, nz = signed_distance(grids, grid[i], point)
                 deep = margin - distance + spheres.radius[member]
                 if deep > 0:
                     depth[number], ball[number] = deep, member
-                    normal[number, 0], normal[number, 1], normal[number, 2] = gx, gy, gz
+                    normal[number, 0], normal[number, 1], normal[number, 2] = nx, ny, nz
                     number += 1
         for k in range(_deepest(depth, number, measure.count, order)):
             n = order[k]
@@ -84,6 +117,17 @@ def _add_object_penetration(frames: Frames, equations: Equations, shapes: Shapes
             push = (-normal[n, 0] / unit, -normal[n, 1] / unit, -normal[n, 2] / unit)
             add_point(row, frames, i, body, point, push)
             finish_row(row, equations, i, value)
+
+
+@compiled_part
+def _lowest(point, up: np.ndarray, height: np.ndarray, i: int):
+    """Least height [m] of a point above the planes, and which plane."""
+    least, plane = math.inf, 0
+    for t in range(height.shape[1]):
+        above = up[i, t, 0] * point[0] + up[i, t, 1] * point[1] + up[i, t, 2] * point[2] + height[i, t]
+        if above < least:
+            least, plane = above, t
+    return least, plane
 
 
 @compiled_part
@@ -110,76 +154,6 @@ def _residual(depth: float, measure: Measure):
         root = math.sqrt(2 / measure.unit / (hypotenuse + measure.smoothing))
         return root * depth, measure.unit * hypotenuse * root
     return depth / measure.unit, measure.unit
-
-
-def table_penetration(
-    points: HandPoints, problem: CollisionScene, unit: float = 0.001, margin: float = 0.001, count: int = 12
-) -> AddTerm:
-    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A). For the
-    numbers see ``Measure``."""
-    spheres, groups = points.arrays.spheres, points.arrays.groups
-    up, height = plain(problem.up), plain(problem.height)
-    measure = Measure(unit, margin, count, 0.0)
-    return lambda frames, equations, *_: _add_table_penetration(
-        frames, equations, spheres, groups, up, height, measure
-    )
-
-
-@compiled
-def _add_table_penetration(
-    frames: Frames,
-    equations: Equations,
-    spheres: Spheres,
-    groups: Groups,
-    up: np.ndarray,
-    height: np.ndarray,
-    measure: Measure,
-) -> None:
-    """Add ``table_penetration``.
-
-    Args:
-        up: normals of the planes, shape [N, T, 3].
-        height: of the object's origin above each plane [m], shape [N, T].
-    """
-    row = empty_row(equations.gradient.shape[1])
-    total = len(spheres.radius)
-    depth, ball = np.empty(total), np.empty(total, np.int64)
-    plane, order = np.empty(total, np.int64), np.empty(total, np.int64)
-    for i in range(len(up)):
-        if not equations.active[i]:
-            continue
-        number = np.int64(0)
-        for group in range(len(groups.reach)):
-            center = place(frames, i, groups.body[group], groups.center[group])
-            if _lowest(center, up, height, i)[0] - groups.reach[group] >= measure.margin:
-                continue
-            for k in range(groups.start[group], groups.start[group + 1]):
-                member = groups.members[k]
-                point = place(frames, i, spheres.body[member], spheres.offset[member])
-                above, t = _lowest(point, up, height, i)
-                deep = measure.margin - above + spheres.radius[member]
-                if deep > 0:
-                    depth[number], ball[number], plane[number] = deep, member, t
-                    number += 1
-        for k in range(_deepest(depth, number, measure.count, order)):
-            n = order[k]
-            body, t = spheres.body[ball[n]], plane[n]
-            point = place(frames, i, body, spheres.offset[ball[n]])
-            value, unit = _residual(depth[n], measure)
-            push = (-up[i, t, 0] / unit, -up[i, t, 1] / unit, -up[i, t, 2] / unit)
-            add_point(row, frames, i, body, point, push)
-            finish_row(row, equations, i, value)
-
-
-@compiled_part
-def _lowest(point, up: np.ndarray, height: np.ndarray, i: int):
-    """Least height [m] of a point above the planes, and which plane."""
-    least, plane = math.inf, 0
-    for t in range(height.shape[1]):
-        above = up[i, t, 0] * point[0] + up[i, t, 1] * point[1] + up[i, t, 2] * point[2] + height[i, t]
-        if above < least:
-            least, plane = above, t
-    return least, plane
 
 
 def self_penetration(

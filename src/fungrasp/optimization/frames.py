@@ -162,19 +162,6 @@ def place(frames: Frames, i: int, body: int, offset):
 
 
 @compiled
-def clear(equations: Equations) -> None:
-    """Set the normal equations of active problems to zero."""
-    size = equations.gradient.shape[1]
-    for i in range(len(equations.cost)):
-        if equations.active[i]:
-            equations.cost[i] = 0.0
-            for p in range(size):
-                equations.gradient[i, p] = 0.0
-                for q in range(size):
-                    equations.hessian[i, p, q] = 0.0
-
-
-@compiled
 def move_hands(
     tree: Tree, pose: np.ndarray, independent: np.ndarray, active: np.ndarray, frames: Frames
 ) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
-from fungrasp.optimization.frames import Equations, clear, empty_frames, move_hands
+from fungrasp.optimization.frames import Equations, empty_frames, move_hands
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import CollisionScene
 from fungrasp.optimization.terms import Term
@@ -96,7 +96,8 @@ class NormalEquations:
 
     def evaluate(self, equations: Equations, pose: np.ndarray, independent: np.ndarray) -> None:
         """Write the active grasps' equations at wrist poses [N, 7] and independent joints [N, U]."""
-        clear(equations)
+        for array in (equations.cost, equations.gradient, equations.hessian):
+            array[equations.active] = 0.0
         move_hands(self._hand.tree, pose, independent, equations.active, self._frames)
         for add in self._terms:
             add(self._frames, equations, pose, independent)

@@ -49,23 +49,15 @@ OTHER_UNITS = {
 """Name of a unit, the other one that is likely, and how large that is."""
 
 LARGEST = {
-    "arm.pose_world_base": (5.0, "m"),
-    "tracker.pose_world_camera": (5.0, "m"),
-    "mount.pose_flange_hand": (0.5, "m"),
+    "arm.pose_world_base tracker.pose_world_camera workspace.lower workspace.upper": (5.0, "m"),
+    "mount.pose_flange_hand mount.adapter_length watchdog.pose_jump": (0.5, "m"),
     "mount.adapter_radius": (0.3, "m"),
-    "mount.adapter_length": (0.5, "m"),
-    "workspace.lower": (5.0, "m"),
-    "workspace.upper": (5.0, "m"),
     "workspace.hand_depth": (0.1, "m"),
     "obstacles.center": (10.0, "m"),
     "obstacles.size": (20.0, "m"),
     "limits.goal_distance": (2.0, "m"),
     "limits.hand_speed": (20.0, "rad/s"),
-    "watchdog.arm_silence": (5.0, "s"),
-    "watchdog.hand_silence": (5.0, "s"),
-    "watchdog.pose_stale": (5.0, "s"),
-    "watchdog.overrun": (5.0, "s"),
-    "watchdog.pose_jump": (0.5, "m"),
+    "watchdog.arm_silence watchdog.hand_silence watchdog.pose_stale watchdog.overrun": (5.0, "s"),
     "watchdog.pose_turn": (np.pi, "rad"),
 }
 """Numbers beyond these are in another unit, by our judgment, as a UR5 reaches 0.95 m; and a limit in another
@@ -103,7 +95,7 @@ class ArmSettings(DeviceSettings):
     model: str = "ur5e"
     """Name of the arm's model, or an MJCF file, relative to the cell's."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    """Pose of the arm's base in the world: metres and a quaternion wxyz; the table top is z = 0. The base is
+    """Pose of the arm's base in the world: meters and a quaternion wxyz; the table top is z = 0. The base is
     ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
     turned by 180 degrees about z."""
     home: Vector = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
@@ -345,7 +337,7 @@ def cell_faults(cell: RobotCell) -> list[str]:
         ("mount.pose_flange_hand", mount.pose_flange_hand or (0.0, 0.0, 0.0, *UPRIGHT)),
     ):
         if len(pose) != 7 or not _unit(pose[3:]):
-            faults.append(f"'{name}' must be 3 metres and a unit quaternion wxyz, not {list(pose)}")
+            faults.append(f"'{name}' must be 3 meters and a unit quaternion wxyz, not {list(pose)}")
     if len(cell.arm.home) == 0:
         faults.append("'arm.home' is missing: joints where the arm waits [rad]")
     for number, one in enumerate(cell.obstacles, 1):
@@ -394,7 +386,7 @@ def _wired_faults(cell: RobotCell) -> list[str]:
             )
     if not cell.mount.pose_flange_hand:
         faults.append(
-            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 metres and "
+            "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 meters and "
             "a unit quaternion wxyz"
         )
     return faults
@@ -403,7 +395,8 @@ def _wired_faults(cell: RobotCell) -> list[str]:
 def _unit_faults(cell: RobotCell) -> list[str]:
     """What must be a mistake of units in a cell."""
     faults = []
-    for name, (most, sign) in LARGEST.items():
+    known = {name: largest for names, largest in LARGEST.items() for name in names.split()}
+    for name, (most, sign) in known.items():
         section, _, key = name.partition(".")
         part = getattr(cell, section)
         word, other, size = OTHER_UNITS[sign]

@@ -1,6 +1,6 @@
 """What every driver of an arm, a hand or an object tracker offers.
 
-Positions are radians and metres, torques newton metres; a driver's codec translates to the units of the wire.
+Positions are radians and meters, torques newton meters; a driver's codec translates to the units of the wire.
 Host times are of ``time.monotonic`` [s]. A driver never judges a connection by the return values of a client
 library: a state is as old as the device's own time stamp says.
 """

@@ -23,7 +23,7 @@ MEMORY = 1_600_000_000
 """Bytes that a child may take."""
 
 SECONDS = 4.0
-"""Processor time that a child may take for a small file [s]; by the clock it may take five times as long, for
+"""Processor time that a child may take for a small file [s]; by the clock it may take ten times as long, for
 where other programs keep the processors busy."""
 
 BYTES_PER_SECOND = 5e6

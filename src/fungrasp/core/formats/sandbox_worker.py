@@ -272,7 +272,7 @@ def _forked(request: dict[str, Any]) -> tuple[int, bytes]:
 def _limit(seconds: float, memory: int) -> None:
     import resource
 
-    signal.setitimer(signal.ITIMER_REAL, 5 * seconds)
+    signal.setitimer(signal.ITIMER_REAL, 10 * seconds)
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
     for name in ("RLIMIT_DATA", "RLIMIT_AS"):
         with suppress(ValueError, OSError):

@@ -27,17 +27,8 @@ from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 from fungrasp.robots.optional_packages import import_client
 
-VARIABLES = [
-    "timestamp",
-    "actual_q",
-    "actual_qd",
-    "runtime_state",
-    "safety_status_bits",
-    "robot_status_bits",
-    "speed_scaling",
-    "target_speed_fraction",
-    "actual_TCP_pose",
-]
+VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits"]
+VARIABLES += ["robot_status_bits", "speed_scaling", "target_speed_fraction", "actual_TCP_pose"]
 PAYLOAD_TOLERANCE, PAYLOAD_CENTER_TOLERANCE = 0.1, 0.01
 """Of the payload [kg] and of its center along each axis [m]."""
 PLAYING = 2

@@ -1,1 +1,1 @@
-"""Translates between radians and newton metres and the bytes on the wires: pure functions."""
+"""Translates between radians and newton meters and the bytes on the wires: pure functions."""

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -160,16 +159,6 @@ LOST_TIMEOUT = 0.5
 """The same, where the device is lost already [s]."""
 
 
-@dataclass(frozen=True)
-class LoopLoad:
-    """What a device's loop costs."""
-
-    steps: int
-    """Steps since connecting."""
-    busy: float
-    """Processor time of those steps [s], of the thread that makes them."""
-
-
 class LoopDriver:
     """``JointDriver`` of a ``DeviceLoop``, in a process of its own or, for buses that live in one process
     and for tests, in a thread.
@@ -275,12 +264,6 @@ class LoopDriver:
     def process_id(self) -> int | None:
         """Of the device's process; None where it runs in a thread or is not connected."""
         return self._host.process_id if isinstance(self._host, LoopProcess) else None
-
-    def load(self) -> LoopLoad:
-        """What the loop has cost since connecting."""
-        with self._lock:
-            record = None if self._host is None else self._host.states.read()
-        return LoopLoad(0, 0.0) if record is None else LoopLoad(int(record["steps"]), float(record["busy"]))
 
     def __enter__(self) -> Self:
         self.connect()

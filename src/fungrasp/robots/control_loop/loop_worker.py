@@ -171,7 +171,7 @@ def _follow(
         if not control.was_taken and wanted is not LoopMode.IDLE:
             # What we did not take we do not stop.
             goal = dataclasses.replace(goal, mode=LoopMode.IDLE)
-        state = _step(loop, goal, record)
+        state = loop.step(goal)
         if latched is None and state.status is not DeviceStatus.READY:
             latched, stopped_order = state, order
         if latched is not None:
@@ -185,14 +185,6 @@ def _follow(
             record["order"] = order
             states.write(record)
             state_last = state
-
-
-def _step(loop: DeviceLoop, goal: LoopGoal, record: np.ndarray) -> JointState:
-    before = time.thread_time()
-    state = loop.step(goal)
-    record["busy"] += time.thread_time() - before
-    record["steps"] += 1
-    return state
 
 
 LENGTH = struct.Struct("<I")

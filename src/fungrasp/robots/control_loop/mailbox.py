@@ -113,8 +113,6 @@ def state_kind(count: int) -> np.dtype:
             ("has_torques", "u1"),
             ("device_time", "<f8"),
             ("received", "<f8"),
-            ("busy", "<f8"),
-            ("steps", "<i8"),
             ("positions", *joints),
             ("velocities", *joints),
             ("torques", *joints),

@@ -69,7 +69,7 @@ class ArmKinematics:
         return result
 
     def manipulability(self, joints: np.ndarray) -> float:
-        """Smallest singular value of the Jacobian, positions in units of half a metre: zero where the palm
+        """Smallest singular value of the Jacobian, positions in units of half a meter: zero where the palm
         can't move in every direction. joints: [rad], shape [M]."""
         jacobian = self.jacobian(joints)
         jacobian[:3] /= 0.5
