@@ -225,7 +225,6 @@ def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
     """Run a command in a process of its own, which has the terminal.
 
     Args:
-        words: its command line.
         keyboard: whether a person answers.
 
     Returns:
@@ -273,7 +272,6 @@ class BringUpLog:
         """
         Args:
             path: the file; one that is there goes on.
-            cell: name of the cell.
             digest: of the cell and its hand.
 
         Raises:

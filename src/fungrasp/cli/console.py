@@ -104,7 +104,6 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
     at the end if there was any.
 
     Args:
-        words: what is being done.
         total: how much there is to do.
 
     Yields:

@@ -101,7 +101,6 @@ def _terminal(
     """Prints phases, and how to stop.
 
     Args:
-        switch: that listens to the keyboard.
         asks: whether each phase is asked for.
         draw: called with the first plan.
     """

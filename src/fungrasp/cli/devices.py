@@ -232,8 +232,6 @@ def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Ite
 
     Args:
         part: "arm" or "hand".
-        cell: the robot.
-        hand: on its arm.
         what: will be done, as a phrase.
         yes: whether nobody is asked.
     """

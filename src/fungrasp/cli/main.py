@@ -95,7 +95,6 @@ def run_command(program: str, command: Any, arguments: Sequence[str]) -> int:
     Args:
         program: how it was called, for its help.
         command: a dataclass with a method ``run``, or a table of them by subcommand name.
-        arguments: its options.
 
     Returns:
         Exit status, as of ``main``.

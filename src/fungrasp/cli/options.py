@@ -26,9 +26,6 @@ STAYS = "it stays stopped"
 def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
     """The cluster that ``--ray`` means; None where it is not given.
 
-    Args:
-        words: what follows it.
-
     Raises:
         FungraspError: more than one address.
     """
@@ -47,7 +44,6 @@ def device_and_buffers(
     """What ``--device`` and ``--buffers`` mean: a GPU, if there is one, where no device is given.
 
     Args:
-        device: as given.
         buffers: contacts and rows of a world, as given.
 
     Raises:

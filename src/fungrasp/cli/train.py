@@ -182,9 +182,6 @@ def prepare_torch() -> None:
 def progress_lines(steps: int) -> Callable[[Any], None]:
     """Prints steps, success and time left every now and then.
 
-    Args:
-        steps: at which training ends.
-
     Returns:
         To be called with what has ``steps``, ``seconds`` and ``success``.
     """

@@ -34,7 +34,6 @@ def grid(
     Args:
         images: sRGB, each of shape [H, W, 3] uint8, all of one size.
         labels: one per image, or none; what is too long for its picture is shortened.
-        columns: pictures in a row.
         gap: space between pictures [pixels].
         size: of the letters [pixels].
 
@@ -72,7 +71,6 @@ def captioned(image: np.ndarray, left: str, right: str = "") -> np.ndarray:
     Args:
         image: sRGB, shape [H, W, 3] uint8.
         left: words at the left end of the bar.
-        right: words at its right end.
 
     Returns:
         a new picture of the same shape.
@@ -147,9 +145,7 @@ def draw_grasps(
     """Draw grasps spread over the set, of different objects where there are as many.
 
     Args:
-        path: of the PNG file.
         robot: N grasps.
-        objects: by name.
         human: what they were retargeted from, drawn to their left.
         captions: text for each grasp after the name of its object; the name of the hand if None.
         progress: called with the share that is drawn, up to 1.
@@ -190,8 +186,6 @@ def grasp_picture(
 
     Args:
         grasps: human or robot ones.
-        row: which.
-        objects: theirs, by name.
         width, height: [pixels].
 
     Returns:

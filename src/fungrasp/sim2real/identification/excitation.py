@@ -111,9 +111,7 @@ def excitation_motion(
     """Commands of joints within their limits; the first and the last are ``rest``.
 
     Args:
-        excitation: kind of motion.
         rest: where the joints begin [rad], shape [U].
-        room: what they may do.
         finger: number of the finger that each joint belongs to, shape [U].
         share: of the amplitude that is left of each joint's, shape [U]; all if None.
     """
@@ -168,10 +166,7 @@ def safe_motion(
     doesn't touch itself and no servo needs all its torque.
 
     Args:
-        excitation: kind of motion.
-        hand: its model.
         rest: where it is [rad], shape [U].
-        room: what its joints may do.
         gravity: in the palm's frame [m/s^2], shape [3].
 
     Raises:
