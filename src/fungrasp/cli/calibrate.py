@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering
+from fungrasp.cli.console import Answering, CommandResult
 from fungrasp.robots.calibration.camera import Board
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Calibrate(Answering):
     board: Board = field(default_factory=Board)
     """The board in the images."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.core.errors import FungraspError
         from fungrasp.robots.calibration.camera import save_calibration
         from fungrasp.robots.cell import load_cell
@@ -56,7 +56,7 @@ class Calibrate(Answering):
             f"{1000 * found.rotation_deviation:.2f} mrad\n"
             f"written to {self.out}: name it as 'calibration' under [tracker] of the cell"
         )
-        return Answer({"calibration": self.out, "source": source, **asdict(found)}, text)
+        return CommandResult({"calibration": self.out, "source": source, **asdict(found)}, text)
 
     def _from_images(self, cell: RobotCell, folder: Path) -> tuple[CameraCalibration, str]:
         import numpy as np

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet
 
 __all__ = [
-    "Answer",
     "Answering",
+    "CommandResult",
     "check_picture",
     "option",
     "progress_bar",
@@ -42,7 +42,7 @@ STDOUT = "-"
 
 
 @dataclass(frozen=True)
-class Answer:
+class CommandResult:
     """What a command has found or made: for a program as JSON, for a person as text."""
 
     value: Any
@@ -75,13 +75,13 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Answering:
-    """A command that answers: its method ``run`` returns an ``Answer``. While it runs with ``--json``,
+    """A command that answers: its method ``run`` returns an ``CommandResult``. While it runs with ``--json``,
     everything that is printed goes to stderr."""
 
     json: bool = False
     """Print the answer as JSON, and nothing else on stdout."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Do it."""
         raise NotImplementedError
 
@@ -185,7 +185,7 @@ def check_picture(path: Path) -> None:
         raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
 
 
-def write_human_grasps(path: Path, grasps: HumanGraspSet) -> Answer:
+def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
     """Write a file, and say how many grasps it holds and what is unusual in them.
 
     Raises:
@@ -208,4 +208,4 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> Answer:
         "below_table": below,
         "unusual_anatomy": unusual,
     }
-    return Answer(value, "\n".join(lines))
+    return CommandResult(value, "\n".join(lines))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.console import Answer, Answering, suggestion
+from fungrasp.cli.console import Answering, CommandResult, suggestion
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Deploy(Answering):
     fast: bool = False
     """For a twin: run as fast as the machine goes, not on the clock of the wall."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from time import strftime
 
         from fungrasp.core.errors import FungraspError
@@ -91,8 +91,8 @@ class Deploy(Answering):
             "times": result.times,
         }
         if result.fault:
-            return Answer(value, "\n".join(lines), fault=result.words())
-        return Answer(value, "\n".join([*lines, result.words()]))
+            return CommandResult(value, "\n".join(lines), fault=result.words())
+        return CommandResult(value, "\n".join([*lines, result.words()]))
 
 
 def _terminal(

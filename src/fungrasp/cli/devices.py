@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering
+from fungrasp.cli.console import Answering, CommandResult
 from fungrasp.cli.options import STAYS, CellName, wired_cell
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Doctor(Answering):
     cell: CellName
     """A robot cell: a TOML file, or one that comes with the package."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import examine_devices
 
         reports = []
@@ -46,7 +46,7 @@ class Doctor(Answering):
             print(report.words, flush=True)
             reports.append(report)
         ill = sum(not report.well for report in reports)
-        return Answer(
+        return CommandResult(
             [{"device": report.words, "well": report.well} for report in reports],
             fault=f"{ill} of 3 devices can't be used" if ill else "",
         )
@@ -63,7 +63,7 @@ class Read(Answering):
     seconds: float = 10.0
     """For so long [s]."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
 
         cell, hand = wired_cell(self.cell)
@@ -74,7 +74,7 @@ class Read(Answering):
                 states.append({"status": str(state.status), "positions": state.positions})
                 joints = "  ".join(f"{n} {q:.3f}" for n, q in zip(names, state.positions, strict=True))
                 print(f"{state.status}  {joints} rad", flush=True)
-        return Answer({"joints": names, "states": states})
+        return CommandResult({"joints": names, "states": states})
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Touch(Answering):
     """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
     default the middle of the flange touches."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import numpy as np
 
         from fungrasp.core.errors import FungraspError
@@ -113,7 +113,7 @@ class Touch(Answering):
             f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
             "where the cell has it"
         )
-        return Answer({"touched": self.file, "count": count, "apart": apart}, text)
+        return CommandResult({"touched": self.file, "count": count, "apart": apart}, text)
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Hold(Answering):
     yes: bool = False
     """Do not ask before; for emulated devices only."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import hold_in_place
 
         cell, hand = wired_cell(self.cell)
@@ -145,7 +145,7 @@ class Hold(Answering):
             moved = hold_in_place(driver, self.seconds)
         text, most = f"held within {moved:.3f} rad", STILL[self.part]
         fault = f"it moved by {moved:.3f} rad, {most:g} rad are allowed" if moved > most else ""
-        return Answer({"moved": moved}, text, fault)
+        return CommandResult({"moved": moved}, text, fault)
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Jog(Answering):
     yes: bool = False
     """Do not ask before; for emulated devices only."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.core.errors import UnknownNameError
         from fungrasp.robots.device import SafetyStop
         from fungrasp.robots.single_devices import joint_names
@@ -180,11 +180,11 @@ class Jog(Answering):
                 try:
                     found, why = self._moved(driver, number, names[number])
                 except SafetyStop as stop:
-                    return Answer({"joint": names[number]}, _after_stop(driver), fault=stop.reason)
+                    return CommandResult({"joint": names[number]}, _after_stop(driver), fault=stop.reason)
                 moved.append(found)
                 wrong += why
         value = moved if self.joint == "all" else moved[0]
-        return Answer(value, fault="; ".join(wrong))
+        return CommandResult(value, fault="; ".join(wrong))
 
     def _moved(self, driver: GuardedDriver, number: int, name: str) -> tuple[dict[str, Any], list[str]]:
         """Move one joint; what was measured, and what was wrong."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table, write_four_views
+from fungrasp.cli.console import Answering, CommandResult, table, write_four_views
 
 if TYPE_CHECKING:
     import mujoco
@@ -24,7 +24,7 @@ HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 class ListHands(Answering):
     """List the known hands."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import hand_files, load_hand
         from fungrasp.hands.hand_description import hand_mass
 
@@ -45,7 +45,7 @@ class ListHands(Answering):
         for row in rows:
             joints = f"{row['independent_joints']}/{row['joints']}"
             lines.append((row["name"], str(len(row["fingers"])), joints, f"{row['mass']:.2f}", row["title"]))
-        return Answer(rows, table(lines, left=None))
+        return CommandResult(rows, table(lines, left=None))
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ShowHand(Answering):
     picture: Path | None = None
     """Also draw the hand from four sides into this file (.png, .jpg)."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
         from fungrasp.hands.hand_description import describe_hand
 
@@ -65,7 +65,7 @@ class ShowHand(Answering):
         description = describe_hand(hand)
         if self.picture is not None:
             write_four_views(self.picture, _upright(hand))
-        return Answer(description, _text(description))
+        return CommandResult(description, _text(description))
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ class CheckHand(Answering):
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import hand_files
         from fungrasp.hands.checking.hand_checks import check_hand_files
 
         findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
         rows, text, status = _findings(self.path, findings)
-        return Answer(rows, text, status=status)
+        return CommandResult(rows, text, status=status)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class AddHand(Answering):
     force: bool = False
     """Overwrite the hand in the folder."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
         from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings, parse_fingers
         from fungrasp.hands.checking.hand_checks import check_hand_files
@@ -132,7 +132,7 @@ class AddHand(Answering):
                 f"\nnext: fungrasp retarget {mirror}--hand {path} --out {grasps}"
                 f"\nthen: fungrasp evaluate --grasps {grasps} --hand {path}"
             )
-        return Answer({"hand": path, "findings": rows}, text, status=status)
+        return CommandResult({"hand": path, "findings": rows}, text, status=status)
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class ExportHand(Answering):
     arm: str | None = None
     """Mount the hand on this arm: ur5e."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.core.files import atomic_path
         from fungrasp.hands import load_hand
         from fungrasp.hands.arm import export_hand
@@ -154,7 +154,7 @@ class ExportHand(Answering):
         text = export_hand(load_hand(self.name), self.arm)
         with atomic_path(self.out) as temporary:
             temporary.write_text(text)
-        return Answer({"hand": self.out}, f"wrote {self.out}")
+        return CommandResult({"hand": self.out}, f"wrote {self.out}")
 
 
 COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHand, "export": ExportHand}

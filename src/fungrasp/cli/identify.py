@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table
+from fungrasp.cli.console import Answering, CommandResult, table
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
 
@@ -47,7 +47,7 @@ class Collect(Answering):
     """Do not ask before a real hand moves."""
     option_prefixes = True
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import sys
 
         import numpy as np
@@ -94,7 +94,7 @@ class Collect(Answering):
                     print(f"broken off: {writer.rows} rows are in {self.log}{said}", file=sys.stderr)
                 raise
         text = f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}"
-        return Answer({"log": self.log, "rows": len(log.times), "joints": joints}, text)
+        return CommandResult({"log": self.log, "rows": len(log.times), "joints": joints}, text)
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Fit(Answering):
     evaluations: int = 3000
     """Simulations of cma-es."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import numpy as np
 
         from fungrasp.hands import load_hand
@@ -206,7 +206,7 @@ class Fit(Answering):
             for j, joint in enumerate(found.dynamics.joints)
         }
         value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": methods}
-        return Answer(value, "\n".join(lines))
+        return CommandResult(value, "\n".join(lines))
 
     def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np

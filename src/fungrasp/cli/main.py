@@ -17,8 +17,8 @@ from dataclasses import make_dataclass
 from io import StringIO
 from typing import Annotated, Any, NoReturn, Union
 
-from fungrasp.cli.console import STDOUT, Answer
-from fungrasp.cli.start import INTERRUPTED
+from fungrasp.cli import INTERRUPTED
+from fungrasp.cli.console import STDOUT, CommandResult
 from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
@@ -204,7 +204,7 @@ def _run(program: str, command: Any, arguments: list[str]) -> int:
     as_json = getattr(parsed, "json", None) in (True, STDOUT)
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
         answer = parsed.run()
-    if isinstance(answer, Answer):
+    if isinstance(answer, CommandResult):
         answer.show(as_json)
     return 0
 

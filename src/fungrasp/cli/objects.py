@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, check_picture, table, write_four_views
+from fungrasp.cli.console import Answering, CommandResult, check_picture, table, write_four_views
 
 if TYPE_CHECKING:
     import mujoco
@@ -33,7 +33,7 @@ class ListObjects(Answering):
     objects: Path | None = None
     """A folder of meshes, listed too."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.objects import builtin_object, mesh_files, object_names
 
         models = [builtin_object(name) for name in object_names()]
@@ -48,7 +48,7 @@ class ListObjects(Answering):
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        return Answer([*known, *files], table(rows, left=None))
+        return CommandResult([*known, *files], table(rows, left=None))
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class ShowObject(Answering):
     pieces: bool = False
     """Color the picture by convex piece instead of by part."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.objects.object_description import describe_object
 
         if self.picture is not None:
@@ -77,7 +77,7 @@ class ShowObject(Answering):
             description |= {"mass": None, "inertia": None}
         if self.picture is not None:
             _draw(model, self.picture, self.pieces)
-        return Answer(description, _text(description))
+        return CommandResult(description, _text(description))
 
     def _load(self) -> tuple[ObjectModel, bool]:
         """The object, and whether its mass is known; without one, a mesh is described as if it had 1 kg."""
