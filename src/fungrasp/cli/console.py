@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,19 +16,15 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.text_table import table
 
 if TYPE_CHECKING:
-    import mujoco
-
     from fungrasp.grasps import HumanGraspSet
 
 __all__ = [
     "Answering",
     "CommandResult",
-    "check_picture",
     "option",
     "progress_bar",
     "suggestion",
     "table",
-    "write_four_views",
     "write_human_grasps",
     "write_json",
 ]
@@ -155,34 +151,6 @@ def write_json(path: Path, value: Any) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
-
-
-def write_four_views(path: Path, model: mujoco.MjModel, labels: Sequence[str] = ()) -> None:
-    """Draw a model from four sides. labels: of the four pictures.
-
-    Raises:
-        FungraspError: another kind of file, or it can't be written.
-    """
-    from PIL import Image
-
-    from fungrasp.core.files import atomic_path
-    from fungrasp.media.pictures import four_views, grid
-
-    check_picture(path)
-    picture = Image.fromarray(grid(four_views(model), labels, columns=2))
-    with atomic_path(path) as temporary:
-        picture.save(temporary)
-    print(f"wrote {path}", file=sys.stderr)
-
-
-def check_picture(path: Path) -> None:
-    """Complain about a file that is none of a picture.
-
-    Raises:
-        FungraspError: its name ends otherwise.
-    """
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
 
 
 def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
 from fungrasp.cli.options import optional_value
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.media.demonstration import Shown
@@ -156,8 +157,6 @@ class Demo(Answering):
         return CommandResult({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:
-        from fungrasp.core.errors import FungraspError
-
         least = {"count": 1, "seed": 0, "threads": 0}
         for name, value in least.items():
             if getattr(self, name) < value:

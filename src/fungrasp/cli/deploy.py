@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import Answering, CommandResult, suggestion
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 
 if TYPE_CHECKING:
@@ -42,7 +43,6 @@ class Deploy(Answering):
     def run(self) -> CommandResult:
         from time import strftime
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.deploy import deploy
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import is_wired, load_cell

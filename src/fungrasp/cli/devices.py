@@ -13,6 +13,7 @@ import tyro
 
 from fungrasp.cli.console import Answering, CommandResult
 from fungrasp.cli.options import STAYS, CellName, wired_cell
+from fungrasp.core.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -28,15 +29,26 @@ COMPARED = 2.0
 AT_REST, LONGEST_REST = 0.02, 1.0
 """A joint slower than this is at rest [rad/s]; a stopped device is within this time [s]."""
 
-Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
-
 
 @dataclass(frozen=True)
-class Doctor(Answering):
-    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
+class OfCell(Answering):
+    """What a command about the devices of a cell takes."""
 
     cell: CellName
     """A robot cell: a TOML file, or one that comes with the package."""
+
+
+@dataclass(frozen=True)
+class OfDevice(OfCell):
+    """What a command about one device takes."""
+
+    part: Annotated[Literal["arm", "hand"], tyro.conf.Positional]
+    """Which device."""
+
+
+@dataclass(frozen=True)
+class Doctor(OfCell):
+    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import examine_devices
@@ -53,13 +65,9 @@ class Doctor(Answering):
 
 
 @dataclass(frozen=True)
-class Read(Answering):
+class Read(OfDevice):
     """Show the joints of an arm or a hand, as they are measured. Nothing moves."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
     seconds: float = 10.0
     """For so long [s]."""
 
@@ -78,13 +86,11 @@ class Read(Answering):
 
 
 @dataclass(frozen=True)
-class Touch(Answering):
+class Touch(OfCell):
     """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
     bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
     itself."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
     file: Annotated[Path, tyro.conf.Positional]
     """JSON file; one that is there goes on."""
     at: tuple[float, float, float]
@@ -96,7 +102,6 @@ class Touch(Answering):
     def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.robots.calibration.touched import add_touched, touched_point
         from fungrasp.robots.single_devices import arm_at_rest
 
@@ -117,13 +122,9 @@ class Touch(Answering):
 
 
 @dataclass(frozen=True)
-class Hold(Answering):
+class Hold(OfDevice):
     """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
     seconds: float = 5.0
     """For so long [s]."""
     yes: bool = False
@@ -149,13 +150,9 @@ class Hold(Answering):
 
 
 @dataclass(frozen=True)
-class Jog(Answering):
+class Jog(OfDevice):
     """Move one joint of an arm or a hand slowly by a small angle, and back; the others hold."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
     joint: Annotated[str, tyro.conf.Positional]
     """Name of the joint, as `robots read` shows it; "all" for one after the other, each to where it has more
     room."""
@@ -165,7 +162,6 @@ class Jog(Answering):
     """Do not ask before; for emulated devices only."""
 
     def run(self) -> CommandResult:
-        from fungrasp.core.errors import UnknownNameError
         from fungrasp.robots.device import SafetyStop
         from fungrasp.robots.single_devices import joint_names
 
@@ -235,7 +231,6 @@ def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Ite
         what: will be done, as a phrase.
         yes: whether nobody is asked.
     """
-    from fungrasp.core.errors import FungraspError
     from fungrasp.deployment.observer import ask_before_motion
     from fungrasp.robots.cell import is_wired
     from fungrasp.robots.single_devices import guarded_driver

@@ -10,6 +10,7 @@ import tyro
 
 from fungrasp.cli.console import CommandResult, option, progress_bar, suggestion
 from fungrasp.cli.options import JsonOut, device_and_buffers, json_path, on_cluster, print_use
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.lift_test_spec import WorldDifferences
 from fungrasp.planning.selection import SelectionSettings
@@ -80,7 +81,6 @@ class Evaluate(LiftTestSpec):
     def run(self) -> CommandResult:
         from contextlib import nullcontext
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation import evaluate
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -51,7 +52,6 @@ class Export(Answering):
         )
 
     def _episodes(self) -> list[Trajectory]:
-        from fungrasp.core.errors import FungraspError
         from fungrasp.evaluation import replay
 
         files = []

@@ -17,7 +17,7 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 if TYPE_CHECKING:
     import numpy as np
 
-    from fungrasp.grasps import HumanGrasp, RobotGrasp
+    from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.synthesis import GraspSpecification, SynthesisSettings
 
@@ -81,7 +81,7 @@ class ShowGrasp(Answering):
         grasp = grasps[self.index]
         text = _description(grasp)
         if self.picture is not None:
-            _draw(grasp, self.picture, self.objects)
+            _draw(grasps, self.index, self.picture, self.objects)
             text += f"\npicture: {self.picture}"
         return CommandResult({**_fields(grasp), "picture": self.picture}, text)
 
@@ -462,20 +462,16 @@ def _fields(grasp: HumanGrasp | RobotGrasp) -> dict[str, Any]:
     return {**values, **values.pop("extra", {})}
 
 
-def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
+def _draw(grasps: HumanGraspSet | RobotGraspSet, row: int, path: Path, objects: Path | None) -> None:
     from PIL import Image
 
     from fungrasp.core.files import atomic_path
-    from fungrasp.grasps import HumanGrasp
-    from fungrasp.hands import load_hand
-    from fungrasp.media import grasp_scene
-    from fungrasp.media.grasp_scenes import look_at_grasp
-    from fungrasp.media.render import render
+    from fungrasp.media.pictures import grasp_picture
     from fungrasp.objects import load_object
 
-    thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
-    model, qpos = grasp_scene(grasp, thing, None if isinstance(grasp, HumanGrasp) else load_hand(grasp.hand))
-    picture = render(model, qpos, look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT))[0]
+    name = str(grasps.object_name[row])
+    thing = load_object(name, float(grasps.object_mass[row]), objects)
+    picture = grasp_picture(grasps, row, {name: thing}, WIDTH, HEIGHT)
     with atomic_path(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answering, CommandResult, table, write_four_views
+from fungrasp.cli.console import Answering, CommandResult, table
 
 if TYPE_CHECKING:
-    import mujoco
-
-    from fungrasp.hands import Hand
     from fungrasp.hands.checking.hand_checks import Finding
 
 HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -64,7 +62,10 @@ class ShowHand(Answering):
         hand = load_hand(self.name)
         description = describe_hand(hand)
         if self.picture is not None:
-            write_four_views(self.picture, _upright(hand))
+            from fungrasp.media.pictures import draw_hand
+
+            draw_hand(self.picture, hand)
+            print(f"wrote {self.picture}", file=sys.stderr)
         return CommandResult(description, _text(description))
 
 
@@ -158,24 +159,6 @@ class ExportHand(Answering):
 
 
 COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHand, "export": ExportHand}
-
-
-def _upright(hand: Hand) -> mujoco.MjModel:
-    """The hand above the table, fingers up."""
-    import mujoco
-
-    from fungrasp.hands.arm import mounting_pose
-    from fungrasp.media.visual_meshes import dressed_spec
-
-    pose = mounting_pose(hand)
-    spec = mujoco.MjSpec()
-    frame = spec.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
-    spec.attach(dressed_spec(hand), prefix="hand/", frame=frame)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    frame.pos[2] += max(0.0, (model.geom_rbound - data.geom_xpos[:, 2]).max())
-    return spec.compile()
 
 
 def _text(hand: dict[str, Any]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, table
+from fungrasp.cli.options import CellName
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
 
@@ -32,7 +33,7 @@ class Collect(Answering):
 
     log: Annotated[Path, tyro.conf.Positional]
     """Write the log here (.jsonl); it must not exist."""
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    cell: CellName
     """The robot cell: a TOML file, or one that comes with the package."""
     excitation: Excitation = field(default_factory=Excitation)
     """How it is moved."""

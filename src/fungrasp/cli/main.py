@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import importlib
-import importlib.util
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -125,19 +124,10 @@ def _status(work: Callable[[], int]) -> int:
         return _fail(f"{where}{error.strerror or error}{full}")
 
 
-def available_commands() -> dict[str, tuple[str, str]]:
-    """The commands whose module is installed, in the order of ``COMMANDS``; nothing is imported."""
-    return {
-        name: entry
-        for name, entry in COMMANDS.items()
-        if importlib.util.find_spec(entry[0].partition(":")[0]) is not None
-    }
-
-
 def every_command() -> dict[str, Any]:
     """Each command, or a table of its subcommands, with all modules imported."""
     commands: dict[str, Any] = {}
-    for name, (place, _) in available_commands().items():
+    for name, (place, _) in COMMANDS.items():
         command = _loaded(place)
         if isinstance(command, Mapping):
             command = {sub: _loaded(one) for sub, one in command.items()}
@@ -159,10 +149,9 @@ def _dispatch(arguments: list[str]) -> int:
     if first == COMPLETION:
         _print_completion(arguments)
     _check_left(first, rest)
-    commands = available_commands()
-    if first not in commands:
-        raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
-    return _run(f"fungrasp {first}", _loaded(commands[first][0]), rest)
+    if first not in COMMANDS:
+        raise UnknownNameError("option" if first.startswith("-") else "command", first, COMMANDS)
+    return _run(f"fungrasp {first}", _loaded(COMMANDS[first][0]), rest)
 
 
 def _check_left(first: str, rest: Sequence[str]) -> None:
@@ -245,7 +234,7 @@ def _loaded(command: Any) -> Any:
 
 
 def _help() -> str:
-    lines = [f"  {name:<10} {summary}" for name, (_, summary) in available_commands().items()]
+    lines = [f"  {name:<10} {summary}" for name, (_, summary) in COMMANDS.items()]
     return "\n".join(
         [
             "usage: fungrasp COMMAND [OPTIONS]",

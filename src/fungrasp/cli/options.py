@@ -74,8 +74,6 @@ def optional_value(metavar: str, default: str, what: str) -> Any:
         what: may be given only once, "folder".
     """
 
-    import tyro
-
     def one(words: list[str]) -> str:
         if len(words) > 1:
             raise ValueError(f"give one {what}")

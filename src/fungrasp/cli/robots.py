@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, suggestion, table
+from fungrasp.cli.options import CellName
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
@@ -59,7 +61,7 @@ class New(Answering):
 class Check(Answering):
     """Check a robot cell's file. Nothing is connected."""
 
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    cell: CellName
     """A cell that comes with fungrasp, or a TOML file."""
     touched: Path | None = None
     """JSON file with postures of the arm (joints) and the points that the middle of its flange touched
@@ -69,7 +71,6 @@ class Check(Answering):
     def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.identified_dynamics import identified_dynamics
         from fungrasp.geometry.poses import rotate
         from fungrasp.hands import load_hand
@@ -153,7 +154,7 @@ class Emulate:
 
     Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
 
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")] = "ur5e-allegro-emulated"
+    cell: CellName = "ur5e-allegro-emulated"
     """A cell whose addresses are on the loopback."""
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp that the object is placed for."""
@@ -237,7 +238,6 @@ class ReplayLog(Answering):
     """Another policy than the one that is named in the log."""
 
     def run(self) -> CommandResult:
-        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.log import read_log, replay_log
         from fungrasp.hands import load_hand
         from fungrasp.objects import load_object
