@@ -58,7 +58,7 @@ class Collect(Answering):
         from fungrasp.robots.cell import is_wired, load_cell
         from fungrasp.robots.single_devices import guarded_driver, record_motion
         from fungrasp.robots.stop_switch import StopSwitch
-        from fungrasp.sim2real.identification.excitation import JointRoom, safe_motion
+        from fungrasp.sim2real.identification.excitation import ExcitationLimits, safe_motion
         from fungrasp.sim2real.identification.motion_log import MotionLogWriter
 
         cell = load_cell(self.cell)
@@ -72,7 +72,7 @@ class Collect(Answering):
                 ):
                     rest, limits = driver.read().positions, driver.limits
                     speed = np.minimum(limits.velocity, cell.limits.hand_speed)
-                    room = JointRoom(limits.lower, limits.upper, speed, limits.torque)
+                    room = ExcitationLimits(limits.lower, limits.upper, speed, limits.torque)
                     motion = safe_motion(self.excitation, hand, rest, room, gravity)
                     seconds = len(motion.commands) / self.excitation.rate
                     if is_wired(cell) and not self.yes:

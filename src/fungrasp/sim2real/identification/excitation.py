@@ -78,7 +78,7 @@ class Excitation:
             raise FungraspError("the sines of an excitation are above 0 Hz, up to a fifth of its rate")
 
 
-class JointRoom(NamedTuple):
+class ExcitationLimits(NamedTuple):
     """What U joints may do."""
 
     lower: np.ndarray
@@ -104,7 +104,7 @@ class ExcitationMotion:
 def excitation_motion(
     excitation: Excitation,
     rest: np.ndarray,
-    room: JointRoom,
+    room: ExcitationLimits,
     finger: np.ndarray,
     share: np.ndarray | None = None,
 ) -> ExcitationMotion:
@@ -159,7 +159,7 @@ def safe_motion(
     excitation: Excitation,
     hand: Hand,
     rest: np.ndarray,
-    room: JointRoom,
+    room: ExcitationLimits,
     gravity: np.ndarray,
 ) -> ExcitationMotion:
     """The excitation of a hand's independent joints from where it is, with amplitudes so small that it
