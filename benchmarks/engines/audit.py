@@ -15,7 +15,7 @@ import tyro
 
 from benchmarks.engines.bundle import EpisodeBundle, make_bundle, scene_of
 from benchmarks.engines.replay import EpisodeWorld, Replayed, play_bundle
-from fungrasp.cli.console import Answer, progress_bar, write_json
+from fungrasp.cli.console import CommandResult, progress_bar, write_json
 from fungrasp.cli.options import JsonOut, json_path
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.records import record_to_json
@@ -171,7 +171,7 @@ class Audit:
     json: JsonOut = None
     """Write what is found of each episode here (.json); without a file, print it."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         world_maker(self.engine)
         made = load_bundles(
             self.recordings, lambda one: load_object(one.object_name, one.object_mass, self.objects), self.use
@@ -181,7 +181,7 @@ class Audit:
         path = json_path(self.json)
         if path is not None:
             write_json(path, result.json())
-        return Answer(result.json(), result.table())
+        return CommandResult(result.json(), result.table())
 
 
 COMMAND = {"audit": Audit}

@@ -67,10 +67,6 @@ def reachable_placements(
     with some motion: the robot's planner may find it.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        thing: the object.
-        grasp: one.
         seed: of the postures that are tried.
 
     Yields:
@@ -143,7 +139,6 @@ def deploy_on_twin(
     """Deploy one grasp on a fresh twin. Its seed is of the tracker's noise as well.
 
     Args:
-        task: what is to be done.
         placement: where the object is put, world frame, shape [7]; it settles.
         truth: what is true of the twin.
         observers: told of everything in this order.
