@@ -93,11 +93,13 @@ finally:
 
 
 def test_words_that_left_say_what_to_use_now(capsys, monkeypatch):
-    monkeypatch.setattr(cli, "LEFT", {"greet": "say", "hands dance": "show", "hands list --slow": "wait"})
+    left = {"greet": "say", "hands dance": "show", "hands list --slow": "wait", "export --format x": "y"}
+    monkeypatch.setattr(cli, "LEFT", left)
     for words, said in (
         (["greet"], "'greet' is no longer part of fungrasp: say"),
         (["hands", "dance"], "'hands dance' is no longer part of fungrasp: show"),
         (["hands", "list", "--slow=3"], "'hands list --slow' is no longer part of fungrasp: wait"),
+        (["export", "a.npz", "--format", "x"], "'export --format x' is no longer part of fungrasp: y"),
     ):
         assert cli.main(words) == 2
         assert capsys.readouterr().err == f"fungrasp: error: {said}\n"

@@ -16,7 +16,7 @@ from time import strftime
 from typing import TYPE_CHECKING
 
 from fungrasp import deployment
-from fungrasp.cli.options import STAYS, CellName, wired_cell
+from fungrasp.cli.options import CellName, wired_cell
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.deployment.spec import GraspChoice
 
@@ -137,6 +137,7 @@ class BringUp:
 
     def _done(self, step: BringUpStep, cell: RobotCell) -> tuple[str, list[str]]:
         """How a step went, and what the log says of it."""
+        from fungrasp.robots.single_devices import STAYS
 
         unattended = self.yes or not sys.stdin.isatty()
         if step.file and self.touched is None and unattended:

@@ -110,9 +110,8 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        lines = _PlainLines(words, total)
-        yield lines.show
-        lines.end()
+        with _plain_lines(words, total) as show:
+            yield show
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
@@ -120,25 +119,25 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
         yield lambda done: bar.update(task, completed=done)
 
 
-class _PlainLines:
-    """How much is done, printed on stderr: a line every ``LINE_PERIOD`` seconds."""
+@contextmanager
+def _plain_lines(words: str, total: float) -> Iterator[Callable[[float], None]]:
+    """``progress_bar`` without a terminal: a line every ``LINE_PERIOD`` seconds."""
+    last, shown = monotonic(), 100
 
-    def __init__(self, words: str, total: float):
-        self._words, self._total = words, total
-        self._last, self._shown = monotonic(), -1
+    def line(percent: int) -> None:
+        nonlocal shown
+        shown = percent
+        print(f"{words}: {percent} %", file=sys.stderr, flush=True)
 
-    def show(self, done: float) -> None:
-        if monotonic() - self._last >= LINE_PERIOD:
-            self._last = monotonic()
-            self._print(round(100 * done / self._total))
+    def show(done: float) -> None:
+        nonlocal last
+        if monotonic() - last >= LINE_PERIOD:
+            last = monotonic()
+            line(round(100 * done / total))
 
-    def end(self) -> None:
-        if self._shown not in (-1, 100):
-            self._print(100)
-
-    def _print(self, percent: int) -> None:
-        self._shown = percent
-        print(f"{self._words}: {percent} %", file=sys.stderr, flush=True)
+    yield show
+    if shown != 100:
+        line(100)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult
-from fungrasp.cli.options import STAYS, CellName, wired_cell
+from fungrasp.cli.options import CellName, wired_cell
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ STILL = {"arm": 0.005, "hand": 0.06}
 
 COMPARED = 2.0
 """An arm that has been taken says within this time what its driver has compared [s]."""
-
-AT_REST, LONGEST_REST = 0.02, 1.0
-"""A joint slower than this is at rest [rad/s]; a stopped device is within this time [s]."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +160,7 @@ class Jog(OfDevice):
 
     def run(self) -> CommandResult:
         from fungrasp.robots.device import SafetyStop
-        from fungrasp.robots.single_devices import joint_names
+        from fungrasp.robots.single_devices import after_stop, joint_names
 
         cell, hand = wired_cell(self.cell)
         names = joint_names(self.part, cell, hand)
@@ -176,7 +173,7 @@ class Jog(OfDevice):
                 try:
                     found, why = self._moved(driver, number, names[number])
                 except SafetyStop as stop:
-                    return CommandResult({"joint": names[number]}, _after_stop(driver), fault=stop.reason)
+                    return CommandResult({"joint": names[number]}, after_stop(driver), fault=stop.reason)
                 moved.append(found)
                 wrong += why
         value = moved if self.joint == "all" else moved[0]
@@ -201,25 +198,6 @@ class Jog(OfDevice):
         if max(others, abs(here)) >= STILL[self.part]:
             wrong.append(f"{name}: others moved by {others:.3f} rad, itself is {here:+.3f} rad off")
         return {"joint": name, "moved": there, "back": here}, wrong
-
-
-def _after_stop(driver: GuardedDriver) -> str:
-    """Whether a device that was stopped comes to rest and stays so, in words."""
-    import numpy as np
-
-    from fungrasp.robots.device import RobotError
-
-    begun, place = monotonic(), driver.read().positions.copy()
-    while np.abs((state := driver.read()).velocities).max() > AT_REST:
-        if monotonic() > begun + LONGEST_REST:
-            return "it does not come to rest"
-        sleep(0.002)
-    waited, further = monotonic() - begun, float(np.abs(state.positions - place).max())
-    try:
-        driver.command(state.positions)
-    except RobotError:
-        return f"at rest {1e3 * waited:.0f} ms later and {further:.4f} rad further; {STAYS}"
-    return "it takes commands again without a new start"
 
 
 @contextmanager

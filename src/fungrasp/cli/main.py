@@ -49,6 +49,8 @@ LEFT: Mapping[str, str] = {
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
     "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
+    "export --format urdf": "--format mcap holds the joints and the poses of each step",
+    "export --format dexgraspbench": "fg.load_grasps reads a grasp file's poses and joints in Python",
     "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
     "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
     "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
@@ -61,8 +63,8 @@ LEFT: Mapping[str, str] = {
     "perceive --no-page": "--camera takes its image at once; --report shows it",
     "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
 }
-"""What is used now in place of a command, "command subcommand", "command --option" or "command subcommand
---option" that has left."""
+"""What is used now in place of a command, "command subcommand", "command --option", "command subcommand
+--option" or "command --option value" that has left."""
 
 COMPLETION = "--tyro-print-completion"
 """The option by which tyro prints a script that completes words in a shell."""
@@ -161,7 +163,12 @@ def _check_left(first: str, rest: Sequence[str]) -> None:
         FungraspError: there is one.
     """
     commands = [first, *(f"{first} {word}" for word in rest[:1] if not word.startswith("-"))]
-    options = [word.partition("=")[0].replace("_", "-") for word in rest if word.startswith("--")]
+    options = []
+    for word, following in zip(rest, [*rest[1:], ""], strict=False):
+        if word.startswith("--"):
+            name, _, value = word.partition("=")
+            option = name.replace("_", "-")
+            options += [option, f"{option} {value or following}"]
     for words in (*commands, *(f"{command} {option}" for command in commands for option in options)):
         if words in LEFT:
             raise FungraspError(f"'{words}' is no longer part of fungrasp: {LEFT[words]}")

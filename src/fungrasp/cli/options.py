@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 """A robot cell: a TOML file, or one that comes with the package."""
 
-STAYS = "it stays stopped"
-"""Said of a device that takes no command after a stop."""
-
 
 def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
     """The cluster that ``--ray`` means; None where it is not given.
