@@ -45,23 +45,23 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
-    "demo --refine": "plans are chosen in simulated rollouts, and --policy reference plays a grasp as it is",
+    "demo --refine": "rollouts choose among plans; --policy reference runs one motion without choosing",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
-    "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
+    "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the completion script",
     "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
     "export --format urdf": "--format mcap holds the joints and the poses of each step",
     "export --format dexgraspbench": "fg.load_grasps reads a grasp file's poses and joints in Python",
-    "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
-    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
-    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
-    "train --ray": "start one training for each job of your cluster",
+    "robots arm-model": "set arm.model in the cell file; the driver checks it against the flange pose of the controller",
+    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole motion, asks for confirmation and carries it out",
+    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole motion",
+    "train --ray": "submit each training to your cluster as its own job",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
-    "train --sweep": "give each value in a loop of your shell, each training its own --out",
-    "perceive --countdown": "--camera takes its image at once",
-    "perceive --frames": "give one image; where it is not sure, give another from elsewhere",
-    "perceive --page": "--camera takes its image at once; --report shows it",
-    "perceive --no-page": "--camera takes its image at once; --report shows it",
-    "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
+    "train --sweep": "loop over the values in your shell, with a separate --out for each run",
+    "perceive --countdown": "--camera takes the image immediately",
+    "perceive --frames": "give one image; where the result is not sure, try another viewpoint",
+    "perceive --page": "--camera takes the image immediately; --report FILE writes the page",
+    "perceive --no-page": "--camera takes the image immediately; --report FILE writes the page",
+    "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and pass it with --mesh",
 }
 """What is used now in place of a command, "command subcommand", "command --option", "command subcommand
 --option" or "command --option value" that has left."""
