@@ -16,7 +16,7 @@ import tyro
 from benchmarks.command import main
 from benchmarks.engines.bundle import EpisodeBundle, make_bundle, scene_of
 from benchmarks.engines.replay import EpisodeWorld, Replayed, play_bundle
-from fungrasp.cli.console import Answer, progress_bar, write_json
+from fungrasp.cli.console import CommandResult, progress_bar, write_json
 from fungrasp.cli.options import JsonOut, json_path
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.records import record_to_json
@@ -141,7 +141,7 @@ class Audit:
     json: JsonOut = None
     """Write what is found of each episode here (.json); without a file, print it."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         if find_spec("pydrake") is None:
             raise FungraspError('Drake is not installed: pip install "fungrasp[drake]"')
         from benchmarks.engines.drake_world import DrakeWorld
@@ -154,7 +154,7 @@ class Audit:
         path = json_path(self.json)
         if path is not None:
             write_json(path, result.json())
-        return Answer(result.json(), result.table())
+        return CommandResult(result.json(), result.table())
 
 
 COMMAND = {"audit": Audit}

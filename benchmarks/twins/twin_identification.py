@@ -15,7 +15,7 @@ from fungrasp.robots.single_devices import record_motion
 from fungrasp.robots.twin.devices import TwinClock, TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.world import TwinWorld
-from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion
+from fungrasp.sim2real.identification.excitation import Excitation, ExcitationLimits, safe_motion
 from fungrasp.sim2real.identification.fit import FitSettings, IdentifiedDynamics, fit_dynamics
 from fungrasp.sim2real.identification.log_simulation import hang_weights, place_in_finger, prediction_rms
 from fungrasp.sim2real.identification.motion_log import MotionLog
@@ -82,7 +82,7 @@ def record_on_twin(
     with driver:
         rest = driver.read().positions
     names, limits = tuple(hand.actuators), driver.limits
-    room = JointRoom(limits.lower, limits.upper, limits.velocity, limits.torque)
+    room = ExcitationLimits(limits.lower, limits.upper, limits.velocity, limits.torque)
     motion = safe_motion(e, hand, rest, room, gravity)
     alike, more = place_in_finger(hand, names), np.ones(len(names))
     for _ in range(MOST_LOGS):

@@ -4,9 +4,9 @@ Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, `
 ``train`` makes policies. What one returns, the next one takes. Five nouns are what they are about:
 ``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
 
-The names below are those of the rooms (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A room is
-imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type checkers read
-``__init__.pyi``. Nothing in the package imports from here.
+The names below are those of the subpackages (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A
+subpackage is imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type
+checkers read ``__init__.pyi``. Nothing in the package imports from here.
 """
 
 from __future__ import annotations

@@ -13,10 +13,9 @@ import pytest
 
 from fungrasp.cli.demo import FAVORITES
 from fungrasp.cli.main import main
-from fungrasp.grasps import HumanGraspSet, builtin_grasps, save_human_grasps
+from fungrasp.grasps import builtin_grasps
 from fungrasp.grasps.grasp_selection import picked_rows
 from fungrasp.media import demonstration
-from fungrasp.objects import builtin_object
 from fungrasp.perception import HandEstimate, ObjectEstimate, pipeline
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import builtin_truth, read_folder
@@ -26,11 +25,6 @@ from fungrasp.perception.perceived import Perceived
 @pytest.fixture(autouse=True)
 def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0))
-
-
-def flashlight() -> HumanGraspSet:
-    grasps = builtin_grasps()
-    return grasps.select(np.flatnonzero(grasps.object_name == "flashlight")[:1])
 
 
 def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -54,30 +48,6 @@ def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     assert "Use (press switch):" in page and "Use (press switch):" in said.out
     assert page.count("data:video/mp4;base64,") == 2, "the lift and the use"
     assert ("wanted contacts reached" in page) and ("Contact error" in page) and ("Slip" in page)
-
-
-def test_a_failure_is_shown_as_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    good = flashlight()
-    up = np.array([0.0, 0.0, 0.25])
-    bad = replace(
-        good,
-        hand_joints=good.hand_joints + up,
-        link_contacts=np.zeros_like(good.link_contacts),
-    )
-    save_human_grasps(tmp_path / "air.npz", bad)
-    out = tmp_path / "out"
-    arguments = [
-        "--grasps",
-        str(tmp_path / "air.npz"),
-        "--policy",
-        "reference",
-    ]
-    assert main(["demo", *arguments, "--out", str(out)]) == 0
-    assert "It did not hold: lost before the hold." in capsys.readouterr().out
-    page = (out / "index.html").read_text()
-    assert "It did not hold" in page
-    assert "Not held" in page
-    assert "✓ Lifted and held" not in page
 
 
 @pytest.mark.parametrize(
@@ -203,17 +173,6 @@ def test_what_is_not_sure_is_not_tried(
     page = (tmp_path / "index.html").read_text()
     assert "? Not sure: " in page
     assert "from the truth" not in page
-
-
-def test_a_left_hand_holds_a_reflected_object(see: Callable[..., None]) -> None:
-    see(side="left")
-    seen = pipeline.perceive_folder(str(FOLDER), "spray_bottle", None, "spray", 0)
-    model = builtin_object("spray_bottle")
-    ((name, mirrored),) = seen.objects.items()
-    assert mirrored.name == name == seen.grasps.object_name[0] == "spray_bottle_mirrored"
-    np.testing.assert_array_equal(mirrored.vertices, model.vertices * [1, -1, 1])
-    assert mirrored.mesh.volume == pytest.approx(model.mesh.volume)
-    assert mirrored.mass == model.mass
 
 
 def test_without_the_hand_models_the_demo_says_what_to_run(

@@ -23,24 +23,11 @@ def test_list_names_every_hand(capsys):
     assert allegro.split()[1:4] == ["4", "16/16", "0.97"]
 
 
-def test_list_as_json(capsys):
-    assert main(["hands", "list", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [row["name"] for row in rows] == list(hand_files())
-
-
 def test_show(capsys):
     assert main(["hands", "show", "allegro"]) == 0
     out = capsys.readouterr().out
     assert "ff_proximal > ff_medial > ff_distal > ff_tip_centre" in out
     assert "0.263 to 1.396" in out
-
-
-def test_show_as_json_is_only_json(capsys):
-    assert main(["hands", "show", "allegro", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["palm"] == "palm"
-    assert told["fingers"]["thumb"]["contact_points"] == ["th_medial", "th_distal", "th_tip_centre"]
 
 
 def test_show_draws_a_picture(tmp_path: Path, capsys):
@@ -60,24 +47,6 @@ def test_a_picture_of_an_unknown_kind(tmp_path: Path, capsys):
 def test_an_unknown_hand(capsys):
     assert main(["hands", "show", "alegro"]) == 2
     assert "unknown hand 'alegro'. Did you mean 'allegro'?" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "given", ["allegro", str(hand_files()["allegro"]), str(hand_files()["allegro"].parent)]
-)
-def test_check_of_a_sound_hand(capsys, given):
-    assert main(["hands", "check", given]) == 0
-    assert capsys.readouterr().out.endswith("0 errors, 0 warnings\n")
-
-
-def test_check_of_a_broken_hand_ends_with_1(tmp_path: Path, capsys):
-    (tmp_path / "hand.toml").write_text('name = "x"\nmodel = "none.xml"\n')
-    with pytest.raises(SystemExit) as stop:
-        main(["hands", "check", str(tmp_path), "--json"])
-    assert stop.value.code == 1
-    findings = json.loads(capsys.readouterr().out)
-    assert {finding["severity"] for finding in findings} == {"error"}
-    assert any("none.xml does not exist" in finding["message"] for finding in findings)
 
 
 def test_add_makes_a_hand_of_an_exported_model(tmp_path: Path, capsys):

@@ -77,18 +77,12 @@ def test_other_settings_are_tried_anew(tried, runs, change):
     assert runs == [0, 0]
 
 
-def test_another_version_of_mujoco_is_tried_anew(tried, runs, monkeypatch):
+def test_another_version_of_fungrasp_or_mujoco_is_tried_anew(tried, runs, monkeypatch):
     tried()
-    monkeypatch.setattr(jobs, "VERSIONS", (jobs.VERSIONS[0], "0.0.0"))
-    tried()
-    assert runs == [0, 0]
-
-
-def test_another_version_of_fungrasp_is_tried_anew(tried, runs, monkeypatch):
-    tried()
-    monkeypatch.setattr(jobs, "VERSIONS", ("0.0.0", jobs.VERSIONS[1]))
-    tried()
-    assert runs == [0, 0]
+    for versions in (("0.0.0", jobs.VERSIONS[1]), (jobs.VERSIONS[0], "0.0.0")):
+        monkeypatch.setattr(jobs, "VERSIONS", versions)
+        tried()
+    assert runs == [0, 0, 0]
 
 
 def test_other_grasps_are_tried_anew(tried, runs):

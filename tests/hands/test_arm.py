@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from fungrasp.core.errors import UnknownNameError
 from fungrasp.geometry.poses import compose, rotate
 from fungrasp.hands import hand_files, load_hand
 from fungrasp.hands.arm import (
@@ -61,11 +60,6 @@ def inertia(model: mujoco.MjModel, body: int) -> np.ndarray:
 def test_arms_are_no_hands():
     assert list(arm_files()) == ["ur5", "ur5e"]
     assert "ur5e" not in hand_files() and "arms" not in hand_files()
-
-
-def test_an_unknown_arm():
-    with pytest.raises(UnknownNameError, match=r"unknown arm 'ur6'\. Did you mean 'ur5'"):
-        mount(load_hand("allegro"), "ur6")
 
 
 def test_forward_kinematics_is_that_of_the_reference():

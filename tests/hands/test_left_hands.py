@@ -15,7 +15,6 @@ from fungrasp.evaluation import evaluate
 from fungrasp.grasps import (
     HumanGraspSet,
     hand_sides,
-    load_human_grasps,
     load_objects,
     load_robot_grasps,
     mirrored_grasps,
@@ -147,13 +146,6 @@ def test_mirror_option(left: Hand, tmp_path: Path, capsys: pytest.CaptureFixture
     assert main([str(a) for a in (*arguments, "--mirror")]) == 0
     names = load_robot_grasps(tmp_path / "r.npz").object_name
     assert set(names) == {"can_mirrored", "tennis_ball_mirrored"}
-
-
-def test_mirrored_grasps_of_right_hands_can_be_saved_and_loaded(tmp_path: Path):
-    grasps = mirrored_grasps(human_grasps())
-    save_human_grasps(tmp_path / "left.npz", grasps)
-    loaded = load_human_grasps(tmp_path / "left.npz")
-    np.testing.assert_array_equal(loaded.hand_joints, grasps.hand_joints)
 
 
 def test_grasps_are_mirrored_for_an_evaluation(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from odd_hands import added, odd_hand
 from retarget_scenes import around_field, field, problem_with
 from scipy.spatial.transform import Rotation
 
@@ -336,52 +338,13 @@ def test_links_touch_with_their_nearest_ball(case: Case):
     assert np.all(near.clearance[~touching] == np.inf)
 
 
-SLIDING_HAND = """<mujoco>
-  <compiler angle="radian"/>
-  <worldbody>
-    <body name="palm">
-      <geom name="palm" type="box" size="0.01 0.04 0.04" pos="0 0 0.04"/>
-      <body name="index_a" pos="0 0.03 0.1">
-        <joint name="index_j1" axis="0 1 0" range="0 1.5"/>
-        <geom name="index_a" type="capsule" size="0.008" fromto="0 0 0.015 0 0 0.03"/>
-        <site name="index_tip" pos="0 0 0.03"/>
-      </body>
-      <body name="thumb_a" pos="0 -0.03 0.1">
-        <joint name="thumb_j1" type="slide" axis="0 0.6 0.8" range="0 0.05"/>
-        <geom name="thumb_a" type="capsule" size="0.008" fromto="0 0 0.015 0 0 0.03"/>
-        <body name="thumb_b" pos="0 0 0.045">
-          <joint name="thumb_j2" axis="0 1 0" range="0 1.5"/>
-          <geom name="thumb_b" type="capsule" size="0.008" fromto="0 0 0.015 0 0 0.03"/>
-          <site name="thumb_tip" pos="0 0 0.03"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>"""
-SLIDING_HAND_TOML = """name = "sliding"
-model = "sliding.xml"
-palm = "palm"
-[palm_frame]
-fingers = [0.0, 0.0, 1.0]
-normal = [1.0, 0.0, 0.0]
-[fingers.index]
-links = ["index_a"]
-tip = "index_tip"
-[fingers.thumb]
-links = ["thumb_a", "thumb_b"]
-tip = "thumb_tip"
-[actuators]
-kp = 1.0
-kd = 0.1
-force_limit = 0.5
-"""
-
-
 def test_sliding_joints_move_along_their_axes(tmp_path: Path):
     """The compiled kinematics against MuJoCo's; the thumb slides and turns."""
-    (tmp_path / "sliding.xml").write_text(SLIDING_HAND)
-    (tmp_path / "sliding.toml").write_text(SLIDING_HAND_TOML)
-    case = Case(str(tmp_path / "sliding.toml"))
+    hand, _ = added(tmp_path, odd_hand(fingers=2))
+    (joint,) = re.findall(r'<joint name="z2_j".*?/>', text := hand.model_path.read_text())
+    sliding = joint.replace("/>", ' type="slide"/>').replace("-0.1 1.5", "0 0.05")
+    hand.model_path.write_text(text.replace(joint, sliding))
+    case = Case(str(hand.path))
     keypoints = np.arange(case.state.keypoints.shape[1])
     given = {"which": keypoints, "weight": np.ones((COUNT, len(keypoints)))}
     here = partial(terms.keypoint_position, target=case.state.keypoints, **given)

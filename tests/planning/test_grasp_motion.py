@@ -111,18 +111,6 @@ def test_the_task_goes_where_it_was_planned_to_go():
         )
 
 
-def test_a_grasp_is_planned_alone_as_among_others():
-    grasps, objects = grasps_and_objects()
-    one, p = np.array([1]), plan()
-    alone = MotionPlanner(hand(), objects).plan(grasps.select(one), belief().select(one))
-    length = alone.palm_goal.shape[1]
-    assert length == p.lift_step[1] + 1 and alone.lift_step[0] == p.lift_step[1]
-    for name in ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity"):
-        np.testing.assert_allclose(
-            getattr(alone, name)[0], getattr(p, name)[1, :length], atol=1e-6, err_msg=name
-        )
-
-
 def test_it_says_what_it_was_planned_for():
     grasps, _ = grasps_and_objects()
     p = plan()

@@ -89,8 +89,8 @@ def test_a_policy_may_act_for_the_worlds_one_by_one():
             np.testing.assert_array_equal(action.finger_targets[0], expected.finger_targets[world])
 
 
-def modules(room: str) -> list[Path]:
-    return sorted((SOURCE / room).rglob("*.py"))
+def modules(folder: str) -> list[Path]:
+    return sorted((SOURCE / folder).rglob("*.py"))
 
 
 def imports(tree: ast.AST) -> set[str]:
@@ -128,10 +128,10 @@ def test_only_the_engine_steps_worlds_with_mujoco():
     assert not others
 
 
-@pytest.mark.parametrize("room", ["task", "sim2real", "planning", "training", "evaluation", "media"])
-def test_physics_is_behind_the_door(room):
+@pytest.mark.parametrize("folder", ["task", "sim2real", "planning", "training", "evaluation", "media"])
+def test_only_engines_step_physics(folder):
     """Nobody steps a MuJoCo model but an engine."""
-    for path in modules(room):
+    for path in modules(folder):
         calls = {
             node.attr for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Attribute)
         }

@@ -19,7 +19,7 @@ from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
 from fungrasp.robots.single_devices import GuardedDriver, record_motion
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinHand
-from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, safe_motion
+from fungrasp.sim2real.identification.excitation import Excitation, ExcitationLimits, safe_motion
 from fungrasp.sim2real.identification.motion_log import (
     MotionHeader,
     MotionLogWriter,
@@ -38,7 +38,7 @@ def record(path: Path, switch: StopSwitch, after: Callable[[int, TwinHand], None
     driver.connect()
     rest, limits = driver.read().positions, driver.limits
     e = Excitation(seconds=3.5)
-    room = JointRoom(limits.lower, limits.upper, limits.velocity, limits.torque)
+    room = ExcitationLimits(limits.lower, limits.upper, limits.velocity, limits.torque)
     motion = safe_motion(e, hand, rest, room, np.zeros(3))
     with MotionLogWriter(path) as writer:
 
@@ -94,7 +94,7 @@ def test_a_hand_is_told_to_make_less_torque() -> None:
 def test_fingers_take_turns_and_stay_where_they_were() -> None:
     hand = load_hand("inspire")
     limits = np.array([hand.joint_limits[hand.joint_names.index(name)] for name in hand.actuators])
-    rest, room = limits.mean(axis=1), JointRoom(*limits.T, 2 * np.ones(6))
+    rest, room = limits.mean(axis=1), ExcitationLimits(*limits.T, 2 * np.ones(6))
     motion = safe_motion(Excitation(seconds=4.0), hand, rest, room, np.zeros(3))
     fingers = np.unique(motion.moving, axis=0)
     assert len(fingers) == 5 and fingers.sum(axis=0).tolist() == [1] * 6

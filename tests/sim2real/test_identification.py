@@ -12,7 +12,12 @@ import pytest
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
-from fungrasp.sim2real.identification.excitation import Excitation, JointRoom, excitation_motion, safe_motion
+from fungrasp.sim2real.identification.excitation import (
+    Excitation,
+    ExcitationLimits,
+    excitation_motion,
+    safe_motion,
+)
 from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
 from fungrasp.sim2real.identification.log_simulation import (
     DriveErrors,
@@ -54,7 +59,7 @@ TRUTH = JointDynamics(
 
 def one_finger(e: Excitation, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Commands of joints of one finger, at any speed."""
-    return excitation_motion(e, rest, JointRoom(lower, upper), np.zeros(len(rest))).commands
+    return excitation_motion(e, rest, ExcitationLimits(lower, upper), np.zeros(len(rest))).commands
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +100,7 @@ def test_excitation_is_slow_small_and_begins_and_ends_at_rest():
     lower, upper = np.array([-0.2, 0.3, 0.0]), np.array([1.0, 1.4, 2.0])
     rest, speed = np.array([0.0, 1.35, 1.0]), np.array([4.0, 4.0, 1.0])
     e = Excitation()
-    room = JointRoom(lower, upper, speed)
+    room = ExcitationLimits(lower, upper, speed)
     motion = excitation_motion(e, rest, room, np.array([0, 0, 1]))
     commands = motion.commands
     assert (commands >= lower).all() and (commands <= upper).all()
@@ -139,7 +144,7 @@ def test_a_hand_does_not_touch_itself_and_needs_no_more_torque_than_it_may():
     rest = np.clip(np.full(16, 0.3), *limits.T)
     rest[[0, 4, 8]] = [-0.1, 0.1, 0.1]
     wide = Excitation(seconds=4.0, reach=0.5, speed=1.0, torque=1.0)
-    room = JointRoom(*limits.T, np.full(16, 20.0))
+    room = ExcitationLimits(*limits.T, np.full(16, 20.0))
     motion = safe_motion(wide, hand, rest, room, np.zeros(3))
     plain = excitation_motion(wide, rest, room, chain_of(hand, list(hand.actuators)))
     data = mujoco.MjData(hand.model)

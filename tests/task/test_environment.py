@@ -119,25 +119,6 @@ def test_the_believed_pose_is_off_by_what_was_drawn_about_the_center_of_mass():
     np.testing.assert_allclose(tracked, seen, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "r",
-    [Randomization(object_position_error=MeasurementError(offset=0.01)), Randomization(mass=(0.5, 2.0))],
-)
-def test_what_is_drawn_depends_on_seed_and_row_alone(r):
-    def differs(seed: int, rows: list[int]) -> np.ndarray:
-        environment, believed = settled(r, seed, np.array(rows))
-        off = believed.object_pose - environment.task.settled_pose
-        mass = environment.privileged().object_mass / believed.object_mass
-        return np.concatenate([off, mass[:, None]], axis=1)
-
-    one, again, other = differs(0, [0, 1]), differs(0, [0, 1]), differs(1, [0, 1])
-    np.testing.assert_array_equal(one, again)
-    assert (np.abs(one - other).max(axis=1) > 1e-4).all()
-    shifted = differs(0, [9, 1])
-    np.testing.assert_allclose(one[1], shifted[1], atol=1e-12)
-    assert np.abs(one[0] - shifted[0]).max() > 1e-4
-
-
 def test_settling_again_with_another_sample_forgets_the_last():
     used = LiftEnvironment(scene(), 2, WIDE, threads=1)
     grasps, _ = grasps_and_objects()

@@ -132,24 +132,6 @@ def test_poses_are_off_by_the_bias_and_a_fresh_jitter(what):
     np.testing.assert_allclose(turn.std(axis=0), 0.02, rtol=0.2)
 
 
-def test_a_bias_alone_is_constant():
-    r = replace(
-        NOMINAL,
-        joint_error=MeasurementError(0.02),
-        palm_position_error=MeasurementError(0.01),
-        object_position_error=MeasurementError(0.01),
-        object_rotation_error=MeasurementError(offset=0.1),
-    )
-    environment = begun(r)
-    first = environment.observe()
-    assert_same(environment.observe(), first)
-    environment.step(still(environment))
-    offset = environment.observe().object_pose - environment.engine.object_pose
-    np.testing.assert_allclose(
-        offset[:, :3], (first.object_pose - environment.task.settled_pose)[:, :3], atol=1e-4
-    )
-
-
 @pytest.mark.parametrize("late", [1, 5])
 def test_a_late_tracker_shows_where_the_object_was(late):
     delay = 0.02 * late
@@ -324,15 +306,3 @@ def test_a_tracker_loses_the_object_while_the_hand_is_at_it(monkeypatch):
     np.testing.assert_array_equal(again.object_pose, engine.object_pose)
     np.testing.assert_allclose(again.object_pose_age, 0.0, atol=1e-9)
     assert np.abs(again.object_pose[0] - seen.object_pose[0]).max() > 0
-
-
-def test_calibration_errors_do_not_show_in_what_a_robot_measures_of_itself():
-    r = Randomization(wrist_position_offset=0.003, wrist_rotation_offset=0.02, encoder_bias=0.01)
-    environment = begun(r)
-    seen, engine, task = environment.observe(), environment.engine, environment.task
-    np.testing.assert_allclose(seen.palm_pose[:, :3], task.setpoints.wrist.pose[:, :3], atol=1e-9)
-    np.testing.assert_allclose(seen.joint_positions, task.setpoints.fingers, atol=1e-9)
-    off = np.linalg.norm(engine.palm_pose[:, :3] - seen.palm_pose[:, :3], axis=1)
-    np.testing.assert_allclose(off, 0.003, atol=1e-9)
-    joints = hand().independent(engine.joint_positions) - seen.joint_positions
-    assert (np.abs(joints) > 0).all() and (np.abs(joints) <= 0.01 + 1e-9).all()

@@ -1,1 +1,4 @@
 """The command line: one file per command."""
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""

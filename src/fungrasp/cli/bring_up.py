@@ -15,12 +15,17 @@ from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.options import STAYS, CellName, wired_cell
+from fungrasp import deployment
+from fungrasp.cli.options import CellName, wired_cell
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
+
+CHECKLIST = Path(deployment.__file__).with_name("bring_up.toml")
+"""The steps; the file explains its fields."""
 
 STOP_AFTER = 4.0
 """Where nobody is at the keyboard, the stop file is made so long after the command was started [s]."""
@@ -78,7 +83,6 @@ class BringUp:
     """Seed of the plan."""
 
     def run(self) -> None:
-        from fungrasp.core.errors import FungraspError, UnknownNameError
         from fungrasp.core.files import digest
         from fungrasp.robots.cell import is_wired
 
@@ -110,77 +114,30 @@ class BringUp:
 
     def steps(self, cell: RobotCell, hand: Hand) -> list[BringUpStep]:
         """The checklist of a cell."""
+        from fungrasp.core.formats.text_files import read_toml
         from fungrasp.robots.single_devices import joint_names
 
-        robots, name, last = "robots", self.cell, joint_names("arm", cell, hand)[-1]
-        stopped = (robots, "jog", name, "arm", last, "--by", "0.2")
-        check = (robots, "check", name, *(("--touched", str(self.touched)) if self.touched else ()))
-        moved = "Each joint moves by 0.1 rad and back, alone. Watch that it is the right one."
-        plan = self.log.with_name(f"{self.log.stem}-plan.png")
-        given = {
-            **{name: value for name, value in vars(self.choice).items() if value is not None},
-            "policy": self.policy,
-            "seed": self.seed,
-        }
+        given = {name: value for name, value in vars(self.choice).items() if value is not None}
+        given |= {"policy": self.policy, "seed": self.seed}
         options = [word for option, value in given.items() for word in (f"--{option}", str(value))]
-        deploy = ("deploy", "--robot", name, *options, "--picture", str(plan))
-        slow = (*deploy, "--speed", f"{self.speed:g}")
-        steps = [
-            BringUpStep("doctor", "Every device answers; nothing moves.", (robots, "doctor", name)),
-            BringUpStep(
-                "read-arm",
-                "The arm's joints are shown; nothing moves. Compare them with the pendant.",
-                (robots, "read", name, "arm"),
-                "Do the joints agree with the pendant?",
-            ),
-            BringUpStep(
-                "hold-arm",
-                "The arm is taken over and holds; its driver compares kinematics and payload.",
-                (robots, "hold", name, "arm"),
-                "Does the pendant say the payload that the cell says, kinematics and payload compared?",
-            ),
-            BringUpStep("jog-arm", moved, (robots, "jog", name, "arm", "all")),
-            BringUpStep("stop", "Press Enter while the last joint of the arm moves.", stopped, stop="key"),
-            BringUpStep("stop-file", f"Make the file {cell.stop_file} while it moves.", stopped, stop="file"),
-            BringUpStep("base", "The base is where the cell has it, by touched points.", check, file=True),
-            BringUpStep(
-                "mount",
-                "The hand is on the flange as the cell says. Have a ruler ready.",
-                check,
-                "Does a ruler on the hand say so, too?",
-            ),
-            BringUpStep(
-                "read-hand",
-                "The hand's joints are shown. Move each finger by hand, where it gives way.",
-                (robots, "read", name, "hand"),
-                "Did the right joints move, with the right sign and size?",
-            ),
-            BringUpStep("hold-hand", "The hand is switched on and holds.", (robots, "hold", name, "hand")),
-            BringUpStep("jog-hand", moved, (robots, "jog", name, "hand", "all")),
-            BringUpStep(
-                "plan",
-                "Put the object where the arm reaches it. The whole way is planned; nothing moves.",
-                (*deploy, "--until", "plan"),
-                "Is the way free, and the grasp one that you want?",
-            ),
-            BringUpStep(
-                "approach",
-                "The arm goes to the start of the grasp in slow motion.",
-                (*slow, "--until", "approach"),
-                "Is the hand where the picture has it?",
-            ),
-            BringUpStep(
-                "lift",
-                "Grasp, lift, put down and home in slow motion. A soft object, first.",
-                slow,
-                "Was the object lifted by 10 cm, held and put down?",
-            ),
-        ]
+        options += ["--picture", str(self.log.with_name(f"{self.log.stem}-plan.png"))]
+        meant = {
+            "CELL": [self.cell],
+            "LAST": [joint_names("arm", cell, hand)[-1]],
+            "TOUCHED": ["--touched", str(self.touched)] if self.touched else [],
+            "DEPLOY": options,
+            "SLOW": [*options, "--speed", f"{self.speed:g}"],
+        }
+        steps = []
+        for step in read_toml(CHECKLIST, "checklist")["step"]:
+            step["words"] = tuple(word for name in step["words"] for word in meant.get(name, [name]))
+            step["sentence"] = step["sentence"].replace("STOP_FILE", cell.stop_file)
+            steps.append(BringUpStep(**step))
         return [step for step in steps if step.name != "stop-file" or cell.stop_file]
 
     def _done(self, step: BringUpStep, cell: RobotCell) -> tuple[str, list[str]]:
         """How a step went, and what the log says of it."""
-        from fungrasp.core.errors import FungraspError
+        from fungrasp.robots.single_devices import STAYS
 
         unattended = self.yes or not sys.stdin.isatty()
         if step.file and self.touched is None and unattended:
@@ -211,7 +168,6 @@ class BringUp:
 
     def _ask(self, question: str) -> str:
         """The answer to a question."""
-        from fungrasp.core.errors import FungraspError
 
         if self.yes:
             return YES
@@ -225,7 +181,6 @@ def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
     """Run a command in a process of its own, which has the terminal.
 
     Args:
-        words: its command line.
         keyboard: whether a person answers.
 
     Returns:
@@ -273,14 +228,12 @@ class BringUpLog:
         """
         Args:
             path: the file; one that is there goes on.
-            cell: name of the cell.
             digest: of the cell and its hand.
 
         Raises:
             FungraspError: the file is no log, or one of another cell.
         """
         from fungrasp.core import __version__
-        from fungrasp.core.errors import FungraspError
         from fungrasp.core.formats.checks import read_bytes
 
         self._path, self._digest, title = path, digest, f"{TITLE}{cell}"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
-
-from fungrasp.cli.console import Answer, Answering
+from fungrasp.cli.console import Answering, CommandResult
+from fungrasp.cli.options import CellName
+from fungrasp.core.errors import FungraspError
 from fungrasp.robots.calibration.camera import Board
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class Calibrate(Answering):
     Either from images of a board that the hand holds (`--images`), or from points that a fingertip touched
     and the camera saw (`--points`)."""
 
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    cell: CellName
     """A cell that comes with fungrasp, or a TOML file."""
     out: Path
     """File to write, .toml."""
@@ -35,8 +35,7 @@ class Calibrate(Answering):
     board: Board = field(default_factory=Board)
     """The board in the images."""
 
-    def run(self) -> Answer:
-        from fungrasp.core.errors import FungraspError
+    def run(self) -> CommandResult:
         from fungrasp.robots.calibration.camera import save_calibration
         from fungrasp.robots.cell import load_cell
 
@@ -56,12 +55,11 @@ class Calibrate(Answering):
             f"{1000 * found.rotation_deviation:.2f} mrad\n"
             f"written to {self.out}: name it as 'calibration' under [tracker] of the cell"
         )
-        return Answer({"calibration": self.out, "source": source, **asdict(found)}, text)
+        return CommandResult({"calibration": self.out, "source": source, **asdict(found)}, text)
 
     def _from_images(self, cell: RobotCell, folder: Path) -> tuple[CameraCalibration, str]:
         import numpy as np
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.core.formats.text_files import read_json
         from fungrasp.hands import load_hand
         from fungrasp.perception.io.image_files import read_color
@@ -91,7 +89,6 @@ class Calibrate(Answering):
     def _from_points(self, path: Path) -> tuple[CameraCalibration, str]:
         import numpy as np
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.core.formats.text_files import read_json
         from fungrasp.robots.calibration.camera import calibrate_from_points
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,19 +16,15 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.text_table import table
 
 if TYPE_CHECKING:
-    import mujoco
-
     from fungrasp.grasps import HumanGraspSet
 
 __all__ = [
-    "Answer",
     "Answering",
-    "check_picture",
+    "CommandResult",
     "option",
     "progress_bar",
     "suggestion",
     "table",
-    "write_four_views",
     "write_human_grasps",
     "write_json",
 ]
@@ -42,7 +38,7 @@ STDOUT = "-"
 
 
 @dataclass(frozen=True)
-class Answer:
+class CommandResult:
     """What a command has found or made: for a program as JSON, for a person as text."""
 
     value: Any
@@ -75,13 +71,13 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Answering:
-    """A command that answers: its method ``run`` returns an ``Answer``. While it runs with ``--json``,
+    """A command that answers: its method ``run`` returns an ``CommandResult``. While it runs with ``--json``,
     everything that is printed goes to stderr."""
 
     json: bool = False
     """Print the answer as JSON, and nothing else on stdout."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Do it."""
         raise NotImplementedError
 
@@ -104,7 +100,6 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
     at the end if there was any.
 
     Args:
-        words: what is being done.
         total: how much there is to do.
 
     Yields:
@@ -115,9 +110,8 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        lines = _PlainLines(words, total)
-        yield lines.show
-        lines.end()
+        with _plain_lines(words, total) as show:
+            yield show
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
@@ -125,25 +119,25 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
         yield lambda done: bar.update(task, completed=done)
 
 
-class _PlainLines:
-    """How much is done, printed on stderr: a line every ``LINE_PERIOD`` seconds."""
+@contextmanager
+def _plain_lines(words: str, total: float) -> Iterator[Callable[[float], None]]:
+    """``progress_bar`` without a terminal: a line every ``LINE_PERIOD`` seconds."""
+    last, shown = monotonic(), 100
 
-    def __init__(self, words: str, total: float):
-        self._words, self._total = words, total
-        self._last, self._shown = monotonic(), -1
+    def line(percent: int) -> None:
+        nonlocal shown
+        shown = percent
+        print(f"{words}: {percent} %", file=sys.stderr, flush=True)
 
-    def show(self, done: float) -> None:
-        if monotonic() - self._last >= LINE_PERIOD:
-            self._last = monotonic()
-            self._print(round(100 * done / self._total))
+    def show(done: float) -> None:
+        nonlocal last
+        if monotonic() - last >= LINE_PERIOD:
+            last = monotonic()
+            line(round(100 * done / total))
 
-    def end(self) -> None:
-        if self._shown not in (-1, 100):
-            self._print(100)
-
-    def _print(self, percent: int) -> None:
-        self._shown = percent
-        print(f"{self._words}: {percent} %", file=sys.stderr, flush=True)
+    yield show
+    if shown != 100:
+        line(100)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -158,35 +152,7 @@ def write_json(path: Path, value: Any) -> None:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
 
 
-def write_four_views(path: Path, model: mujoco.MjModel, labels: Sequence[str] = ()) -> None:
-    """Draw a model from four sides. labels: of the four pictures.
-
-    Raises:
-        FungraspError: another kind of file, or it can't be written.
-    """
-    from PIL import Image
-
-    from fungrasp.core.files import atomic_path
-    from fungrasp.media.pictures import four_views, grid
-
-    check_picture(path)
-    picture = Image.fromarray(grid(four_views(model), labels, columns=2))
-    with atomic_path(path) as temporary:
-        picture.save(temporary)
-    print(f"wrote {path}", file=sys.stderr)
-
-
-def check_picture(path: Path) -> None:
-    """Complain about a file that is none of a picture.
-
-    Raises:
-        FungraspError: its name ends otherwise.
-    """
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
-
-
-def write_human_grasps(path: Path, grasps: HumanGraspSet) -> Answer:
+def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
     """Write a file, and say how many grasps it holds and what is unusual in them.
 
     Raises:
@@ -209,4 +175,4 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> Answer:
         "below_table": below,
         "unusual_anatomy": unusual,
     }
-    return Answer(value, "\n".join(lines))
+    return CommandResult(value, "\n".join(lines))

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fungrasp.cli.console import Answer, Answering, progress_bar
+from fungrasp.cli.console import Answering, CommandResult, progress_bar
 from fungrasp.cli.options import optional_value
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     from fungrasp.media.demonstration import Shown
@@ -63,7 +64,7 @@ class Demo(Answering):
     threads: int = 0
     """0 means all processors; the grasps do not depend on it."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
         from fungrasp.policies import default_policy, policy_files
 
@@ -101,7 +102,7 @@ class Demo(Answering):
             for grasp, report in zip(shown.human, made.grasps, strict=True)
         ]
         value = {"film": made.film, "page": made.page, "grasps": grasps}
-        return Answer(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
+        return CommandResult(value, "\n".join([*lines, f"film: {made.film}", f"page: {made.page}"]))
 
     def _picked(self, count: int) -> Shown:
         from fungrasp.grasps import load_human_grasps, load_objects
@@ -144,7 +145,7 @@ class Demo(Answering):
             show(1)
         return seen
 
-    def _page_of_low_confidence(self, seen: Perceived) -> Answer:
+    def _page_of_low_confidence(self, seen: Perceived) -> CommandResult:
         """Write the page on what was seen: the robot does not try a grasp of low confidence."""
         from fungrasp.core.provenance import page_provenance
         from fungrasp.media.perception_page import write_perception_page
@@ -153,11 +154,9 @@ class Demo(Answering):
         write_perception_page(page, seen, page_provenance({"Image": str(self.from_image)}, self.seed))
         for warning in seen.warnings:
             print(f"fungrasp: warning: {warning}", file=sys.stderr)
-        return Answer({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
+        return CommandResult({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:
-        from fungrasp.core.errors import FungraspError
-
         least = {"count": 1, "seed": 0, "threads": 0}
         for name, value in least.items():
             if getattr(self, name) < value:

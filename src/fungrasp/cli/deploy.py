@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fungrasp.cli.console import Answer, Answering, suggestion
+from fungrasp.cli.console import Answering, CommandResult, suggestion
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 
 if TYPE_CHECKING:
@@ -39,10 +40,9 @@ class Deploy(Answering):
     fast: bool = False
     """For a twin: run as fast as the machine goes, not on the clock of the wall."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from time import strftime
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.deploy import deploy
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import is_wired, load_cell
@@ -91,8 +91,8 @@ class Deploy(Answering):
             "times": result.times,
         }
         if result.fault:
-            return Answer(value, "\n".join(lines), fault=result.words())
-        return Answer(value, "\n".join([*lines, result.words()]))
+            return CommandResult(value, "\n".join(lines), fault=result.words())
+        return CommandResult(value, "\n".join([*lines, result.words()]))
 
 
 def _terminal(
@@ -101,7 +101,6 @@ def _terminal(
     """Prints phases, and how to stop.
 
     Args:
-        switch: that listens to the keyboard.
         asks: whether each phase is asked for.
         draw: called with the first plan.
     """

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering
-from fungrasp.cli.options import STAYS, CellName, wired_cell
+from fungrasp.cli.console import Answering, CommandResult
+from fungrasp.cli.options import CellName, wired_cell
+from fungrasp.core.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -25,20 +26,28 @@ STILL = {"arm": 0.005, "hand": 0.06}
 COMPARED = 2.0
 """An arm that has been taken says within this time what its driver has compared [s]."""
 
-AT_REST, LONGEST_REST = 0.02, 1.0
-"""A joint slower than this is at rest [rad/s]; a stopped device is within this time [s]."""
-
-Part = Annotated[Literal["arm", "hand"], tyro.conf.Positional]
-
 
 @dataclass(frozen=True)
-class Doctor(Answering):
-    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
+class OfCell(Answering):
+    """What a command about the devices of a cell takes."""
 
     cell: CellName
     """A robot cell: a TOML file, or one that comes with the package."""
 
-    def run(self) -> Answer:
+
+@dataclass(frozen=True)
+class OfDevice(OfCell):
+    """What a command about one device takes."""
+
+    part: Annotated[Literal["arm", "hand"], tyro.conf.Positional]
+    """Which device."""
+
+
+@dataclass(frozen=True)
+class Doctor(OfCell):
+    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
+
+    def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import examine_devices
 
         reports = []
@@ -46,24 +55,20 @@ class Doctor(Answering):
             print(report.words, flush=True)
             reports.append(report)
         ill = sum(not report.well for report in reports)
-        return Answer(
+        return CommandResult(
             [{"device": report.words, "well": report.well} for report in reports],
             fault=f"{ill} of 3 devices can't be used" if ill else "",
         )
 
 
 @dataclass(frozen=True)
-class Read(Answering):
+class Read(OfDevice):
     """Show the joints of an arm or a hand, as they are measured. Nothing moves."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
     seconds: float = 10.0
     """For so long [s]."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
 
         cell, hand = wired_cell(self.cell)
@@ -74,17 +79,15 @@ class Read(Answering):
                 states.append({"status": str(state.status), "positions": state.positions})
                 joints = "  ".join(f"{n} {q:.3f}" for n, q in zip(names, state.positions, strict=True))
                 print(f"{state.status}  {joints} rad", flush=True)
-        return Answer({"joints": names, "states": states})
+        return CommandResult({"joints": names, "states": states})
 
 
 @dataclass(frozen=True)
-class Touch(Answering):
+class Touch(OfCell):
     """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
     bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
     itself."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
     file: Annotated[Path, tyro.conf.Positional]
     """JSON file; one that is there goes on."""
     at: tuple[float, float, float]
@@ -93,10 +96,9 @@ class Touch(Answering):
     """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
     default the middle of the flange touches."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.robots.calibration.touched import add_touched, touched_point
         from fungrasp.robots.single_devices import arm_at_rest
 
@@ -113,23 +115,19 @@ class Touch(Answering):
             f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
             "where the cell has it"
         )
-        return Answer({"touched": self.file, "count": count, "apart": apart}, text)
+        return CommandResult({"touched": self.file, "count": count, "apart": apart}, text)
 
 
 @dataclass(frozen=True)
-class Hold(Answering):
+class Hold(OfDevice):
     """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
     seconds: float = 5.0
     """For so long [s]."""
     yes: bool = False
     """Do not ask before; for emulated devices only."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import hold_in_place
 
         cell, hand = wired_cell(self.cell)
@@ -145,17 +143,13 @@ class Hold(Answering):
             moved = hold_in_place(driver, self.seconds)
         text, most = f"held within {moved:.3f} rad", STILL[self.part]
         fault = f"it moved by {moved:.3f} rad, {most:g} rad are allowed" if moved > most else ""
-        return Answer({"moved": moved}, text, fault)
+        return CommandResult({"moved": moved}, text, fault)
 
 
 @dataclass(frozen=True)
-class Jog(Answering):
+class Jog(OfDevice):
     """Move one joint of an arm or a hand slowly by a small angle, and back; the others hold."""
 
-    cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package."""
-    part: Part
-    """Which device."""
     joint: Annotated[str, tyro.conf.Positional]
     """Name of the joint, as `robots read` shows it; "all" for one after the other, each to where it has more
     room."""
@@ -164,10 +158,9 @@ class Jog(Answering):
     yes: bool = False
     """Do not ask before; for emulated devices only."""
 
-    def run(self) -> Answer:
-        from fungrasp.core.errors import UnknownNameError
+    def run(self) -> CommandResult:
         from fungrasp.robots.device import SafetyStop
-        from fungrasp.robots.single_devices import joint_names
+        from fungrasp.robots.single_devices import after_stop, joint_names
 
         cell, hand = wired_cell(self.cell)
         names = joint_names(self.part, cell, hand)
@@ -180,11 +173,11 @@ class Jog(Answering):
                 try:
                     found, why = self._moved(driver, number, names[number])
                 except SafetyStop as stop:
-                    return Answer({"joint": names[number]}, _after_stop(driver), fault=stop.reason)
+                    return CommandResult({"joint": names[number]}, after_stop(driver), fault=stop.reason)
                 moved.append(found)
                 wrong += why
         value = moved if self.joint == "all" else moved[0]
-        return Answer(value, fault="; ".join(wrong))
+        return CommandResult(value, fault="; ".join(wrong))
 
     def _moved(self, driver: GuardedDriver, number: int, name: str) -> tuple[dict[str, Any], list[str]]:
         """Move one joint; what was measured, and what was wrong."""
@@ -207,37 +200,15 @@ class Jog(Answering):
         return {"joint": name, "moved": there, "back": here}, wrong
 
 
-def _after_stop(driver: GuardedDriver) -> str:
-    """Whether a device that was stopped comes to rest and stays so, in words."""
-    import numpy as np
-
-    from fungrasp.robots.device import RobotError
-
-    begun, place = monotonic(), driver.read().positions.copy()
-    while np.abs((state := driver.read()).velocities).max() > AT_REST:
-        if monotonic() > begun + LONGEST_REST:
-            return "it does not come to rest"
-        sleep(0.002)
-    waited, further = monotonic() - begun, float(np.abs(state.positions - place).max())
-    try:
-        driver.command(state.positions)
-    except RobotError:
-        return f"at rest {1e3 * waited:.0f} ms later and {further:.4f} rad further; {STAYS}"
-    return "it takes commands again without a new start"
-
-
 @contextmanager
 def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Iterator[GuardedDriver]:
     """The connected driver of a device that is to move, after a question.
 
     Args:
         part: "arm" or "hand".
-        cell: the robot.
-        hand: on its arm.
         what: will be done, as a phrase.
         yes: whether nobody is asked.
     """
-    from fungrasp.core.errors import FungraspError
     from fungrasp.deployment.observer import ask_before_motion
     from fungrasp.robots.cell import is_wired
     from fungrasp.robots.single_devices import guarded_driver

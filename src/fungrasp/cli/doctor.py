@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fungrasp.cli.console import Answer, Answering, table
+from fungrasp.cli.console import Answering, CommandResult, table
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class DoctorCommand(Answering):
     """Say what is installed, which extras work, which devices and cameras are there, where caches are and how
     large. Nothing is asked of a network, and no device is opened."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.core.provenance import diagnose
 
         found = diagnose()
@@ -33,7 +33,7 @@ class DoctorCommand(Answering):
         missing = [e.name for e in found.extras if e.missing]
         if missing:
             parts.append(f'to add an extra: pip install "fungrasp[{missing[0]}]"')
-        return Answer(found.as_json(), "\n\n".join(parts))
+        return CommandResult(found.as_json(), "\n\n".join(parts))
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class SetUpPerception(Answering):
     wheel: Path | None = None
     """A wheel of mediapipe 0.10.21 at hand, for machines without network; by default pip downloads it."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.perception.hand.mediapipe_models import fetch_weights, kept_weights
 
         paths = list((kept_weights() if self.wheel is None else []) or fetch_weights(self.wheel))
-        return Answer({"models": paths}, "\n".join(map(str, paths)))
+        return CommandResult({"models": paths}, "\n".join(map(str, paths)))
 
 
 COMMAND = DoctorCommand

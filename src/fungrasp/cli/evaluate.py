@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, option, progress_bar, suggestion
+from fungrasp.cli.console import CommandResult, option, progress_bar, suggestion
 from fungrasp.cli.options import JsonOut, device_and_buffers, json_path, on_cluster, print_use
+from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.lift_test_spec import WorldDifferences
 from fungrasp.planning.selection import SelectionSettings
@@ -77,10 +78,9 @@ class Evaluate(LiftTestSpec):
     def __post_init__(self) -> None:
         """Nothing: the request is checked where it is made of this, with an error of one line."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from contextlib import nullcontext
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation import evaluate
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps
@@ -123,7 +123,7 @@ class Evaluate(LiftTestSpec):
         lines = [result.table(), f"{result.episodes} episodes in {result.seconds:.1f} s"]
         if path is not None:
             lines.append(suggestion("view", path, option("--grasps", self.grasps if human is None else None)))
-        return Answer(result.json(), "\n".join(lines))
+        return CommandResult(result.json(), "\n".join(lines))
 
     def _spec(self) -> LiftTestSpec:
         device, buffers = device_and_buffers(self.device, self.buffers)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, progress_bar
+from fungrasp.cli.console import Answering, CommandResult, progress_bar
+from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,7 +39,7 @@ class Export(Answering):
     threads: int = 0
     """Of drawing them; 0 means all processors."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.media.mcap_episodes import write_mcap_episodes
 
         if self.format == "mcap":
@@ -46,10 +47,11 @@ class Export(Answering):
             words = f"{len(written)} files; Foxglove and Rerun open them"
         else:
             words, written = self._lerobot()
-        return Answer({"out": self.out, "format": self.format, "written": written}, f"{self.out}: {words}")
+        return CommandResult(
+            {"out": self.out, "format": self.format, "written": written}, f"{self.out}: {words}"
+        )
 
     def _episodes(self) -> list[Trajectory]:
-        from fungrasp.core.errors import FungraspError
         from fungrasp.evaluation import replay
 
         files = []

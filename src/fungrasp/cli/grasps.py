@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, progress_bar, table, write_human_grasps
+from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, write_human_grasps
 from fungrasp.cli.options import on_cluster, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from fungrasp.grasps import HumanGrasp, RobotGrasp
+    from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet
     from fungrasp.objects import ObjectModel
     from fungrasp.synthesis import GraspSpecification, SynthesisSettings
 
@@ -35,7 +35,7 @@ class ListGrasps(Answering):
     grasps: str = "builtin"
     """A file of human or robot grasps; by default the built-in human grasps."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps import RobotGraspSet, load_grasps
 
         grasps = load_grasps(self.grasps)
@@ -53,7 +53,7 @@ class ListGrasps(Answering):
         kinds = (str, str, int, float, float)
         cells = ([kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows[1:])
         objects = len(set(grasps.object_name.tolist()))
-        return Answer(
+        return CommandResult(
             [dict(zip(names, row, strict=True)) for row in cells],
             f"{table(rows, left=None)}\n{len(grasps)} grasps{of_hand}, {objects} objects",
         )
@@ -72,7 +72,7 @@ class ShowGrasp(Answering):
     objects: Path | None = None
     """Folder of meshes <name>.obj for the picture; built-in objects need none."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps import load_grasps
 
         grasps = load_grasps(self.file)
@@ -81,9 +81,9 @@ class ShowGrasp(Answering):
         grasp = grasps[self.index]
         text = _description(grasp)
         if self.picture is not None:
-            _draw(grasp, self.picture, self.objects)
+            _draw(grasps, self.index, self.picture, self.objects)
             text += f"\npicture: {self.picture}"
-        return Answer({**_fields(grasp), "picture": self.picture}, text)
+        return CommandResult({**_fields(grasp), "picture": self.picture}, text)
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class ImportDexYCB(Answering):
     objects: Path | None = None
     """Folder of meshes <name>.obj; by default DexYCB's own models."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps.importers.dexycb import DexYCBOptions, import_dexycb, write_mirrored_meshes
 
         if not self.displacement > 0:
@@ -117,7 +117,7 @@ class ImportDexYCB(Answering):
             return answer
         meshes = list(write_mirrored_meshes(self.source, options, grasps, self.mirrored_objects))
         lines = [answer.text, *(f"mirrored mesh: {path}" for path in meshes)]
-        return Answer({**answer.value, "mirrored_meshes": meshes}, "\n".join(lines))
+        return CommandResult({**answer.value, "mirrored_meshes": meshes}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class ImportDGrasp(Answering):
     table_height: float = 0.5
     """Height of the labels' table top [m]; it becomes z = 0."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps.importers.dgrasp import import_dgrasp
 
         return write_human_grasps(self.out, import_dgrasp(self.source, self.table_height))
@@ -148,7 +148,7 @@ class ImportOther(Answering):
     out: Path
     """Grasp file to write (.npz)."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps.importers.registry import load_importer
 
         return write_human_grasps(self.out, load_importer(self.importer)(self.source))
@@ -170,7 +170,7 @@ class ImportGrasps:
         """Whether JSON is asked for."""
         return self.data.json
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         """Do it."""
         return self.data.run()
 
@@ -184,7 +184,7 @@ class CheckGrasps(Answering):
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps.diagnosis import (
             check_anatomy,
             grouped,
@@ -214,12 +214,12 @@ class CheckGrasps(Answering):
             lines.append(
                 f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check that"
             )
-            return Answer(value, "\n".join(lines))
+            return CommandResult(value, "\n".join(lines))
         grasps = human_grasps_from_fields(fields, self.file)
         unusual = grouped(check_anatomy(grasps))
         lines += [f"unusual anatomy: {finding}" for finding in unusual]
         lines.append(f"{self.file}: {len(grasps)} grasps that can be used")
-        return Answer({**value, "unusual_anatomy": unusual}, "\n".join(lines))
+        return CommandResult({**value, "unusual_anatomy": unusual}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ class ConvertGrasps(Answering):
     below_table: Literal["keep", "lift", "drop"] = "keep"
     """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.grasps.conversion import converted, mend_below_table
         from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
 
@@ -274,7 +274,7 @@ class SelectGrasps(Answering):
     best: float | None = None
     """Keep this share of them, those with the smallest numbers: 0.75."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import numpy as np
 
         from fungrasp.grasps import RobotGraspSet, load_grasps, save_human_grasps, save_robot_grasps
@@ -306,7 +306,7 @@ class SelectGrasps(Answering):
             save_robot_grasps(self.out, chosen)
         else:
             save_human_grasps(self.out, chosen)
-        return Answer(
+        return CommandResult(
             {"grasps": self.out, "count": len(chosen), "of": len(grasps)},
             f"{self.out}: {len(chosen)} of {len(grasps)} grasps",
         )
@@ -335,7 +335,7 @@ class MakeGrasps(Answering):
     """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
     all processors of this machine where none is given. Same grasps."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.core.jobs import PartStore
         from fungrasp.objects import is_plain_shape
         from fungrasp.synthesis import synthesize_grasps
@@ -359,7 +359,7 @@ class MakeGrasps(Answering):
             (name,) = models or {}
             folder = "" if is_plain_shape(name) else f" --objects {self.mesh.parent}"
             lines.append(f"use them with: --grasps {self.out}{folder}")
-        return Answer({**answer.value, "left_out": sought - len(grasps)}, "\n".join(lines))
+        return CommandResult({**answer.value, "left_out": sought - len(grasps)}, "\n".join(lines))
 
     def _specifications(
         self,
@@ -462,20 +462,16 @@ def _fields(grasp: HumanGrasp | RobotGrasp) -> dict[str, Any]:
     return {**values, **values.pop("extra", {})}
 
 
-def _draw(grasp: HumanGrasp | RobotGrasp, path: Path, objects: Path | None) -> None:
+def _draw(grasps: HumanGraspSet | RobotGraspSet, row: int, path: Path, objects: Path | None) -> None:
     from PIL import Image
 
     from fungrasp.core.files import atomic_path
-    from fungrasp.grasps import HumanGrasp
-    from fungrasp.hands import load_hand
-    from fungrasp.media import grasp_scene
-    from fungrasp.media.grasp_scenes import look_at_grasp
-    from fungrasp.media.render import render
+    from fungrasp.media.pictures import grasp_picture
     from fungrasp.objects import load_object
 
-    thing = load_object(grasp.object_name, float(grasp.object_mass), objects)
-    model, qpos = grasp_scene(grasp, thing, None if isinstance(grasp, HumanGrasp) else load_hand(grasp.hand))
-    picture = render(model, qpos, look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT))[0]
+    name = str(grasps.object_name[row])
+    thing = load_object(name, float(grasps.object_mass[row]), objects)
+    picture = grasp_picture(grasps, row, {name: thing}, WIDTH, HEIGHT)
     with atomic_path(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table, write_four_views
+from fungrasp.cli.console import Answering, CommandResult, table
 
 if TYPE_CHECKING:
-    import mujoco
-
-    from fungrasp.hands import Hand
     from fungrasp.hands.checking.hand_checks import Finding
 
 HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -24,7 +22,7 @@ HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 class ListHands(Answering):
     """List the known hands."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import hand_files, load_hand
         from fungrasp.hands.hand_description import hand_mass
 
@@ -45,7 +43,7 @@ class ListHands(Answering):
         for row in rows:
             joints = f"{row['independent_joints']}/{row['joints']}"
             lines.append((row["name"], str(len(row["fingers"])), joints, f"{row['mass']:.2f}", row["title"]))
-        return Answer(rows, table(lines, left=None))
+        return CommandResult(rows, table(lines, left=None))
 
 
 @dataclass(frozen=True)
@@ -57,15 +55,18 @@ class ShowHand(Answering):
     picture: Path | None = None
     """Also draw the hand from four sides into this file (.png, .jpg)."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
         from fungrasp.hands.hand_description import describe_hand
 
         hand = load_hand(self.name)
         description = describe_hand(hand)
         if self.picture is not None:
-            write_four_views(self.picture, _upright(hand))
-        return Answer(description, _text(description))
+            from fungrasp.media.pictures import draw_hand
+
+            draw_hand(self.picture, hand)
+            print(f"wrote {self.picture}", file=sys.stderr)
+        return CommandResult(description, _text(description))
 
 
 @dataclass(frozen=True)
@@ -75,13 +76,13 @@ class CheckHand(Answering):
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import hand_files
         from fungrasp.hands.checking.hand_checks import check_hand_files
 
         findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
         rows, text, status = _findings(self.path, findings)
-        return Answer(rows, text, status=status)
+        return CommandResult(rows, text, status=status)
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class AddHand(Answering):
     force: bool = False
     """Overwrite the hand in the folder."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
         from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings, parse_fingers
         from fungrasp.hands.checking.hand_checks import check_hand_files
@@ -132,7 +133,7 @@ class AddHand(Answering):
                 f"\nnext: fungrasp retarget {mirror}--hand {path} --out {grasps}"
                 f"\nthen: fungrasp evaluate --grasps {grasps} --hand {path}"
             )
-        return Answer({"hand": path, "findings": rows}, text, status=status)
+        return CommandResult({"hand": path, "findings": rows}, text, status=status)
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ class ExportHand(Answering):
     arm: str | None = None
     """Mount the hand on this arm: ur5e."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.core.files import atomic_path
         from fungrasp.hands import load_hand
         from fungrasp.hands.arm import export_hand
@@ -154,28 +155,10 @@ class ExportHand(Answering):
         text = export_hand(load_hand(self.name), self.arm)
         with atomic_path(self.out) as temporary:
             temporary.write_text(text)
-        return Answer({"hand": self.out}, f"wrote {self.out}")
+        return CommandResult({"hand": self.out}, f"wrote {self.out}")
 
 
 COMMAND = {"list": ListHands, "show": ShowHand, "add": AddHand, "check": CheckHand, "export": ExportHand}
-
-
-def _upright(hand: Hand) -> mujoco.MjModel:
-    """The hand above the table, fingers up."""
-    import mujoco
-
-    from fungrasp.hands.arm import mounting_pose
-    from fungrasp.media.visual_meshes import dressed_spec
-
-    pose = mounting_pose(hand)
-    spec = mujoco.MjSpec()
-    frame = spec.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
-    spec.attach(dressed_spec(hand), prefix="hand/", frame=frame)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    frame.pos[2] += max(0.0, (model.geom_rbound - data.geom_xpos[:, 2]).max())
-    return spec.compile()
 
 
 def _text(hand: dict[str, Any]) -> str:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table
+from fungrasp.cli.console import Answering, CommandResult, table
+from fungrasp.cli.options import CellName
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
 
@@ -32,7 +33,7 @@ class Collect(Answering):
 
     log: Annotated[Path, tyro.conf.Positional]
     """Write the log here (.jsonl); it must not exist."""
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    cell: CellName
     """The robot cell: a TOML file, or one that comes with the package."""
     excitation: Excitation = field(default_factory=Excitation)
     """How it is moved."""
@@ -47,7 +48,7 @@ class Collect(Answering):
     """Do not ask before a real hand moves."""
     option_prefixes = True
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import sys
 
         import numpy as np
@@ -57,7 +58,7 @@ class Collect(Answering):
         from fungrasp.robots.cell import is_wired, load_cell
         from fungrasp.robots.single_devices import guarded_driver, record_motion
         from fungrasp.robots.stop_switch import StopSwitch
-        from fungrasp.sim2real.identification.excitation import JointRoom, safe_motion
+        from fungrasp.sim2real.identification.excitation import ExcitationLimits, safe_motion
         from fungrasp.sim2real.identification.motion_log import MotionLogWriter
 
         cell = load_cell(self.cell)
@@ -71,7 +72,7 @@ class Collect(Answering):
                 ):
                     rest, limits = driver.read().positions, driver.limits
                     speed = np.minimum(limits.velocity, cell.limits.hand_speed)
-                    room = JointRoom(limits.lower, limits.upper, speed, limits.torque)
+                    room = ExcitationLimits(limits.lower, limits.upper, speed, limits.torque)
                     motion = safe_motion(self.excitation, hand, rest, room, gravity)
                     seconds = len(motion.commands) / self.excitation.rate
                     if is_wired(cell) and not self.yes:
@@ -94,7 +95,7 @@ class Collect(Answering):
                     print(f"broken off: {writer.rows} rows are in {self.log}{said}", file=sys.stderr)
                 raise
         text = f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}"
-        return Answer({"log": self.log, "rows": len(log.times), "joints": joints}, text)
+        return CommandResult({"log": self.log, "rows": len(log.times), "joints": joints}, text)
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class Fit(Answering):
     evaluations: int = 3000
     """Simulations of cma-es."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import numpy as np
 
         from fungrasp.hands import load_hand
@@ -206,7 +207,7 @@ class Fit(Answering):
             for j, joint in enumerate(found.dynamics.joints)
         }
         value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": methods}
-        return Answer(value, "\n".join(lines))
+        return CommandResult(value, "\n".join(lines))
 
     def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:
         import numpy as np

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import importlib
-import importlib.util
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +16,8 @@ from dataclasses import make_dataclass
 from io import StringIO
 from typing import Annotated, Any, NoReturn, Union
 
-from fungrasp.cli.console import STDOUT, Answer
-from fungrasp.cli.start import INTERRUPTED
+from fungrasp.cli import INTERRUPTED
+from fungrasp.cli.console import STDOUT, CommandResult
 from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
@@ -50,6 +49,8 @@ LEFT: Mapping[str, str] = {
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the script",
     "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
+    "export --format urdf": "--format mcap holds the joints and the poses of each step",
+    "export --format dexgraspbench": "fg.load_grasps reads a grasp file's poses and joints in Python",
     "robots arm-model": "a cell names the model of the arm's type, and the controller compares its flange",
     "deploy --execute": "'fungrasp deploy --picture lift.png' draws the whole way, asks, and carries it out",
     "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the whole way",
@@ -62,8 +63,8 @@ LEFT: Mapping[str, str] = {
     "perceive --no-page": "--camera takes its image at once; --report shows it",
     "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and give it by --mesh",
 }
-"""What is used now in place of a command, "command subcommand", "command --option" or "command subcommand
---option" that has left."""
+"""What is used now in place of a command, "command subcommand", "command --option", "command subcommand
+--option" or "command --option value" that has left."""
 
 COMPLETION = "--tyro-print-completion"
 """The option by which tyro prints a script that completes words in a shell."""
@@ -95,7 +96,6 @@ def run_command(program: str, command: Any, arguments: Sequence[str]) -> int:
     Args:
         program: how it was called, for its help.
         command: a dataclass with a method ``run``, or a table of them by subcommand name.
-        arguments: its options.
 
     Returns:
         Exit status, as of ``main``.
@@ -126,19 +126,10 @@ def _status(work: Callable[[], int]) -> int:
         return _fail(f"{where}{error.strerror or error}{full}")
 
 
-def available_commands() -> dict[str, tuple[str, str]]:
-    """The commands whose module is installed, in the order of ``COMMANDS``; nothing is imported."""
-    return {
-        name: entry
-        for name, entry in COMMANDS.items()
-        if importlib.util.find_spec(entry[0].partition(":")[0]) is not None
-    }
-
-
 def every_command() -> dict[str, Any]:
     """Each command, or a table of its subcommands, with all modules imported."""
     commands: dict[str, Any] = {}
-    for name, (place, _) in available_commands().items():
+    for name, (place, _) in COMMANDS.items():
         command = _loaded(place)
         if isinstance(command, Mapping):
             command = {sub: _loaded(one) for sub, one in command.items()}
@@ -160,10 +151,9 @@ def _dispatch(arguments: list[str]) -> int:
     if first == COMPLETION:
         _print_completion(arguments)
     _check_left(first, rest)
-    commands = available_commands()
-    if first not in commands:
-        raise UnknownNameError("option" if first.startswith("-") else "command", first, commands)
-    return _run(f"fungrasp {first}", _loaded(commands[first][0]), rest)
+    if first not in COMMANDS:
+        raise UnknownNameError("option" if first.startswith("-") else "command", first, COMMANDS)
+    return _run(f"fungrasp {first}", _loaded(COMMANDS[first][0]), rest)
 
 
 def _check_left(first: str, rest: Sequence[str]) -> None:
@@ -173,7 +163,12 @@ def _check_left(first: str, rest: Sequence[str]) -> None:
         FungraspError: there is one.
     """
     commands = [first, *(f"{first} {word}" for word in rest[:1] if not word.startswith("-"))]
-    options = [word.partition("=")[0].replace("_", "-") for word in rest if word.startswith("--")]
+    options = []
+    for word, following in zip(rest, [*rest[1:], ""], strict=False):
+        if word.startswith("--"):
+            name, _, value = word.partition("=")
+            option = name.replace("_", "-")
+            options += [option, f"{option} {value or following}"]
     for words in (*commands, *(f"{command} {option}" for command in commands for option in options)):
         if words in LEFT:
             raise FungraspError(f"'{words}' is no longer part of fungrasp: {LEFT[words]}")
@@ -205,7 +200,7 @@ def _run(program: str, command: Any, arguments: list[str]) -> int:
     as_json = getattr(parsed, "json", None) in (True, STDOUT)
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
         answer = parsed.run()
-    if isinstance(answer, Answer):
+    if isinstance(answer, CommandResult):
         answer.show(as_json)
     return 0
 
@@ -246,7 +241,7 @@ def _loaded(command: Any) -> Any:
 
 
 def _help() -> str:
-    lines = [f"  {name:<10} {summary}" for name, (_, summary) in available_commands().items()]
+    lines = [f"  {name:<10} {summary}" for name, (_, summary) in COMMANDS.items()]
     return "\n".join(
         [
             "usage: fungrasp COMMAND [OPTIONS]",

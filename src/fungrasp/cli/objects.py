@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,21 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, check_picture, table, write_four_views
+from fungrasp.cli.console import Answering, CommandResult, table
 
 if TYPE_CHECKING:
-    import mujoco
-
     from fungrasp.objects import ObjectModel
-
-COLORS = {
-    "blue": (0.36, 0.55, 0.72),
-    "orange": (0.93, 0.55, 0.22),
-    "green": (0.45, 0.66, 0.38),
-    "red": (0.75, 0.35, 0.42),
-    "violet": (0.58, 0.50, 0.70),
-}
-"""Colors of parts in pictures, sRGB, in the order of the parts."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +23,7 @@ class ListObjects(Answering):
     objects: Path | None = None
     """A folder of meshes, listed too."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.objects import builtin_object, mesh_files, object_names
 
         models = [builtin_object(name) for name in object_names()]
@@ -48,7 +38,7 @@ class ListObjects(Answering):
             (m.name, ", ".join(m.parts), _size(m.size), f"{m.mass * 1000:.0f}", m.source) for m in models
         ]
         rows += [(name, "", "", "", str(path)) for name, path in meshes.items()]
-        return Answer([*known, *files], table(rows, left=None))
+        return CommandResult([*known, *files], table(rows, left=None))
 
 
 @dataclass(frozen=True)
@@ -66,18 +56,21 @@ class ShowObject(Answering):
     pieces: bool = False
     """Color the picture by convex piece instead of by part."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.objects.object_description import describe_object
 
         if self.picture is not None:
+            from fungrasp.media.pictures import check_picture, draw_object
+
             check_picture(self.picture)
         model, weighed = self._load()
         description = describe_object(model)
         if not weighed:
             description |= {"mass": None, "inertia": None}
         if self.picture is not None:
-            _draw(model, self.picture, self.pieces)
-        return Answer(description, _text(description))
+            draw_object(self.picture, model, self.pieces)
+            print(f"wrote {self.picture}", file=sys.stderr)
+        return CommandResult(description, _text(description))
 
     def _load(self) -> tuple[ObjectModel, bool]:
         """The object, and whether its mass is known; without one, a mesh is described as if it had 1 kg."""
@@ -122,39 +115,6 @@ def _text(d: dict[str, Any]) -> str:
     ]
     title = f"{d['name']}: {d['source']}" if d["source"] else d["name"]
     return "\n".join([title, *(f"  {key:<9} {value}" for key, value in rows)])
-
-
-def _draw(model: ObjectModel, path: Path, by_piece: bool) -> None:
-    names = list(COLORS)
-    legend = (
-        "" if by_piece else ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(model.parts))
-    )
-    labels = [f"{model.name}, {_size(model.size)} cm", legend or f"{len(model.pieces)} convex pieces", "", ""]
-    write_four_views(path, _scene(model, by_piece), labels)
-
-
-def _scene(model: ObjectModel, by_piece: bool) -> mujoco.MjModel:
-    """The object at rest on the table, each part or piece in a color of its own."""
-    import mujoco
-    import numpy as np
-
-    if by_piece:
-        shapes = [(piece.vertices, piece.faces) for piece in model.pieces]
-    else:
-        masks = list(model.parts.values()) or [np.ones(len(model.faces), dtype=bool)]
-        shapes = [(model.vertices, model.faces[mask]) for mask in masks]
-    spec = mujoco.MjSpec()
-    pose = model.rest_pose()
-    body = spec.worldbody.add_body(pos=pose[:3], quat=pose[3:])
-    colors = list(COLORS.values())
-    for i, (vertices, faces) in enumerate(shapes):
-        used, renumbered = np.unique(faces, return_inverse=True)
-        mesh = spec.add_mesh(name=f"shape_{i}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-        mesh.uservert = np.ascontiguousarray(vertices[used]).ravel()
-        mesh.userface = renumbered.astype(np.int32).ravel()
-        rgba = [*colors[i % len(colors)], 1.0]
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba)
-    return spec.compile()
 
 
 def _size(size: Iterable[float]) -> str:

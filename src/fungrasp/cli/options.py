@@ -19,15 +19,9 @@ if TYPE_CHECKING:
 CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 """A robot cell: a TOML file, or one that comes with the package."""
 
-STAYS = "it stays stopped"
-"""Said of a device that takes no command after a stop."""
-
 
 def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
     """The cluster that ``--ray`` means; None where it is not given.
-
-    Args:
-        words: what follows it.
 
     Raises:
         FungraspError: more than one address.
@@ -47,7 +41,6 @@ def device_and_buffers(
     """What ``--device`` and ``--buffers`` mean: a GPU, if there is one, where no device is given.
 
     Args:
-        device: as given.
         buffers: contacts and rows of a world, as given.
 
     Raises:
@@ -77,8 +70,6 @@ def optional_value(metavar: str, default: str, what: str) -> Any:
         default: where none follows.
         what: may be given only once, "folder".
     """
-
-    import tyro
 
     def one(words: list[str]) -> str:
         if len(words) > 1:

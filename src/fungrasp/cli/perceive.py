@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from fungrasp.cli.console import Answer, option, suggestion, table, write_json
+from fungrasp.cli.console import CommandResult, option, suggestion, table, write_json
 from fungrasp.cli.options import JsonOut, json_path, optional_value
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.image_source import REALSENSE, ImageSource
@@ -70,7 +70,7 @@ class Perceive:
     json: JsonOut = None
     """Write everything that was found to this JSON file; without a file, print it."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from time import perf_counter
 
         start = perf_counter()
@@ -114,7 +114,7 @@ class Perceive:
             print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
         status = 0 if perceived.confident else LOW_CONFIDENCE
         value = {"grasps": self.out, **perceived.as_json()}
-        return Answer(value, "\n".join(lines), fault=fault, status=status)
+        return CommandResult(value, "\n".join(lines), fault=fault, status=status)
 
     def _check(self) -> None:
         """Complain about options that do not go together, and about hand models that are missing."""

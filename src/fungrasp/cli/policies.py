@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, table
+from fungrasp.cli.console import Answering, CommandResult, table
 
 if TYPE_CHECKING:
     from fungrasp.policies.checkpoint.card import PolicyCard
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class List(Answering):
     """List the learned policies that come with fungrasp."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.policies.checkpoint.checkpoint_file import list_policies, read_card
 
         files = list_policies()
@@ -26,7 +26,7 @@ class List(Answering):
         sizes = {name: path.stat().st_size for name, path in files.items()}
         known = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
         if not cards:
-            return Answer(known, "no policies come with this version of fungrasp")
+            return CommandResult(known, "no policies come with this version of fungrasp")
         header = ("name", "kind", "hand", "size", "success", "licence", "data")
         rows = [
             (
@@ -40,7 +40,7 @@ class List(Answering):
             )
             for name, card in cards.items()
         ]
-        return Answer(known, table([header, *rows], left=None, widest=30))
+        return CommandResult(known, table([header, *rows], left=None, widest=30))
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Info(Answering):
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
     """A policy that comes with fungrasp, or the path of a policy file (.onnx)."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.policies.checkpoint.checkpoint_file import read_card
 
         card = read_card(self.name)
-        return Answer(card.to_json(), _text(card))
+        return CommandResult(card.to_json(), _text(card))
 
 
 COMMAND = {"list": List, "info": Info}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fungrasp.cli.console import Answer, Answering, option, progress_bar, suggestion, write_json
+from fungrasp.cli.console import Answering, CommandResult, option, progress_bar, suggestion, write_json
 from fungrasp.cli.options import on_cluster, print_use
 
 
@@ -40,7 +40,7 @@ class Retarget(Answering):
     """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
     all processors of this machine where none is given. Same grasps."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from time import perf_counter
 
         from fungrasp.core.formats.text_files import finite
@@ -90,7 +90,7 @@ class Retarget(Answering):
             suggestion("evaluate --grasps", self.out, option("--objects", self.objects)),
         ]
         value = {"grasps": self.out, "count": len(robot), "objects": len(objects), "quality": summary}
-        return Answer(value, "\n".join(lines))
+        return CommandResult(value, "\n".join(lines))
 
 
 COMMAND = Retarget

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, suggestion, table
+from fungrasp.cli.console import Answering, CommandResult, suggestion, table
+from fungrasp.cli.options import CellName
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.spec import GraspChoice
 
 if TYPE_CHECKING:
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 class ListCells(Answering):
     """List the robot cells that come with fungrasp, and the drivers that are installed."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.assembly import ARM_DRIVERS, HAND_DRIVERS, TRACKERS
         from fungrasp.robots.cell import cell_files, load_cell
 
@@ -35,7 +37,7 @@ class ListCells(Answering):
             what: [dict(zip(heads, row, strict=True)) for row in others]
             for what, (heads, *others) in {"cells": rows, "drivers": drivers}.items()
         }
-        return Answer(named, f"{table(rows, left=None)}\n\n{table(drivers, left=None)}")
+        return CommandResult(named, f"{table(rows, left=None)}\n\n{table(drivers, left=None)}")
 
 
 @dataclass(frozen=True)
@@ -47,29 +49,28 @@ class New(Answering):
     hand: str = "allegro"
     """The hand on the arm."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.robots.cell import write_new_cell
 
         write_new_cell(self.file, self.hand)
         text = f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'"
-        return Answer({"cell": self.file}, text)
+        return CommandResult({"cell": self.file}, text)
 
 
 @dataclass(frozen=True)
 class Check(Answering):
     """Check a robot cell's file. Nothing is connected."""
 
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
+    cell: CellName
     """A cell that comes with fungrasp, or a TOML file."""
     touched: Path | None = None
     """JSON file with postures of the arm (joints) and the points that the middle of its flange touched
     (flange): whether the base is where the cell says. With points that the hand touched (hand_joints, hand,
     hand_point): whether the hand is on the flange as it says."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.core.errors import FungraspError
         from fungrasp.deployment.identified_dynamics import identified_dynamics
         from fungrasp.geometry.poses import rotate
         from fungrasp.hands import load_hand
@@ -144,7 +145,7 @@ class Check(Answering):
         lines.append(f"hand: torques up to {_range(planned)} N m{less}")
         lines.append(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
         torques = dict(zip(hand.actuators, planned, strict=True))
-        return Answer({**value, "planned_torques": torques}, "\n".join(lines))
+        return CommandResult({**value, "planned_torques": torques}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ class Emulate:
 
     Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
 
-    cell: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")] = "ur5e-allegro-emulated"
+    cell: CellName = "ur5e-allegro-emulated"
     """A cell whose addresses are on the loopback."""
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp that the object is placed for."""
@@ -208,7 +209,7 @@ class ShowLog(Answering):
     log: Annotated[Path, tyro.conf.Positional]
     """An MCAP file."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         from fungrasp.deployment.log import read_log
 
         log = read_log(self.log)
@@ -220,7 +221,7 @@ class ShowLog(Answering):
             *(f"{e['time']:.2f} s  {e['what']}: {e['text']}" for e in log.messages["/event"]),
             f"{counts['step']} control steps, {counts['setpoint']} setpoints",
         ]
-        return Answer(
+        return CommandResult(
             {**said, "events": log.messages["/event"]}, "\n".join([*lines, suggestion("view", self.log)])
         )
 
@@ -236,8 +237,7 @@ class ReplayLog(Answering):
     policy: str = ""
     """Another policy than the one that is named in the log."""
 
-    def run(self) -> Answer:
-        from fungrasp.core.errors import FungraspError
+    def run(self) -> CommandResult:
         from fungrasp.deployment.log import read_log, replay_log
         from fungrasp.hands import load_hand
         from fungrasp.objects import load_object
@@ -255,8 +255,8 @@ class ReplayLog(Answering):
         result = replay_log(log, policy)
         fault = f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
         if result.different:
-            return Answer(asdict(result), fault=fault)
-        return Answer(asdict(result), f"{result.steps} actions, all the same")
+            return CommandResult(asdict(result), fault=fault)
+        return CommandResult(asdict(result), f"{result.steps} actions, all the same")
 
 
 def _axis(vector: np.ndarray) -> str:

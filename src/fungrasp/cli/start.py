@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C."""
+from fungrasp.cli import INTERRUPTED
 
 
 def start() -> int:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answer, Answering, progress_bar
+from fungrasp.cli.console import Answering, CommandResult, progress_bar
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.features import LayoutName
@@ -80,7 +80,7 @@ class Train(TrainingGrasps, Answering):
         """Folder of the training."""
         return self.out or Path("runs") / Path(self.hand).stem
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         prepare_torch()
         from fungrasp.training.train import train
 
@@ -121,7 +121,7 @@ class Distill(Answering):
     spec: Annotated[StudentSpec, tyro.conf.arg(name="")] = field(default_factory=StudentSpec)
     """How."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         prepare_torch()
         from fungrasp.training.distill import train_student
 
@@ -142,7 +142,7 @@ class TrainPredictor(TrainingGrasps, Answering):
     spec: Annotated[PredictorSpec, tyro.conf.arg(name="")] = field(default_factory=PredictorSpec)
     """How."""
 
-    def run(self) -> Answer:
+    def run(self) -> CommandResult:
         prepare_torch()
         from fungrasp.policies.checkpoint.checkpoint_file import load_policy
         from fungrasp.training.success_predictor import MEASURED, train_predictor
@@ -152,7 +152,7 @@ class TrainPredictor(TrainingGrasps, Answering):
             train_predictor(self.out, sets, hand, self.spec, progress=show)
         card = load_policy(self.out).card
         measured, budget = card.measured[MEASURED], card.budget
-        return Answer(
+        return CommandResult(
             {"policy": self.out, "card": card.to_json()},
             f"{self.out}: of grasps it has not seen, {measured['first']:.1%} hold as they are, "
             f"{measured['chosen']:.1%} of those it chooses, {measured['any']:.1%} in some variation "
@@ -182,9 +182,6 @@ def prepare_torch() -> None:
 def progress_lines(steps: int) -> Callable[[Any], None]:
     """Prints steps, success and time left every now and then.
 
-    Args:
-        steps: at which training ends.
-
     Returns:
         To be called with what has ``steps``, ``seconds`` and ``success``.
     """
@@ -209,12 +206,12 @@ def progress_lines(steps: int) -> Callable[[Any], None]:
     return show
 
 
-def _trained(policy: Path) -> Answer:
+def _trained(policy: Path) -> CommandResult:
     """A policy's file, its card, and what it took."""
     from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 
     card = load_policy(policy).card
-    return Answer(
+    return CommandResult(
         {"policy": policy, "card": card.to_json()},
         f"{policy}: {card.kind} of {card.hand}, {card.budget.steps:,} steps in "
         f"{card.budget.seconds / 60:.1f} min",

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.core.errors import FungraspError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -60,8 +62,6 @@ class View:
             print(shown)
 
     def _what(self) -> tuple[Any, Mapping[str, ObjectModel] | None]:
-        from fungrasp.core.errors import FungraspError
-
         if self.mesh is not None:
             from fungrasp.viewer.choose_page import perceived_capture
 
@@ -77,8 +77,6 @@ class View:
         return self.what, self._objects()
 
     def _objects(self) -> Mapping[str, ObjectModel] | None:
-        from fungrasp.core.errors import FungraspError
-
         if self.objects is None:
             return None
         from fungrasp.core.formats.numpy_files import read_npz

@@ -175,7 +175,6 @@ class RayCluster:
         Args:
             work: a function of a module that every machine can import, called with ``shared`` and a job's
                 items.
-            jobs: their items, small.
             finished: called here with each job and its result, one after another.
             shared: what all jobs need; sent to each machine once.
 

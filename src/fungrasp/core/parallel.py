@@ -22,7 +22,6 @@ def in_chunks(
     Args:
         work: given row numbers, shape [<= chunk]; mostly NumPy or MuJoCo, which let other threads run.
         threads: 0 means all processors.
-        chunk: rows worked on together.
 
     Raises:
         FungraspError: a negative number of threads.

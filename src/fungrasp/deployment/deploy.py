@@ -50,7 +50,6 @@ def deploy(
 
     Args:
         robot: one grasp, of the cell's hand.
-        objects: its object, by name.
         cell: in the place of the one that ``spec`` names.
         policy: in the place of that of ``spec``.
         spec: what is asked; the defaults if None.
@@ -96,7 +95,6 @@ def deploy_on_robot(
     ``hold``, else a person at the keyboard of the switch, then says when the connection may end.
 
     Args:
-        task: what is to be done.
         observers: told of everything in this order.
         switch: stops the robot; that of the cell's stop file if None.
 

@@ -45,8 +45,6 @@ class Deployment:
         """
         Args:
             robot: connected.
-            policy: what acts.
-            preparer: plans.
             spec: what is asked, of which attempts, end, speed and time to look count; the defaults if None.
             observers: told of everything in this order.
 

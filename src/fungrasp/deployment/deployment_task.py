@@ -64,8 +64,6 @@ def deployment_task(
 
     Args:
         robot: one grasp, of the cell's hand.
-        objects: its object, by name.
-        spec: what is asked.
 
     Raises:
         FungraspError: several grasps, grasps of another hand, no such cell or policy, a cell that is not

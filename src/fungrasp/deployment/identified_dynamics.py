@@ -48,8 +48,6 @@ def identified_dynamics(
     """What a cell says of its hand.
 
     Args:
-        cell: the robot.
-        hand: the model of its hand.
         file: of identified dynamics, in place of the cell's.
 
     Returns:

@@ -51,7 +51,6 @@ class McapLog(DeploymentObserver):
     def __init__(self, path: str | Path, about: Mapping[str, str] | None = None):
         """
         Args:
-            path: the file.
             about: what it says beside the plan and the cell's name.
 
         Raises:

@@ -90,7 +90,6 @@ def ask_before_motion(switch: StopSwitch, what: str) -> None:
     """Ask at the keyboard of a switch before a device moves, and say how to stop it.
 
     Args:
-        switch: that listens to the keyboard.
         what: will be done, as a phrase.
 
     Raises:

@@ -81,7 +81,6 @@ class Preparer(Protocol):
         """Plan a grasp of the object where it is seen.
 
         Args:
-            grasp: one.
             object_pose: at rest, world frame, shape [7].
             arm: joints of the arm now [rad], shape [A].
             attempt: how many have failed already.
@@ -112,12 +111,7 @@ class GraspPreparer:
     ):
         """
         Args:
-            cell: the robot.
-            hand: on its arm.
-            thing: the object.
-            planner: of the policy.
             dynamics: identified; the model's if None.
-            seed: of everything that is drawn.
             advise: whether a placement that would do is looked for where the object's does not.
         """
         self._advise = advise

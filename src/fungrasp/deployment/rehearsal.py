@@ -62,8 +62,6 @@ def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Mot
 
     Args:
         robot: connected; it stands where the plan begins, and is only read.
-        grasp: that was planned.
-        prepared: the plan.
 
     Raises:
         FungraspError: the safety filter would stop it.

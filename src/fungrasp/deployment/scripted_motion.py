@@ -75,7 +75,6 @@ class ScriptedMotion:
         """Lower the object, open the hand, withdraw along the way that the palm came.
 
         Args:
-            prepared: what was done.
             low: where the palm is when the object stands, world frame, shape [1, 7].
         """
         robot, plan, period = self._robot, prepared.plan, self._robot.protocol.control_period

@@ -67,10 +67,6 @@ def reachable_placements(
     with some motion: the robot's planner may find it.
 
     Args:
-        cell: the robot.
-        hand: on its arm.
-        thing: the object.
-        grasp: one.
         seed: of the postures that are tried.
 
     Yields:
@@ -79,7 +75,7 @@ def reachable_placements(
     Raises:
         UnreachableError: there is none nearby.
     """
-    # What is seen differs by millimetres from what is: more room than is needed. Half of the clearance more
+    # What is seen differs by millimeters from what is: more room than is needed. Half of the clearance more
     # above the table, and half of it less depth for the fingers: about the error of a tracked height.
     box = cell.workspace
     inner = np.array([ROOM, ROOM, 0.0])
@@ -143,7 +139,6 @@ def deploy_on_twin(
     """Deploy one grasp on a fresh twin. Its seed is of the tracker's noise as well.
 
     Args:
-        task: what is to be done.
         placement: where the object is put, world frame, shape [7]; it settles.
         truth: what is true of the twin.
         observers: told of everything in this order.

@@ -114,8 +114,6 @@ def static_quality(
 
     Args:
         robot: N grasps.
-        human: what they were retargeted from.
-        objects: by name.
         hand: the robot hand, or its name; that of the grasps if None.
         spacing: of the points that cover the hand's collision geometry [m].
 
@@ -237,7 +235,6 @@ def _force_closure(
     Args:
         centers: of the sphere of each link that is nearest to the object, object frame [m], shape [N, L, 3].
         clearance: of those spheres [m], shape [N, L].
-        bank: of the objects.
         grid: which object each grasp is of, shape [N].
         objects: in the order of the bank.
     """
@@ -306,7 +303,6 @@ def penetration_depth(
     far.
 
     Args:
-        bank: of the objects' grids.
         link: which link each sphere belongs to, shape [P].
         others: as for ``exact_clearance``.
     """

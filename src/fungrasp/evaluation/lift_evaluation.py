@@ -62,8 +62,6 @@ def evaluate(
     """Try each grasp once for each seed.
 
     Args:
-        robot: the grasps.
-        objects: by name.
         policy: in the place of the one that ``spec`` names: its name or file, or a policy of one's own.
         protocol: in the place of that of ``spec``.
         spec: what is asked; the defaults if None.

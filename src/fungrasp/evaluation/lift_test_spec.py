@@ -125,10 +125,6 @@ class LiftTestSpec:
         """What ``record_to_json`` has written, of earlier versions too. None where it can't be asked again:
         its grasps were varied in the test's own world first.
 
-        Args:
-            data: as read.
-            where: begins the messages.
-
         Raises:
             FungraspError: it is no such thing.
         """

@@ -83,7 +83,6 @@ def save_result(path: str | Path, whole: Mapping[str, Any], compact: bool = Fals
     """Write a result that holds its rows as lists.
 
     Args:
-        path: of the JSON file.
         whole: nothing in it is NaN or infinite.
         compact: as a header and a table (``write_result``), in the place of one file.
 

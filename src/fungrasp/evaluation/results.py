@@ -119,7 +119,6 @@ class LiftTestResult:
         """Write all numbers; ``fungrasp.evaluation.read_result`` reads them.
 
         Args:
-            path: of a JSON file.
             compact: the episodes go to a CSV file beside it, with one row each.
 
         Raises:

@@ -130,12 +130,6 @@ class Recorder:
     """Watches a task and keeps its states; hand it to ``LiftEnvironment.step``."""
 
     def __init__(self, task: LiftTask, grasps: RobotGraspSet, randomization: Randomization = NOMINAL):
-        """
-        Args:
-            task: whose episodes have begun.
-            grasps: one per world.
-            randomization: of the worlds.
-        """
         self._task, self._grasps = task, grasps
         other = (f.name for f in fields(randomization))
         names = [name for name in other if getattr(randomization, name) != getattr(NOMINAL, name)]
@@ -201,12 +195,6 @@ class UseRecorder:
     def __init__(
         self, environment: LiftEnvironment, grasps: RobotGraspSet, motions: Sequence[UseMotion | None]
     ):
-        """
-        Args:
-            environment: whose lift tests are over.
-            grasps: one per world.
-            motions: of each world.
-        """
         self._engine, self._grasps = environment.engine, grasps
         self._period = environment.task.setpoints.period
         self._lasts = [0.0 if motion is None else motion.whole_duration for motion in motions]

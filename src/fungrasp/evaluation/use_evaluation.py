@@ -48,8 +48,6 @@ class UseTest:
         Args:
             human: as the person did them; None if that is not known: any part then counts as the one held.
             robot: N grasps.
-            objects: by name.
-            hand: the robot hand.
             motions: those that come with the package if None.
         """
         unknown = [(frozenset[str](),) * len(hand.links)] * len(robot)
@@ -126,7 +124,6 @@ def held_parts(
 
     Args:
         human: N grasps.
-        objects: by name.
         hand: the robot hand, L contact links.
 
     Returns:

@@ -90,8 +90,6 @@ def constant_on(library: Any, device: Any, dtype: Any, values: np.ndarray) -> Ar
     """Constant values on a device, copied there once: the device would be waited for each time.
 
     Args:
-        library: namespace of the array API.
-        device: of the library's.
         dtype: number type of the library's; that of the values if None.
     """
     key = library.__name__, str(device), str(dtype), values.dtype.str, values.shape, values.tobytes()

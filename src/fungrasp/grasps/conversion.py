@@ -29,7 +29,6 @@ def converted(
         arrays: by name, as the file has them.
         order: of the joints, one of ``ORDERS``; joint rotations are left out if it is not ours.
         quaternion: order of the numbers of quaternions.
-        unit: of positions.
         side: of the hands; the scene of left ones is mirrored in the plane y = 0.
     """
     result = dict(arrays)

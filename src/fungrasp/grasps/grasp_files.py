@@ -101,21 +101,6 @@ def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
     _write(path, grasps, _whole_of_robot(grasps))
 
 
-def robot_grasp_fields(grasps: RobotGraspSet) -> dict[str, np.ndarray]:
-    """Robot grasps as arrays by name, to be kept in a file with other things."""
-    fields = {name: getattr(grasps, name) for name in grasps.FIELDS} | _whole_of_robot(grasps)
-    return {name: value for name, value in fields.items() if value is not None}
-
-
-def robot_grasps_from_fields(arrays: Mapping[str, np.ndarray], where: str) -> RobotGraspSet:
-    """Robot grasps from what ``robot_grasp_fields`` gave; where: begins the messages.
-
-    Raises:
-        FungraspError: bad content; names field, shapes and row.
-    """
-    return _robot(Path(where), arrays)
-
-
 def _whole_of_robot(grasps: RobotGraspSet) -> dict[str, np.ndarray]:
     """What belongs to a set of robot grasps as a whole."""
     whole = {"hand": np.array(grasps.hand), "joint_names": np.array(grasps.joint_names, dtype=str)}

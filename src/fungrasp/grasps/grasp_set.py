@@ -36,7 +36,6 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
     """The value of a field as an array of str, bool or float64, with unit quaternions.
 
     Args:
-        field: what it must look like.
         value: an array or what becomes one.
         sizes: sizes already known by letter; letters met here for the first time are added.
 

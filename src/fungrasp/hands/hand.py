@@ -13,7 +13,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import digest
-from fungrasp.core.formats.checks import guarded
+from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.mujoco_model import read_model
 from fungrasp.core.formats.text_files import Schema, read_toml, type_faults
 from fungrasp.geometry.arrays import constant
@@ -138,7 +138,7 @@ class Hand:
         try:
             return self.spec().compile()
         except ValueError as error:
-            raise FungraspError(f"hand '{self.name}' does not compile: {_one_line(error)}") from error
+            raise FungraspError(f"hand '{self.name}' does not compile: {one_line(error)}") from error
 
     @cached_property
     def digest(self) -> str:
@@ -259,7 +259,7 @@ def read_hand_toml(path: Path) -> Hand:
     try:
         model = spec.compile()
     except ValueError as error:
-        raise FungraspError(f"{model_path} does not compile: {_one_line(error)}") from error
+        raise FungraspError(f"{model_path} does not compile: {one_line(error)}") from error
     bodies = {model.body(i).name for i in range(model.nbody)}
     sites = {model.site(i).name for i in range(model.nsite)}
 
@@ -389,7 +389,3 @@ def _put_at_origin(spec: mujoco.MjSpec, palm: str) -> None:
     frame = world.add_frame(pos=back[:3], quat=back[3:])
     for part in outermost:
         part.set_frame(frame)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -96,13 +96,10 @@ def demonstrate(
     """Retarget grasps, try and use them, and show it.
 
     Args:
-        shown: grasps.
-        hand: the robot hand.
         policy: name or file of what moves it.
         out: folder for ``film.mp4`` and ``index.html``; nothing is in it until they are whole.
         seed: of the rollouts that choose a plan.
         threads: 0 means all processors.
-        stages: told what is being done.
 
     Raises:
         FungraspError: of the verbs, or a file can't be written.

@@ -76,7 +76,6 @@ def episode_film(
     Args:
         trajectory: of ``hand`` and ``obj``.
         settings: the usual ones if None.
-        title: words before the phase.
         inset: picture in the upper left corner, as of the person's grasp: sRGB, shape [h, w, 3] uint8.
         threads: 0 means all CPUs; the film does not depend on it.
 

@@ -52,7 +52,6 @@ def human_grasp_scene(
 
     Args:
         joints: [m], world frame, shape [21, 3].
-        obj: the object.
         object_pose: world frame, shape [7].
         link_contacts: shape [16] bool.
 
@@ -99,7 +98,6 @@ def robot_grasp_scene(
     Args:
         wrist_pose: of the palm body, world frame, shape [7].
         joint_positions: in the order of ``hand.joint_names`` [rad], shape [M].
-        obj: the object.
         object_pose: world frame, shape [7].
         link_contacts: in the order of ``hand.links``, shape [L] bool; None for none.
 
@@ -134,8 +132,6 @@ def grasp_scene(
 
     Args:
         grasp: of a person or a robot.
-        obj: its object.
-        hand: that of a robot's grasp.
     """
     if isinstance(grasp, HumanGrasp):
         model = human_grasp_scene(grasp.hand_joints, obj, grasp.object_pose, grasp.link_contacts)

@@ -71,7 +71,6 @@ def painted_parts(model: ObjectModel, plain: Material = PLAIN) -> list[tuple[Mat
     """Materials of an object, and which of its faces have each, shape [F] bool.
 
     Args:
-        model: any object.
         plain: the material of one that is not built in.
     """
     looks = LOOKS.get(model.name.removesuffix(MIRRORED), {}) if model.parts else {}

@@ -23,7 +23,6 @@ def write_mcap_episodes(episodes: Sequence[Trajectory], folder: str | Path) -> l
     whole episode is its metadata. ``read_mcap_episode`` reads it back.
 
     Args:
-        episodes: of any hands.
         folder: is made; files are called ``<row>_<object>.mcap``.
 
     Raises:

@@ -76,7 +76,6 @@ def figure(picture: np.ndarray | None, caption: str, *, photograph: bool = False
 
     Args:
         picture: sRGB, shape [H, W, 3] uint8.
-        caption: words.
         photograph: it is noisy, and is kept as JPEG.
 
     Raises:
@@ -223,8 +222,6 @@ def write_page(path: str | Path, page: Page, opening: Sequence[str] = ()) -> Pat
     """Write a page that needs no other file and no network.
 
     Args:
-        path: of the HTML file.
-        page: what it says.
         opening: HTML of what comes before the grasps.
 
     Raises:

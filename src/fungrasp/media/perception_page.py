@@ -47,7 +47,6 @@ def write_perception_page(path: str | Path, perceived: Perceived, provenance: Ma
     """Write a page that needs no other file and no network.
 
     Args:
-        path: of the HTML file.
         perceived: what was made of an image.
         provenance: where it came from: version, command, machine, ..., in the order given.
 

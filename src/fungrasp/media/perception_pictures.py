@@ -51,9 +51,7 @@ class CloseUp:
     def __init__(self, capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray):
         """
         Args:
-            capture: the image.
             hand: camera frame.
-            model: the object.
             pose: of the object in the camera frame, shape [7].
         """
         self._capture, self._hand, self._model, self._pose = capture, hand, model, pose

@@ -12,9 +12,12 @@ from PIL import Image, ImageDraw, ImageFont
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.hands import Hand
+from fungrasp.hands.arm import mounting_pose
 from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp
 from fungrasp.media.ray_tracing import Look
 from fungrasp.media.render import Renderer, render
+from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel
 
 INK = (38, 42, 48)
@@ -34,7 +37,6 @@ def grid(
     Args:
         images: sRGB, each of shape [H, W, 3] uint8, all of one size.
         labels: one per image, or none; what is too long for its picture is shortened.
-        columns: pictures in a row.
         gap: space between pictures [pixels].
         size: of the letters [pixels].
 
@@ -72,7 +74,6 @@ def captioned(image: np.ndarray, left: str, right: str = "") -> np.ndarray:
     Args:
         image: sRGB, shape [H, W, 3] uint8.
         left: words at the left end of the bar.
-        right: words at its right end.
 
     Returns:
         a new picture of the same shape.
@@ -120,6 +121,80 @@ def four_views(
     return [next(renderer.stream(state, camera)) for camera in cameras]
 
 
+PART_COLORS = {
+    "blue": (0.36, 0.55, 0.72),
+    "orange": (0.93, 0.55, 0.22),
+    "green": (0.45, 0.66, 0.38),
+    "red": (0.75, 0.35, 0.42),
+    "violet": (0.58, 0.50, 0.70),
+}
+"""Colors of an object's parts in pictures, sRGB, in the order of the parts."""
+
+
+def check_picture(path: Path) -> None:
+    """Complain about a file that is none of a picture.
+
+    Raises:
+        FungraspError: its name ends otherwise.
+    """
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
+
+
+def draw_object(path: Path, obj: ObjectModel, by_piece: bool = False) -> None:
+    """Draw an object at rest on the table from four sides, each part or convex piece in a color of its own.
+
+    Raises:
+        FungraspError: the file is none of a picture, or it can't be written.
+    """
+    if by_piece:
+        shapes = [(piece.vertices, piece.faces) for piece in obj.pieces]
+    else:
+        masks = list(obj.parts.values()) or [np.ones(len(obj.faces), dtype=bool)]
+        shapes = [(obj.vertices, obj.faces[mask]) for mask in masks]
+    spec = mujoco.MjSpec()
+    pose = obj.rest_pose()
+    body = spec.worldbody.add_body(pos=pose[:3], quat=pose[3:])
+    colors, names = list(PART_COLORS.values()), list(PART_COLORS)
+    for i, (vertices, faces) in enumerate(shapes):
+        used, renumbered = np.unique(faces, return_inverse=True)
+        mesh = spec.add_mesh(name=f"shape_{i}", inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        mesh.uservert = np.ascontiguousarray(vertices[used]).ravel()
+        mesh.userface = renumbered.astype(np.int32).ravel()
+        rgba = [*colors[i % len(colors)], 1.0]
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=rgba)
+    parts = () if by_piece else obj.parts
+    legend = ", ".join(f"{part} {names[i % len(names)]}" for i, part in enumerate(parts))
+    size = " x ".join(f"{x * 100:.1f}" for x in obj.size)
+    _write_four_views(
+        path, spec.compile(), [f"{obj.name}, {size} cm", legend or f"{len(obj.pieces)} convex pieces", "", ""]
+    )
+
+
+def draw_hand(path: Path, hand: Hand) -> None:
+    """Draw a hand above the table, fingers up, from four sides.
+
+    Raises:
+        FungraspError: the file is none of a picture, or it can't be written.
+    """
+    pose = mounting_pose(hand)
+    spec = mujoco.MjSpec()
+    frame = spec.worldbody.add_frame(pos=pose[:3], quat=pose[3:])
+    spec.attach(dressed_spec(hand), prefix="hand/", frame=frame)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    frame.pos[2] += max(0.0, (model.geom_rbound - data.geom_xpos[:, 2]).max())
+    _write_four_views(path, spec.compile())
+
+
+def _write_four_views(path: Path, model: mujoco.MjModel, labels: Sequence[str] = ()) -> None:
+    check_picture(path)
+    picture = Image.fromarray(grid(four_views(model), labels, columns=2))
+    with atomic_path(path) as temporary:
+        picture.save(temporary)
+
+
 def _shortened(text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, room: float) -> str:
     text = " ".join(text.split())
     if font.getlength(text) <= room:
@@ -147,9 +222,7 @@ def draw_grasps(
     """Draw grasps spread over the set, of different objects where there are as many.
 
     Args:
-        path: of the PNG file.
         robot: N grasps.
-        objects: by name.
         human: what they were retargeted from, drawn to their left.
         captions: text for each grasp after the name of its object; the name of the hand if None.
         progress: called with the share that is drawn, up to 1.
@@ -190,8 +263,6 @@ def grasp_picture(
 
     Args:
         grasps: human or robot ones.
-        row: which.
-        objects: theirs, by name.
         width, height: [pixels].
 
     Returns:

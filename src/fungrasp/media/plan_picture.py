@@ -53,10 +53,6 @@ def write_plan_picture(
 
     Args:
         path: of the picture, a PNG file.
-        motion: of the plan.
-        cell: its robot.
-        hand: on its arm.
-        obj: its object.
         threads: of the renderer; 0 means all processors.
 
     Raises:

@@ -134,7 +134,6 @@ class RayTracer:
     def __init__(self, surfaces: Sequence[SurfaceMesh], look: Look, table_center: np.ndarray | None = None):
         """
         Args:
-            surfaces: all that casts shadows.
             look: light, table top and backdrop; its ``light`` must be given.
             table_center: where the endless table top does not fade, (x, y) [m]; None for no table top.
         """

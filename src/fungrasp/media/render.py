@@ -72,7 +72,6 @@ class Renderer:
     ):
         """
         Args:
-            look: light, table top and backdrop.
             shadows: whether things shade one another.
             antialias: n for n x n rays through the pixels on edges; 1 for none.
             threads: 0 means all CPUs; the result does not depend on it.

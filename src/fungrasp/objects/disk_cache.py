@@ -22,9 +22,6 @@ def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callab
     """What ``read`` finds in the file cached under ``key``; ``write`` makes it where it is missing or broken.
 
     Args:
-        kind: folder in the cache.
-        key: everything the result depends on.
-        read: reads the file.
         write: computes the result and writes the file, whole or not at all.
 
     Where the cache folder can't be written to, or is full, results are kept for this process only.

@@ -45,7 +45,6 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
         name: of the mesh file without suffix, of a built-in object, or of a shape (``plain_shape``); or a
             ``Path``, of a mesh file (``object_from_file``). A string is never a path: names come from files.
         mass: [kg]; needed for a mesh or a shape, a built-in object has its own.
-        folder: of meshes.
 
     Raises:
         FungraspError: no such folder or object, a bad mesh, or a missing or bad mass.

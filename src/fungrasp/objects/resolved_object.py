@@ -102,9 +102,6 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     A mesh that had to be mended keeps its mended surface; each of its vertices takes the color of the file's
     nearest one.
 
-    Args:
-        model: what was made of it.
-
     Returns:
         None where the file has no colors.
 

@@ -180,9 +180,6 @@ def _balance(lever, inward, number: int, friction: float, iterations: int, force
     Args:
         lever: contact points relative to the center over the extent, shape [C, 3]; the first ``number``.
         inward: unit normals into the object, shape [C, 3].
-        number: of contacts.
-        friction: coefficient.
-        iterations: of the descent.
         force: written, shape [C, 3].
     """
     count, around = number * BALANCE_CONE_EDGES, circle(np.int64(BALANCE_CONE_EDGES))
@@ -246,7 +243,6 @@ def primitive_wrenches(points: np.ndarray, inward: np.ndarray, length: float, fr
         points: contacts relative to the center of mass [m], shape [C, 3].
         inward: unit normals into the object, shape [C, 3].
         length: what torques are divided by [m].
-        friction: coefficient.
 
     Returns:
         force and torque over ``length``, shape [C * CLOSURE_CONE_EDGES, 6].

@@ -168,11 +168,9 @@ def move_hands(
     """Forward kinematics of the active hands into ``frames``, as MuJoCo's.
 
     Args:
-        tree: bodies and joints.
         pose: of the wrists, shape [N, 7].
         independent: joint positions [rad], shape [N, U].
         active: shape [N] bool.
-        frames: written.
     """
     part = np.empty((3, 3))
     for i in range(len(pose)):

@@ -97,12 +97,9 @@ def holding_forces(
     contacts.
 
     Args:
-        fingers: their contacts.
         loads: wrenches over the length of the levers, shape [N, K, 6].
         least: sum of the normal forces at least [N], shape [N].
         torque_limit: [N m], shape [U].
-        friction: coefficient.
-        iterations: of the descent.
     """
     inward, used = fingers.inward, fingers.used
     count, number = used.shape

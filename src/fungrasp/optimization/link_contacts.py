@@ -73,7 +73,6 @@ def contacts_of_links(
     """The point of each link that is nearest to the object.
 
     Args:
-        points: of the hand.
         problem: N objects.
         wrist_pose: object frame, shape [N, 7].
         independent: joints [rad], shape [N, U].

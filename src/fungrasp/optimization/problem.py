@@ -43,7 +43,6 @@ class CollisionScene:
         Args:
             names: name of each hand's object, length N.
             pose: of the objects, world frame, shape [N, 7].
-            objects: by name.
         """
         known = sorted(set(names))
         up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
@@ -137,7 +136,6 @@ def project_to_surface(
     """Surface points nearest to points, by Newton steps ``p - d(p) n(p)`` down the signed distance.
 
     Args:
-        bank: signed-distance grids.
         grid: index of each row's grid in the bank, shape [N].
         points: [m], shape [N, P, 3], object frame.
         iterations: number of steps.

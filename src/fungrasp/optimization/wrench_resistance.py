@@ -67,7 +67,6 @@ def grip_of(
     """The grip of all links nearer than ``NEAR``.
 
     Args:
-        points: of the hand.
         around: N objects.
         objects: of each hand, length N.
         wrist_pose: object frame, shape [N, 7].
@@ -92,7 +91,6 @@ def lift_loads(up: np.ndarray, weight: np.ndarray, disturbance: float = DISTURBA
     Args:
         up: unit vectors against gravity, object frame, shape [N, 3].
         weight: [N], shape [N].
-        disturbance: in weights.
     """
     helper = np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     first = cross(up, helper)
@@ -187,7 +185,6 @@ def unresisted_wrenches(
         grip: of N hands.
         loads: wrenches over its reach, shape [N, K, 6].
         unit: force against which a torque beyond its limit counts [N], shape [N].
-        iterations: of the descent.
         worst: ``lower`` and ``upper`` of ``unresisted_load``, shares of ``unit``; what is left is then
             right for the worst load alone. For each if None.
     """
@@ -229,7 +226,6 @@ def _descend(
     Args:
         grip: with what a torque of each joint weighs [1/(N m)], shape [N, U], in place of its limit.
         loads: in units of force, shape [N, K, 6].
-        iterations: as there.
         lower, upper: as there; where lower is negative, each load counts.
         left: shape [N, K, 6].
     """

@@ -422,7 +422,6 @@ def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fi
     scale and of the side that the hand has, with aligned depth, in which hand and object are whole.
 
     Args:
-        warnings: all of the answer.
         side_score: probability of the hand's side, where it was seen in the image.
         fitted: whether a shape was fitted; a mesh that fits has the size of what is seen, a shape takes any.
     """

@@ -45,9 +45,6 @@ def measure_quality(
     """The figures.
 
     Args:
-        capture: the image.
-        hand: as it was refined.
-        obj: the object.
         surface: of the object, object's frame.
     """
     pose = obj.pose_camera_object

@@ -81,10 +81,8 @@ def plan_approach(
     """Plan the paths of N hands to their grasps.
 
     Args:
-        hand: the robot hand.
         object_names: of the object of each grasp, length N.
         settled_pose: of the objects on the table, world frame, shape [N, 7].
-        objects: by name.
         wrist_in_object: palm in the grasp, object frame, shape [N, 7].
         grasp: independent joints in the grasp [rad], shape [N, U].
         settings: the defaults if None.
@@ -180,8 +178,6 @@ class _CollisionResolution:
         """
         Args:
             points: of the hand; another number of hands will do.
-            around: what to keep clear of.
-            settings: of the approach.
             share: of the object's margin that is kept.
         """
         self.hand, self.settings = points.kinematics.hand, settings
@@ -255,7 +251,6 @@ class FollowedPath:
         Args:
             start: palm pose at the start, world frame, shape [N, 7].
             start_fingers: [rad], shape [N, U].
-            approach: planned waypoints.
             settled_pose: of the objects, world frame, shape [N, 7].
         """
         planned = compose(settled_pose[:, None], approach.wrist_pose[:, ::-1])

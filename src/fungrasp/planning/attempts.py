@@ -116,7 +116,6 @@ def make_attempts(
         most: attempts, 1 or more.
         first: where the objects rested before the first attempt, world frame, shape [W, 7].
         names: of the objects, length W.
-        objects: by name.
     """
     ids = np.arange(len(names))
     for number in range(most):
@@ -146,7 +145,6 @@ def within_reach(
         object_pose: where they are seen, world frame, shape [N, 7].
         first: where they were at first, world frame, shape [N, 7].
         names: of the objects, length N.
-        objects: by name.
     """
     if not names:
         return np.zeros(0, dtype=bool)
@@ -177,8 +175,6 @@ def next_belief(
         belief: of the attempt before, N rows.
         object_pose: where the objects lie now, world frame, shape [N, 7].
         grasps: N grasps.
-        hand: of the grasps.
-        objects: by name.
         protocol: with the start.
     """
     names = grasps.object_name.tolist()
@@ -244,10 +240,7 @@ def play_attempts(
     """Let a policy act, and try again where it is seen to have failed.
 
     Args:
-        environment: whose episodes have begun.
-        policy: what acts.
         plan: the first, one for each world.
-        setting: what further attempts need.
         watch: called after each setpoint.
 
     Returns:

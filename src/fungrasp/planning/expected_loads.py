@@ -37,9 +37,6 @@ def use_loads(
     press of a finger on its trigger.
 
     Args:
-        motion: of the use test.
-        hand: the robot hand.
-        model: the object.
         object_pose: in the hold, world frame, shape [7].
         palm: in the grasp, object frame, shape [7].
         joints: independent joints in the grasp [rad], shape [U].

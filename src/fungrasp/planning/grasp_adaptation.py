@@ -60,9 +60,7 @@ def adapt_to_settled_object(
     """Wrist poses in the settled objects' frames [N, 7] and independent joints [rad], shape [N, U].
 
     Args:
-        hand: the robot hand.
         grasps: N grasps.
-        objects: by name.
         settled_pose: of the objects, world frame, shape [N, 7].
         wrist_in_object: palm in the grasp, object frame, shape [N, 7].
         grasp: independent joints in the grasp [rad], shape [N, U].

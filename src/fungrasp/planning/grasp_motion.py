@@ -89,7 +89,6 @@ def table_below(
         names: of the objects, length N.
         object_pose: of the objects at rest, world frame, shape [N, 7].
         nominal_height: of the table [m], shape [N].
-        objects: by name.
     """
     up = rotate(invert(object_pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
     lowest = np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
@@ -122,7 +121,6 @@ class MotionPlanner:
         """
         Args:
             hand: the robot hand, or its name.
-            objects: by name.
             settings: the defaults if None.
             protocol: with motion limits and control period; the published one if None.
         """
@@ -197,8 +195,6 @@ def _follow_path(
         closing_pose: of the palm while the fingers close, world frame, shape [N, 7].
         grasp: independent joints in the grasp [rad], shape [N, U].
         squeeze: offsets of the servo targets from them [rad], shape [N, U].
-        s: settings.
-        p: motion limits and control period.
     """
     path = FollowedPath(belief.palm_pose, belief.joint_positions, approach, belief.object_pose)
     setpoint = WristSetpoint(belief.palm_pose, p)
@@ -273,9 +269,7 @@ def squeeze_offsets(
     """Offsets of the joints' servo targets that squeeze the object [rad], shape [N, U].
 
     Args:
-        hand: the robot hand.
         grasps: N grasps; ``extra`` may hold their own ``force_scale``.
-        objects: by name.
         belief: N rows, table at zero.
         palm: in the grasp, object frame, shape [N, 7].
         joints: independent joints in the grasp [rad], shape [N, U].

@@ -83,8 +83,6 @@ def make_planner(
 
     Args:
         name: of the policy, as for ``policy_files``.
-        hand: that it moves.
-        objects: by name.
         settings: of the selection among candidates; the defaults if None.
         protocol: of the motions; the published one if None.
         threads: 0 means all processors. Plans do not depend on it.

@@ -58,7 +58,6 @@ def way_off(plan: GraspPlan, observation: Observation, gap: np.ndarray) -> Waypo
 
     Args:
         plan: that was followed, W of them.
-        observation: after the attempt.
         gap: how far the objects are above the table [m], shape [W].
     """
     rows, closing = np.arange(len(plan)), plan.closing_step
@@ -97,7 +96,6 @@ def way_round(
     Args:
         observation: of W worlds.
         object_pose: where the objects lie, world frame, shape [W, 7].
-        models: objects by name.
         names: of the objects, length W.
         start: palm poses, world frame, shape [W, 7].
         start_fingers: independent joints [rad], shape [W, U].

@@ -305,7 +305,6 @@ def link_directions_of(hand: Hand, keypoints: Array) -> Array:
     """Vectors along the links of each finger, from key points; zero where a finger has fewer.
 
     Args:
-        hand: the key points' hand.
         keypoints: [m], shape [W, K, 3].
 
     Returns:

@@ -180,7 +180,6 @@ def _score(
 
     Args:
         points, problem: N grasps.
-        likeness: of the settings.
         solution: wrist poses [N, 7] and independent joints [N, U].
         least: scores that count, shape [N]; of what is too far off by its places alone the share is infinite.
     """
@@ -208,9 +207,7 @@ def _touch(
 
     Args:
         points, problem: N grasps.
-        settings: of the terms.
         start: wrist poses [N, 7] and independent joints [N, U] to start from.
-        near: the same, to stay near.
     """
     s = settings
     second: list[Term] = [

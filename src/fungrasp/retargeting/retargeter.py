@@ -91,8 +91,6 @@ class Retargeter:
     def __init__(self, hand: Hand, model: ObjectModel, settings: RetargeterSettings | None = None):
         """
         Args:
-            hand: any hand.
-            model: the object.
             settings: weights and iterations; the defaults if None.
         """
         self._settings = settings or RetargeterSettings()

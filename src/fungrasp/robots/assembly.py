@@ -217,7 +217,6 @@ def wired_robot(
         cell: the robot; no twin.
         stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
         compensate: whether the hand's own weight is carried.
-        dry_run: read everything, send nothing.
         switch: stops the robot; that of the cell's stop file if None.
 
     Raises:

@@ -274,7 +274,6 @@ def write_new_cell(path: str | Path, hand: str) -> None:
 
     Args:
         path: TOML file, which must not exist.
-        hand: that it carries.
 
     Raises:
         FungraspError: the file exists, is no TOML file, or no device is known for the hand.

@@ -66,7 +66,6 @@ class Robot:
         Args:
             stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
             compensate: whether the hand's own weight is carried.
-            dry_run: read everything, send nothing.
             switch: stops the robot; that of the cell's stop file if None.
         """
         self.cell, self.hand, self.clock = cell, hand, clock
@@ -258,7 +257,6 @@ class Robot:
         Returns when the last one is sent, 80 ms after the first at full speed.
 
         Args:
-            action: one row.
             start: time of the robot's clock at which the control period begins [s]; now if None.
 
         Returns:

@@ -84,7 +84,6 @@ def check_setpoint(
     """What may be sent of a setpoint: within the limits of position and speed. A pure function.
 
     Args:
-        context: limits and the setpoints before.
         clearance: of the robot with the arm as commanded and the fingers as measured.
 
     Raises:

@@ -41,6 +41,11 @@ READ_PERIOD = 0.5
 AT_REST = 0.002
 """An arm whose joints move by less within a second stands still [rad]: 2 mm at its full reach."""
 
+SLOW, LONGEST_REST = 0.02, 1.0
+"""After a stop a joint slower than this is at rest [rad/s]; a device is within this time [s]."""
+
+STAYS = "it stays stopped"
+"""Said of a device that takes no command after a stop."""
 
 GOAL_PERIOD = 0.02
 """Between goals [s]."""
@@ -293,6 +298,21 @@ def jog(
     there = np.concatenate([rest + share * (far - rest), np.tile(far, (count // 5 + 10, 1))])
     middle = follow(driver, there, clock)
     return middle, follow(driver, rest + far - there, clock)
+
+
+def after_stop(driver: GuardedDriver) -> str:
+    """Whether a device that was stopped comes to rest and stays so, in words."""
+    begun, place = time.monotonic(), driver.read().positions.copy()
+    while np.abs((state := driver.read()).velocities).max() > SLOW:
+        if time.monotonic() > begun + LONGEST_REST:
+            return "it does not come to rest"
+        time.sleep(0.002)
+    waited, further = time.monotonic() - begun, float(np.abs(state.positions - place).max())
+    try:
+        driver.command(state.positions)
+    except RobotError:
+        return f"at rest {1e3 * waited:.0f} ms later and {further:.4f} rad further; {STAYS}"
+    return "it takes commands again without a new start"
 
 
 def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None) -> JointState:

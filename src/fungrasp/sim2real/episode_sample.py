@@ -80,7 +80,6 @@ def draw(randomization: Randomization, count: int, joints: int, rng: np.random.G
     """Draw what differs in some episodes.
 
     Args:
-        randomization: what to draw from.
         count: W, number of episodes.
         joints: M, number of the hand's joints, coupled ones included.
         rng: the same state gives the same sample.
@@ -167,8 +166,6 @@ def draw_each(
     """Draw for episodes by their numbers, so that what one gets does not depend on the others.
 
     Args:
-        randomization: what to draw from.
-        seed: of everything random.
         numbers: of the episodes, length W.
         joints: M, number of the hand's joints.
     """

@@ -134,8 +134,6 @@ def save_dynamics(
     """Write dynamics as TOML.
 
     Args:
-        path: the file.
-        dynamics: of some joints.
         notes: by quantity, a comment beside the value of each joint, length J; none if None.
     """
     lines = [f"delay = {dynamics.delay:.6g} # s", ""]

@@ -201,7 +201,6 @@ def make_engine(scene: Scene, count: int, threads: int = 0, tensors: bool = Fals
     """W worlds of a scene on the device that its settings name.
 
     Args:
-        scene: the scene.
         count: W.
         threads: of the processor, 0 for all; a GPU has its own.
         tensors: whether arrays of a GPU stay there, as torch tensors, and share memory with the physics; they

@@ -121,7 +121,6 @@ def build_scene(
 
     Args:
         hand: any hand, or its name.
-        objects: by name.
 
     Raises:
         FungraspError: no object, or the scene does not compile.

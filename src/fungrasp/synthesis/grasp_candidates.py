@@ -57,7 +57,6 @@ class GraspCandidates:
 
         Args:
             max_penetration: of the object, and of the hand by itself [m].
-            max_cost: of the objective.
         """
         return (
             (self.object_penetration <= max_penetration)
@@ -74,7 +73,6 @@ def join_candidates(batches: Sequence[GraspCandidates], counts: Sequence[int]) -
 
     Args:
         batches: at least one.
-        counts: specifications of each batch.
     """
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     parts = [
@@ -96,10 +94,8 @@ def check_candidates(
     """Measure N candidates on the hand's whole collision geometry.
 
     Args:
-        scene: objects and table.
         specs: the specification of each candidate, length N.
         owner: index of each candidate's specification, shape [N].
-        objects: by name.
         solution: wrist poses, joints and costs of the candidates, as ``minimize`` returns them.
     """
     hand, (pose, independent, cost) = load_hand(HAND), solution
@@ -158,9 +154,7 @@ def choose_grasps(
     specification without one is left out.
 
     Args:
-        candidates: of all specifications.
         specs: in the order of the grasps.
-        objects: by name.
         max_penetration, max_cost: of good ones, as ``GraspCandidates.good`` takes them.
         min_difference: grasps of one object whose joints are nearer on average are the same grasp [m].
 

@@ -189,7 +189,6 @@ def specified_objects(
     """The specifications' objects by name, their parts checked.
 
     Args:
-        specs: of grasps.
         known: objects by name; built-in ones that are not in it are found by themselves.
 
     Raises:
@@ -210,14 +209,7 @@ def solve_batch(
     seed: int,
     settings: SynthesisSettings,
 ) -> GraspCandidates:
-    """Candidates of a few specifications, solved together.
-
-    Args:
-        specs: of one batch.
-        objects: by name.
-        seed: of the random starts.
-        settings: of the solver.
-    """
+    """Candidates of a few specifications, solved together."""
     owner = np.repeat(np.arange(len(specs)), settings.starts)
     each = [spec for spec in specs for _ in range(settings.starts)]
     hand = load_hand(HAND)
@@ -295,7 +287,6 @@ def random_offsets(
     Args:
         specs: each gets ``starts`` candidates, in consecutive rows.
         seed: with the specification itself, all that the offsets depend on.
-        starts: candidates per specification.
         shift, turn: standard deviations [m], [rad].
 
     Returns:

@@ -88,7 +88,6 @@ class LiftEnvironment:
         """Begin episodes as the lift test does: objects settle, hands are at their start.
 
         Args:
-            grasps: one per world.
             sample: what differs from the nominal worlds, W episodes; what was drawn before if None.
 
         Returns:
@@ -341,7 +340,6 @@ def play(
     """Let a policy act until all episodes are over.
 
     Args:
-        environment: whose episodes have begun.
         policy: what acts; one that takes privileged information gets it.
         plan: to follow, one for each world.
         end_lost: episodes end as soon as their object is lost, as failures.

@@ -111,9 +111,7 @@ def robot_features(
     """What a robot has, by name, each part of shape [W, number].
 
     Args:
-        now: measured at this control step.
         before: measured at the one before (the same at an episode's first step).
-        target: of the plan.
         action: the last action, shape [W, A].
     """
     xp = array_namespace(now.joints)
@@ -199,7 +197,6 @@ def value_features(privileged: Privileged, palm_pose: Array) -> dict[str, Array]
     """What only PPO's value network gets besides, by name.
 
     Args:
-        privileged: of the simulation.
         palm_pose: measured, world frame, shape [W, 7].
     """
     p, xp = privileged, array_namespace(palm_pose)
@@ -335,7 +332,6 @@ def network_parts(features: Mapping[str, Array], name: LayoutName, encoder: bool
 
     Args:
         features: ``robot_features``.
-        name: of the layout.
         encoder: whether the policy is a student with an encoder; what only this needs comes last.
     """
     one = LAYOUTS[name]

@@ -21,8 +21,6 @@ class HandClearance:
     def __init__(self, hand: Hand, models: Sequence[ObjectModel], object_index: np.ndarray):
         """
         Args:
-            hand: the robot hand.
-            models: objects.
             object_index: object of each of the W hands, as ``models`` has them, shape [W].
         """
         self._hand, self._models, self._spheres = hand, models, collision_spheres(hand)

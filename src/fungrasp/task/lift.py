@@ -27,7 +27,6 @@ class LiftTask:
     def __init__(self, engine: Engine, protocol: LiftProtocol | None = None):
         """
         Args:
-            engine: whose worlds hold the objects.
             protocol: the published one if None.
         """
         self.engine, self.scene = engine, engine.scene
@@ -177,7 +176,6 @@ class LiftTask:
         """Advance all unfinished worlds by one control period.
 
         Args:
-            action: of the policies.
             before: called before each setpoint, to disturb.
             after: called after each, to record.
         """

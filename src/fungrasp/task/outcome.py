@@ -69,11 +69,6 @@ class LiftMeasurements:
     """Accumulates what the outcomes of W episodes are made of."""
 
     def __init__(self, engine: Engine, protocol: LiftProtocol):
-        """
-        Args:
-            engine: it is read.
-            protocol: of the episodes.
-        """
         count, on = len(engine), engine.object_pose
         self._engine, self._protocol = engine, protocol
         none = rows_like(on, np.zeros(count, dtype=bool))

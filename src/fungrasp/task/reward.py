@@ -56,7 +56,6 @@ def total(terms: Mapping[str, Array], weights: RewardWeights) -> Array:
 
     Args:
         terms: by name of their weight, each of shape [W]. A term left out counts as zero.
-        weights: one for each name.
 
     Raises:
         FungraspError: no term, or a name without a weight.

@@ -55,7 +55,6 @@ class SimulatedSensors:
     ):
         """
         Args:
-            task: whose worlds are measured.
             randomization: with the jitter and the dropouts.
             rng: of those; one for all worlds, or one for each.
         """
@@ -140,7 +139,6 @@ class SimulatedSensors:
 
         Args:
             pose: where they are, world frame, shape [W, 7].
-            sample: of the episodes.
         """
         if not sample.object_bias.any():
             return pose

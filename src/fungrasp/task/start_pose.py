@@ -32,7 +32,6 @@ def start_fingers(hand: Hand, grasps: RobotGraspSet, closing: float) -> np.ndarr
     """Independent joints at the start [rad], shape [W, U].
 
     Args:
-        hand: the robot hand.
         grasps: W grasps.
         closing: the joints' fraction of their angles in the grasp.
     """
@@ -61,11 +60,6 @@ class StartPoses:
     """Start poses of W hands, each with its object."""
 
     def __init__(self, hand: Hand, models: Sequence[ObjectModel]):
-        """
-        Args:
-            hand: the robot hand.
-            models: objects.
-        """
         self._hand, self._models = hand, models
         bases = [finger.joints[0] for name, finger in hand.fingers.items() if name != "thumb"]
         self._offset = palm_offset(hand.model, hand.palm, bases)

@@ -236,7 +236,6 @@ class Distillation:
     ):
         """
         Args:
-            environment: that keeps a history.
             steps: control steps of all worlds together.
         """
         s = self._settings = settings

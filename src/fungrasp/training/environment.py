@@ -95,7 +95,6 @@ class History:
 
         Args:
             seen: what the encoder gets of it, shape [W, H].
-            begun: worlds whose episode is new.
         """
         self.window[moved_to(self.window, begun)] = 0.0
         self.window = array_namespace(seen).concat([self.window[:, 1:], seen[:, None]], axis=1)

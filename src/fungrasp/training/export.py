@@ -49,9 +49,7 @@ def graph(module: torch.nn.Module, inputs: dict[str, torch.Tensor], outputs: tup
     """A module as an ONNX file, the first axis of everything left open.
 
     Args:
-        module: in evaluation mode afterwards.
         inputs: examples by name, in the order of the module's arguments.
-        outputs: names of what it gives.
     """
     module.eval().cpu()
     buffer = io.BytesIO()

@@ -67,8 +67,6 @@ class StudentModel(MLPModel):
         """
         Args:
             obs_groups: not looked at.
-            obs_set: name of the networks' groups.
-            output_dim: numbers in an action.
             layout: of all that it gets (``TrainingEnvironment.student_layout``): the group ``robot``, then
                 what only its encoder needs.
             encoder: what of it the encoder gets.

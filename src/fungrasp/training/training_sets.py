@@ -131,7 +131,6 @@ def split_sets(
 
     Args:
         share: of the grasps of each that is held out, rounded, 0 to below 1.
-        seed: of which these are.
 
     Raises:
         FungraspError: a share of a set rounds to none of its grasps, or to all.

@@ -33,8 +33,6 @@ class CapturePage(BrowserPage):
     ):
         """
         Args:
-            client: the browser.
-            capture: the image.
             perceive: finds hand and object, which takes a while; None where only the image is shown.
         """
         super().__init__(client)

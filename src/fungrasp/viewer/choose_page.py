@@ -170,7 +170,6 @@ def perceived_capture(folder: str, mesh: str) -> Any:
     """The page of a capture in which hand and object are looked for.
 
     Args:
-        folder: of the capture.
         mesh: file of the object's mesh, or the name of a built-in object.
 
     Raises:
@@ -190,12 +189,6 @@ def perceived_capture(folder: str, mesh: str) -> Any:
 
 def shown_result(path: str, grasps: Path | None, objects: Path | None, recordings: Path | None) -> Any:
     """The page of a result whose files are somewhere else than they were.
-
-    Args:
-        path: of the result.
-        grasps: file of the robot grasps.
-        objects: folder of their meshes.
-        recordings: folder of recorded episodes.
 
     Raises:
         FungraspError: a file can't be read.

@@ -161,11 +161,8 @@ class EpisodeScene:
     def __init__(self, scene: SceneApi, name: str, place: np.ndarray, hand: Hand, model: ObjectModel):
         """
         Args:
-            scene: of the page.
             name: of the node that carries all of it.
             place: of that node [m], shape [3].
-            hand: any hand.
-            model: the object.
         """
         self.hand, self.model = hand, model
         self._root = scene.add_frame(name, show_axes=False, position=place)

@@ -82,13 +82,6 @@ class LiveEpisode:
     """Plans and plays one grasp. ``push`` may be set while it runs."""
 
     def __init__(self, hand: Hand, model: ObjectModel, grasp: RobotGraspSet, settings: EpisodeSettings):
-        """
-        Args:
-            hand: the robot hand.
-            model: the object.
-            grasp: of it, a single one.
-            settings: of the world.
-        """
         self.hand, self.model, self._grasp, self._settings = hand, model, grasp, settings
         self.frames = EpisodeStates()
         """What has happened so far."""

@@ -73,7 +73,6 @@ class HumanFigure:
     def __init__(self, scene: SceneApi, name: str, joints: np.ndarray, link_contacts: np.ndarray):
         """
         Args:
-            scene: of the page.
             name: of the node that carries it.
             joints: [m], shape [21, 3].
             link_contacts: shape [16] bool.
@@ -122,9 +121,6 @@ class ObjectFigure:
     ):
         """
         Args:
-            scene: of the page.
-            name: of the node.
-            model: the object.
             opacity: None for a solid one.
             color: of the whole surface; that of its materials if None.
         """
@@ -157,7 +153,6 @@ class ContactMarks:
     def __init__(self, scene: SceneApi, name: str):
         """
         Args:
-            scene: of the page.
             name: of the node, which a figure of the object carries.
         """
         self._scene, self._name = scene, name
@@ -245,9 +240,7 @@ class RobotFigure:
     ):
         """
         Args:
-            scene: of the page.
             name: of the node that carries it.
-            hand: any hand.
             opacity: below 1 for a hand that is only thought of; None for a solid one.
             collision: draw the shapes that collide in the place of those that look like the hand.
         """

@@ -56,11 +56,6 @@ class GraspPage(BrowserPage):
     """Pick a grasp and a hand; drag the object or the wrist; compare, bend, save."""
 
     def __init__(self, client: ClientHandle, choice: PickableGrasps):
-        """
-        Args:
-            client: the browser.
-            choice: what can be picked.
-        """
         super().__init__(client)
         self._choice = choice
         self._human: HumanGrasp = choice.grasps[choice.row]

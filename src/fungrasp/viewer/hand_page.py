@@ -29,7 +29,6 @@ class HandPage(BrowserPage):
     def __init__(self, client: ClientHandle, path: Path):
         """
         Args:
-            client: the browser.
             path: of the TOML file; a hand that can't be read is shown by what is wrong with it.
         """
         super().__init__(client)

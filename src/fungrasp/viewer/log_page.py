@@ -51,7 +51,6 @@ class LogPage(BrowserPage):
     def __init__(self, client: ClientHandle, log: RecordedDeployment):
         """
         Args:
-            client: the browser.
             log: with a plan and setpoints.
         """
         super().__init__(client)
@@ -117,7 +116,6 @@ def logged_states(
 
     Args:
         log: with setpoints.
-        hand: that was deployed.
         object_pose: where the object is as long as it is not tracked, shape [7].
         measured_palm: the palm's pose of the arm's joints; None where the arm is not known: then the palm is
             shown where it was told to be.

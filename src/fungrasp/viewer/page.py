@@ -91,10 +91,6 @@ class BrowserPage:
     """What all pages have: the browser's handle, a worker, a line for what went wrong."""
 
     def __init__(self, client: ClientHandle):
-        """
-        Args:
-            client: the browser.
-        """
         self.client = client
         self.worker = Worker(self.fail)
 
@@ -121,7 +117,6 @@ def look_at(
     """Put a page's camera in front of something, slightly above it.
 
     Args:
-        client: the browser.
         target: what is in the middle [m].
         distance: of the eye from it [m].
         aside: horizontal unit vector that is to point to the right, shape [3]; x if None.
@@ -170,9 +165,6 @@ class JointSliders:
     def __init__(self, gui: GuiApi, folder: Any, hand: Hand, moved: Callable[[], None]):
         """
         Args:
-            gui: of the page.
-            folder: that holds the sliders.
-            hand: any hand.
             moved: called when somebody has moved one.
         """
         self._hand, self._syncing, self._sliders = hand, False, []

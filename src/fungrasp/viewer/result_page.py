@@ -32,8 +32,6 @@ class RecordingPage(BrowserPage):
     ):
         """
         Args:
-            client: the browser.
-            trajectory: the episode.
             objects: by name; a built-in object if None.
         """
         super().__init__(client)
@@ -141,11 +139,6 @@ class ResultPage(BrowserPage):
     """Episodes of a lift test."""
 
     def __init__(self, client: ClientHandle, shown: ShownResult):
-        """
-        Args:
-            client: the browser.
-            shown: the result.
-        """
         super().__init__(client)
         self._shown, self._first = shown, 0
         add_table(client)

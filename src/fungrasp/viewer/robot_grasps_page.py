@@ -23,9 +23,7 @@ class RobotGraspsPage(BrowserPage):
     def __init__(self, client: ClientHandle, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel]):
         """
         Args:
-            client: the browser.
             grasps: of any hand that is found.
-            objects: theirs, by name.
         """
         super().__init__(client)
         self._grasps, self._objects, self._hand = grasps, objects, grasps.load_hand()

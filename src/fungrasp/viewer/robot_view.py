@@ -89,11 +89,8 @@ class RobotView:
     ):
         """
         Args:
-            scene: of the page.
             name: of the node that carries all of it.
             place: of that node [m], shape [3].
-            hand: any hand.
-            model: the object.
             mirrored: whether a left hand gets the mirror image of the object, as it does of the human grasp.
         """
         self.hand = hand
@@ -227,7 +224,6 @@ def quality_rows(robots: Sequence[RobotView], quality: Sequence[StaticQuality]) 
     """Lines of a table, a column for each hand.
 
     Args:
-        robots: that are shown.
         quality: of each; none while something is dragged: then there is only what costs nothing.
     """
     rows: list[tuple[str, ...]] = []

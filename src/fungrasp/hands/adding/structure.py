@@ -85,7 +85,6 @@ def find_structure(
     """Find the parts of a hand.
 
     Args:
-        model: any hand, its bodies named.
         ties: pairs of bodies that close loops.
         tips: by moving body: the far end of the shapes and frames that move with it, its frame [m].
         findings: what was decided without certainty is added.

@@ -191,7 +191,6 @@ def _trust(off: np.ndarray, agreeing: float, size: float) -> float:
 
     Args:
         off: how far behind the skin depth is [m], shape [K].
-        agreeing: part of it that agrees.
         size: of the hand, as a part of an adult's.
     """
     through = float(np.mean(off > SEEN_THROUGH))

@@ -110,8 +110,6 @@ def search_fingers(
     """The hand with every finger in the best posture of those tried; its own is among them.
 
     Args:
-        hand: whose palm is about right.
-        view: what is seen.
         landmarks: [pixels], shape [21, 2].
         spread: standard deviation of a landmark [pixels], if it is known.
     """

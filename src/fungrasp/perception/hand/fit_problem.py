@@ -136,7 +136,6 @@ class HandFitProblem:
     ):
         """
         Args:
-            seen: the hand in the image.
             view: what of the image shows the hand that holds a known object; needs ``seen``.
             estimate: joints with covariances from another estimator.
             surroundings: known object and table; by default those of ``view``.

@@ -73,7 +73,6 @@ def depth_evidence(
     """The skin seen lies in front of the line between joints by half the hand's thickness.
 
     Args:
-        points, jacobian: of the surface samples.
         radius: distance of the skin from each [m], shape [P].
         measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
         spread: standard deviation of the difference [m].
@@ -96,7 +95,6 @@ def front_evidence(
     """No skin is in front of what is seen.
 
     Args:
-        points, jacobian: of the surface samples.
         radius: distance of the skin from each, and slack [m], shape [P].
         measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
         spread: standard deviation of how far skin is in front [m].
@@ -141,7 +139,6 @@ def direction_evidence(
     That turn about the camera's axes is three more parameters, appended to the skeleton's.
 
     Args:
-        joints, jacobian: of the skeleton.
         directions: unit vectors of ``BONES``, at the current estimate of the turn, camera frame, shape
         [20, 3].
         spread: standard deviation of a direction [rad].

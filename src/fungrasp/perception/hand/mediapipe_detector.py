@@ -324,7 +324,6 @@ def consensus(every: list[DetectedHand], last: list[DetectedHand], length: float
     its side what part of those agrees.
 
     Args:
-        every: all answers about a hand.
         last: those of them, or others, that judge it.
         length: of a hand in the image [pixels].
     """

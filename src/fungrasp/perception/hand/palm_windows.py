@@ -52,7 +52,6 @@ class Window:
 
         Args:
             image: RGB.
-            pixels: edge of the result.
 
         Returns:
             0 to 1, float32, shape [pixels, pixels, 3].

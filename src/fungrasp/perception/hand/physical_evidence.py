@@ -139,8 +139,6 @@ def finger_overlap(points: np.ndarray, radius: np.ndarray, hand: Skeleton, finge
     Args:
         points: in several postures [m], shape [S, P, 3].
         radius: half the finger's thickness there [m], shape [P].
-        hand: the others.
-        finger: whose points these are.
     """
     others = (HAND_CAPSULES.finger >= 0) & (HAND_CAPSULES.finger != finger)
     first, last = HAND_CAPSULES.ends(hand.joints())

@@ -60,11 +60,8 @@ def vary(
 
     Args:
         grasps: N grasps that have settings (``with_settings``).
-        hand: the robot hand.
         indices: a number for each grasp, shape [N].
         attempts: a number for each variation of a grasp, 0 for the grasp as it is, shape [N].
-        seed: of the random numbers.
-        spread: of the variations.
     """
     kinematics = HandKinematics(hand, 1)
     independent = hand.independent(grasps.joint_positions)
@@ -213,17 +210,12 @@ def propose(
     """Plan variations of grasps.
 
     Args:
-        planner: of single motions.
         predictor: says what to expect of them.
-        hand: of the grasps.
         beliefs: of G grasps.
         grasps: to vary, G after G, K G of them.
         attempts: number of each variation, shape [K G].
-        spread: of the variations.
-        seed: of the variations.
         search: another number of the variations.
         prior: number of rollouts that the expectation stands for.
-        chunk: plans made together.
         chance: factor of what is expected of plans for tasks (``use_strength.chance_of_use``); one if None,
             and where grasps have no task.
     """

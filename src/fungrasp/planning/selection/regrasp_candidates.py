@@ -62,8 +62,6 @@ def depth_on_the_way(plans: GraspPlan, hand: Hand, objects: Mapping[str, ObjectM
 
     Args:
         plans: N of them.
-        hand: the robot hand.
-        objects: by name.
     """
     depth = np.zeros(len(plans))
     steps = np.arange(plans.palm_setpoint.shape[1])
@@ -86,8 +84,6 @@ def resisted_share(
     Args:
         plans: N planned grasps.
         tasks: what they are for, shape [N] str.
-        hand: the robot hand.
-        objects: by name.
     """
     known = load_use_motions().values()
     motions = [motion_of(task, known) for task in tasks.tolist()]
@@ -108,8 +104,6 @@ def parts_to_hold(
 
     Args:
         grasps: N grasps, not varied.
-        hand: the robot hand.
-        objects: by name.
     """
     models = [objects[name] for name in grasps.object_name.tolist()]
     palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
@@ -181,12 +175,8 @@ def regrasp_candidates(
     Args:
         grasps: G grasps for tasks; of one without a motion the loads of the lift alone count.
         belief: G rows, table at zero.
-        hand: the robot hand.
-        objects: by name.
         number: starts of each grasp in a round: of the first around the grasp, then around the best so far.
-        rounds: how often.
         kept: grips of each that are returned.
-        seed: of the starts.
     """
     count = len(grasps)
     rows = np.tile(np.arange(count), number)

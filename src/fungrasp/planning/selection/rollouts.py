@@ -97,11 +97,6 @@ def try_candidates(
     Args:
         candidates: K of each of G grasps; their statistics are updated.
         rounds: of the rollouts, at least one.
-        objects: by name.
-        hand: of the plans.
-        policy: what follows the plans.
-        settings: of the rollouts.
-        seed: of the differences.
         threads: 0 means all processors.
         parts: of the objects that should be touched in use, G sets; any if None.
     """
@@ -147,8 +142,6 @@ def roll_out(
         beliefs: of their scenes, R rows.
         sample: what differs in each, R rows.
         scene: with the plans' objects.
-        policy: what follows the plans.
-        settings: of the rollouts.
         threads: 0 means all processors.
         tasks: what the grasps are for, shape [R] str, whose use motions follow; none if None.
         parts: of the objects that should be touched then, R sets; any if None.

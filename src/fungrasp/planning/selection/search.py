@@ -49,11 +49,8 @@ class SearchPlanner:
     ):
         """
         Args:
-            hand: the robot hand.
-            objects: by name.
             predictor: of success, made for the hand.
             policy: what will follow the plans, and follows them in the rollouts.
-            policy_digest: tells policies apart.
             settings: the defaults if None.
             protocol: of the motions; the published one if None.
             threads: of the rollouts; 0 means all processors. The choice does not depend on it.

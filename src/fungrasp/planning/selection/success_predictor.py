@@ -33,7 +33,6 @@ def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[
 
     Args:
         plans: N planned grasps.
-        objects: by name.
     """
     names = sorted(set(plans.object_name.tolist()))
     index = np.array([names.index(name) for name in plans.object_name.tolist()])
@@ -73,7 +72,6 @@ class NetworkPredictor:
         """
         Args:
             network: of a policy file of the kind "predictor".
-            hand: of the plans.
             objects: by name, all that plans may be for.
         """
         self._network, self._hand, self._objects = network, hand, objects

@@ -96,7 +96,6 @@ def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
 
     Args:
         path_or_name: a file, or the name of a policy that comes with the package.
-        threads: that compute one step.
 
     Raises:
         FungraspError: no such policy; it is damaged, changed, no policy or of another format; ONNX Runtime
@@ -318,8 +317,6 @@ class PolicyNetwork:
         Args:
             model: an ONNX file. Inputs ``observation`` [W, O] and any ``state_<x>`` [W, ...]; outputs
                 ``action`` [W, A], a ``next_state_<x>`` for each state, and any others. W must be left open.
-            card: what it says about itself.
-            threads: that compute one step.
 
         Raises:
             FungraspError: ONNX Runtime is missing or refuses the graph, or the graph is not as the card says.

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core.formats.checks import one_line
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
@@ -221,7 +222,7 @@ class URLoop:
                             return b"IN_USE" in stream[3:size]
                         stream = stream[size:]
         except OSError as error:
-            raise RobotError(f"{self.name}: {_one_line(error)}; check the cable to the controller") from error
+            raise RobotError(f"{self.name}: {one_line(error)}; check the cable to the controller") from error
         raise RobotError(f"{self.name}: the controller says nothing of its registers; restart it")
 
     @contextlib.contextmanager
@@ -233,10 +234,10 @@ class URLoop:
             if "already in use" in str(error):
                 raise RobotError(f"{self.name}: {IN_USE}") from error
             raise RobotError(
-                f"{self.name}: {_one_line(error)}; check address, power and remote control"
+                f"{self.name}: {one_line(error)}; check address, power and remote control"
             ) from error
         except ValueError as error:
-            raise RobotError(f"{self.name}: {_one_line(error)}") from error
+            raise RobotError(f"{self.name}: {one_line(error)}") from error
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -244,7 +245,7 @@ class URLoop:
             return self._follow(goal)
         except RuntimeError as error:
             # ur_rtde's calls say so where the connection is lost before the controller's clock tells.
-            raise RobotError(f"{self.name}: {_one_line(error)}; check the cable to the controller") from error
+            raise RobotError(f"{self.name}: {one_line(error)}; check the cable to the controller") from error
 
     def _follow(self, goal: LoopGoal) -> JointState:
         self._wait()
@@ -490,7 +491,3 @@ def _controller_period(version: str) -> float:
 def _pose(vector: list[float]) -> np.ndarray:
     """Pose, shape [7], of the controller's position and rotation vector."""
     return np.concatenate([vector[:3], quaternion_from_rotation_vector(np.array(vector[3:]))])
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

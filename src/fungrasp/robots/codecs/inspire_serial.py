@@ -53,7 +53,6 @@ def split_frames(head: bytes, stream: bytes) -> tuple[list[InspireFrame], bytes]
 
     Args:
         head: ``REQUEST`` or ``ANSWER``.
-        stream: bytes as they came.
     """
     frames = []
     while True:

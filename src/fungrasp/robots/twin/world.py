@@ -115,7 +115,6 @@ class TwinWorld:
 
         Args:
             object_pose: world frame, shape [7].
-            seconds: of physics.
 
         Returns:
             Where it rests, world frame, shape [7].

@@ -78,7 +78,7 @@ class Excitation:
             raise FungraspError("the sines of an excitation are above 0 Hz, up to a fifth of its rate")
 
 
-class JointRoom(NamedTuple):
+class ExcitationLimits(NamedTuple):
     """What U joints may do."""
 
     lower: np.ndarray
@@ -104,16 +104,14 @@ class ExcitationMotion:
 def excitation_motion(
     excitation: Excitation,
     rest: np.ndarray,
-    room: JointRoom,
+    room: ExcitationLimits,
     finger: np.ndarray,
     share: np.ndarray | None = None,
 ) -> ExcitationMotion:
     """Commands of joints within their limits; the first and the last are ``rest``.
 
     Args:
-        excitation: kind of motion.
         rest: where the joints begin [rad], shape [U].
-        room: what they may do.
         finger: number of the finger that each joint belongs to, shape [U].
         share: of the amplitude that is left of each joint's, shape [U]; all if None.
     """
@@ -161,17 +159,14 @@ def safe_motion(
     excitation: Excitation,
     hand: Hand,
     rest: np.ndarray,
-    room: JointRoom,
+    room: ExcitationLimits,
     gravity: np.ndarray,
 ) -> ExcitationMotion:
     """The excitation of a hand's independent joints from where it is, with amplitudes so small that it
     doesn't touch itself and no servo needs all its torque.
 
     Args:
-        excitation: kind of motion.
-        hand: its model.
         rest: where it is [rad], shape [U].
-        room: what its joints may do.
         gravity: in the palm's frame [m/s^2], shape [3].
 
     Raises:

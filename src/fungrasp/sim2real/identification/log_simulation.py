@@ -48,8 +48,6 @@ def simulate_log(
     the commands would give a staircase in the delay, as a step drives a servo to its force limit.
 
     Args:
-        hand: its model.
-        log: commands, times and gravity.
         dynamics: of the joints of the log, length W.
         start: first positions of the log's joints [rad], shape [J]; measured ones by default.
         errors: of their drives, length W; none by default.
@@ -129,9 +127,7 @@ def prediction_rms(
     """Root mean square of what a simulation of logs misses after a share of each segment [rad].
 
     Args:
-        hand: its model.
         logs: of the joints of the dynamics.
-        dynamics: of their joints.
         errors: of their drives; None for none.
         after: 0 to 1.
     """
@@ -197,7 +193,6 @@ def hang_weights(model: mujoco.MjModel, hand: Hand, mass: float) -> None:
 
     Args:
         model: compiled, of the hand or of a scene with it.
-        hand: whose fingertips they are.
         mass: of each [kg].
     """
     for finger in hand.fingers.values():

@@ -187,8 +187,6 @@ class MotionLogWriter:
 
     def __init__(self, path: str | Path):
         """
-        Args:
-            path: the file.
 
         Raises:
             FungraspError: the file exists.
@@ -294,8 +292,6 @@ def read_step_csv(path: str | Path, joint: str, open_position: float, closed_pos
     from 1000 (open) to 0 (closed).
 
     Args:
-        path: the file.
-        joint: name of the joint.
         open_position: of the joint at 1000 [rad].
         closed_position: at 0 [rad].
     """

@@ -36,7 +36,6 @@ class FingerHold:
     def __init__(self, hand: Hand, setpoints: np.ndarray, joints: np.ndarray):
         """
         Args:
-            hand: the robot hand.
             setpoints: of the independent joints in the hold [rad], shape [W, U].
             joints: where these are [rad], shape [W, U].
         """
@@ -70,7 +69,6 @@ def play_use(
     (``FingerHold``).
 
     Args:
-        environment: whose lift tests are over.
         motions: of each world; None where the task has none.
         held: worlds that passed the lift test, shape [W] bool; the others are not tested.
         held_parts: of each world and contact link, the parts that the person held there, W x L.
@@ -161,8 +159,6 @@ def _judge(
     """Fill in success and reason.
 
     Args:
-        environment: it is read.
-        uses: worlds and their motions.
         outcomes: of W worlds.
         parts: that each link touches, shape [W, L] str.
     """

@@ -16,7 +16,6 @@ def far_end(model: ObjectModel, object_pose: np.ndarray, palm_pose: np.ndarray) 
     """Point of an object's surface that is farthest from the palm, object frame [m], shape [3].
 
     Args:
-        model: the object.
         object_pose: world frame, shape [7].
         palm_pose: world frame, shape [7].
     """
@@ -39,7 +38,6 @@ def turn_axis(kind: str, hand: Hand, palm_pose: np.ndarray, end: np.ndarray) -> 
 
     Args:
         kind: "tilt" or "swing".
-        hand: the robot hand.
         palm_pose: world frame, shape [7].
         end: the object's far end, world frame [m], shape [3].
     """

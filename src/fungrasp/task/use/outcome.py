@@ -74,7 +74,6 @@ def functional_contact(
     """Where hands touch the objects now.
 
     Args:
-        environment: it is read.
         held_parts: of each world and contact link, the parts that the person held there, W x L; any part of
             an object counts for an empty set.
 
@@ -107,7 +106,6 @@ def touched_parts(
     parts, shape [N, L] str.
 
     Args:
-        hand: the robot hand.
         models: the objects, N of them.
         palm: object frame, shape [N, 7].
         joints: independent joints [rad], shape [N, U].

@@ -56,7 +56,6 @@ class UseWorlds:
         """Of worlds that hold their objects.
 
         Args:
-            environment: it is read.
             worlds: shape [I].
             motions: of these, length I.
         """
@@ -177,8 +176,6 @@ def press_offsets(environment: LiftEnvironment, world: int, trigger: TriggerPres
     with already is what its servos' torques give in that direction.
 
     Args:
-        environment: it is read.
-        world: that the finger is in.
         trigger: what is pressed, with which finger.
     """
     engine, hand = environment.engine, environment.scene.hand
