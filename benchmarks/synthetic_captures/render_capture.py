@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks.synthetic_captures.camera_errors import ColorNoise, camera_depth, noisy_color
 from benchmarks.synthetic_captures.capture_scene import CaptureScene, Label, capture_scene
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
-from benchmarks.synthetic_captures.depth_cameras import camera_depth
-from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
@@ -177,9 +176,7 @@ def _photographed(
         rng: random numbers.
     """
     color = noisy_color(light, settings.color_noise or ColorNoise(0.0, 0.0, 0.0), rng)
-    if isinstance(settings.depth_noise, DepthNoise):
-        depth = noisy_depth(depth, intrinsics, settings.depth_noise, rng)
-    elif settings.depth_noise is not None:
+    if settings.depth_noise:
         camera = settings.depth_noise[int(rng.integers(len(settings.depth_noise)))]
         brightness = np.clip(light.mean(axis=-1), 0.0, None)
         depth = camera_depth(depth, intrinsics, camera, rng, brightness)

@@ -21,7 +21,7 @@ from fungrasp.perception import Intrinsics
 SHARED = Path(__file__).resolve().parents[2] / ".." / "shared"
 
 SMALL = CaptureSettings(intrinsics=Intrinsics(320, 240, 300, 300, 160, 119), intrinsics_spread=4.0)
-PERFECT = dataclasses.replace(SMALL, depth_noise=None, color_noise=None)
+PERFECT = dataclasses.replace(SMALL, depth_noise=(), color_noise=None)
 
 
 def captures(count: int, seed: int, settings: CaptureSettings = SMALL):
@@ -86,7 +86,8 @@ def test_noise_is_that_of_a_depth_camera(perfect, noisy):
         assert 0.02 < (~measured).mean() < 0.5
         near = measured & (true < 1.2) & (synthetic.labels == Label.TABLE)
         error = depth[near] - true[near]
-        assert abs(np.median(error)) < 1e-3
+        # An error of calibration, some 0.4 % of the depth, is one for the image.
+        assert abs(np.median(error)) < 6e-3
         assert 2e-4 < np.median(np.abs(error)) < 6e-3
         assert not np.array_equal(clean.capture.color, synthetic.capture.color)
 
