@@ -11,17 +11,15 @@ BENCHMARKS = {
     "choose": "two variants on the same grasps of that set: the difference and its interval",
     "perception": "perceived hands and objects against the truth: rendered, varied and recorded captures",
     "wire": "deployments on twins over emulated wires, on the clock of the wall",
-    "faults": "how drivers and the control computer react to faults of emulated devices",
     "fault_series": "faults of all kinds in every phase of deployments on twins and over emulated wires",
     "hands": "hands of other makers: what hands add makes of their descriptions, how well they grasp",
     "identification": "fitted joint dynamics of twins against their truth",
     "paper": "the paper's tables of simulation",
     "cold_start": "a newcomer's first commands, from nothing",
-    "extras": "each optional extra alone, from nothing",
     "builtin_objects": "writes the meshes of the built-in objects",
     "documents.tables": "the tables of README and docs, from lab/results",
 }
-"""Summary of each benchmark, by the name of its room."""
+"""Summary of each benchmark, by name."""
 
 if __name__ == "__main__":
     print("usage: python -m benchmarks.NAME [OPTIONS]\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from benchmarks.builtin_objects import tools, vessels
 from benchmarks.builtin_objects.assembly import PartSolids, assemble
+from benchmarks.command import main
 from fungrasp.core.files import atomic_path
 from fungrasp.objects.builtin_objects import BUILTINS, FIELDS, MESHES
 
@@ -74,5 +76,16 @@ def _fields(parts: PartSolids) -> dict[str, np.ndarray]:
     }
 
 
+@dataclass(frozen=True)
+class WriteBuiltinObjects:
+    """Write the meshes of the built-in objects anew, from their construction."""
+
+    out: Path = MESHES
+    """File to write (.npz)."""
+
+    def run(self) -> None:
+        write_builtin_objects(self.out)
+
+
 if __name__ == "__main__":
-    write_builtin_objects()
+    main("builtin_objects", WriteBuiltinObjects)

@@ -223,8 +223,6 @@ class EpisodeBundle:
 
     name: str
     """Of the recording."""
-    hand: str
-    """Name of the hand."""
     palm: str
     """Name of the palm's body."""
     links: tuple[tuple[str, ...], ...]
@@ -271,8 +269,6 @@ class EpisodeBundle:
     """Why not."""
     poses_in_palm: tuple[Vector, ...]
     """Of the object, after each setpoint, 7 numbers each."""
-    object_poses: tuple[Vector, ...]
-    """Of the object then, world frame, 7 numbers each."""
     contacts: tuple[tuple[bool, ...], ...]
     """Which links touched the object then."""
     table_height: float = 0.0
@@ -329,7 +325,6 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
         success = not reason
     return EpisodeBundle(
         name=name,
-        hand=hand.name,
         palm=hand.palm,
         links=tuple(tuple(members) for members in hand.links),
         bodies=hand_bodies(model),
@@ -357,7 +352,6 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
         success=success,
         reason=reason,
         poses_in_palm=rows(in_palm[1:]),
-        object_poses=rows(recorded.object_pose[1:]),
         contacts=tuple(tuple(map(bool, row)) for row in recorded.link_contacts[1:]),
         table_height=TABLE_AWAY if recorded.is_use_test else 0.0,
         use=recorded.is_use_test,

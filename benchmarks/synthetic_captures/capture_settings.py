@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, DepthCamera
-from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise
+from benchmarks.synthetic_captures.camera_errors import DEPTH_CAMERAS, ColorNoise, DepthCamera
 from benchmarks.synthetic_captures.skin_and_sleeve import SKIN_TONES
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.media.surfaces import Color
@@ -42,9 +41,9 @@ class CaptureSettings:
     """Part of the clutter, and of the table tops, with colors that some skin has."""
     left: float = 0.0
     """Part of the captures that are seen in a mirror: left hands, with the mirror images of objects."""
-    depth_noise: DepthNoise | tuple[DepthCamera, ...] | None = field(default_factory=DepthNoise)
-    """Errors of the depth: simple ones, those of one of several kinds of cameras, drawn for each capture,
-    or None for perfect depth."""
+    depth_noise: tuple[DepthCamera, ...] = (DEPTH_CAMERAS["d435i"],)
+    """Errors of the depth: those of one of several kinds of cameras, drawn for each capture; none for perfect
+    depth."""
     color_noise: ColorNoise | None = field(default_factory=ColorNoise)
     """Noise of the color image; None for perfect color."""
 
@@ -53,8 +52,6 @@ class CaptureSettings:
             low, high = getattr(self, name)
             if not 0 <= low <= high:
                 raise FungraspError(f"captures: {name} must be a range from low to high, not {low} to {high}")
-        if isinstance(self.depth_noise, tuple) and not self.depth_noise:
-            raise FungraspError("captures: depth_noise must name at least one camera, or be None")
         if not 0 <= self.proportions <= 0.2:
             raise FungraspError(f"captures: proportions must be from 0 to 0.2, not {self.proportions}")
         for name in ("left", "skin_like"):

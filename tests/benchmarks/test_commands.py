@@ -54,8 +54,9 @@ def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_p
     ("arguments", "words"),
     [
         (("speed", "--repeat", 0), "--repeat must be at least 1"),
-        (("engines", "speed", "--worlds", 0), "--worlds must be at least 1"),
-        (("engines", "speed", "--hand", "alegro"), "Did you mean 'allegro'?"),
+        (("gpu", "--worlds", 0), "--worlds must be at least 1"),
+        (("gpu", "--hand", "alegro"), "Did you mean 'allegro'?"),
+        (("engines", "speed"), "Known: audit"),
         (("speed", "--grasps", "none.npz"), "none.npz does not exist"),
     ],
 )

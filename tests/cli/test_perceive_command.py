@@ -61,7 +61,7 @@ def folder(tmp_path_factory) -> Path:
     Image.fromarray(np.where(object_mask(), 255, 0).astype(np.uint8)).save(folder / "mask.png")
     model = builtin_object(NAME)
     trimesh.Trimesh(model.vertices, model.faces, process=False).export(folder / "thing.obj")
-    trimesh.Trimesh(1000 * model.vertices, model.faces, process=False).export(folder / "millimetres.obj")
+    trimesh.Trimesh(1000 * model.vertices, model.faces, process=False).export(folder / "millimeters.obj")
     (folder / "pose.txt").write_text(" ".join(map(str, TRUTH.pose_camera_object)))
     return folder
 

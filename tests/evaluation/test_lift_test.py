@@ -127,7 +127,7 @@ def test_unknown_policies_and_other_hands(good, things, allegro):
 
 
 class MyPolicy:
-    """What a user may write: follow the plan, ten millimetres higher."""
+    """What a user may write: follow the plan, ten millimeters higher."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         self.plan, self.object_pose = plan, observation.object_pose

@@ -8,16 +8,12 @@ from typing import Any
 from fungrasp.cli.main import run_command
 
 MODULES = {
-    "choose": "commands",
-    "engines": "audit",
-    "fault_series": "series",
-    "faults": "devices",
-    "grasp_set": "commands",
-    "identification": "comparison",
-    "paper": "tables",
+    "choose": "__main__",
+    "engines": "__main__",
+    "fault_series": "__main__",
+    "grasp_set": "__main__",
+    "paper": "__main__",
     "peers": "comparison",
-    "perception": "commands",
-    "wire": "series",
 }
 """Where the command of a benchmark is that is a folder."""
 

@@ -13,7 +13,7 @@ class FakeRealSense:
     """A module object: one camera, or one recording of so many images."""
 
     def __init__(
-        self, fmt="rgb8", images=100, start_error=None, millimetres=700, missing="", coeffs=(0,) * 5
+        self, fmt="rgb8", images=100, start_error=None, millimeters=700, missing="", coeffs=(0,) * 5
     ):
         self.stream = SimpleNamespace(depth="depth", color="color")
         self.format = SimpleNamespace(
@@ -22,7 +22,7 @@ class FakeRealSense:
         self.fmt, self.images, self.start_error, self.missing = fmt, images, start_error, missing
         self.timestamp_domain = SimpleNamespace(global_time="global", system_time="system", hardware="own")
         self.domain, self.age = "own", 0.0
-        self.millimetres, self.coeffs = millimetres, coeffs
+        self.millimeters, self.coeffs = millimeters, coeffs
         self.given, self.stopped, self.aligned, self.real_time = 0, 0, 0, True
         self.played, self.streams, self.serial = None, [], None
 
@@ -72,7 +72,7 @@ class FakeRealSense:
         pixels = np.zeros((HEIGHT, WIDTH, channels), np.uint8)
         pixels[..., 0 if self.fmt.startswith("rgb") else 2] = 200
         pixels[..., 1] = number
-        depth = np.full((HEIGHT, WIDTH), self.millimetres * 0.001 / UNIT, np.uint16)
+        depth = np.full((HEIGHT, WIDTH), self.millimeters * 0.001 / UNIT, np.uint16)
         lens = SimpleNamespace(
             width=WIDTH, height=HEIGHT, fx=60.0, fy=61.0, ppx=31.0, ppy=24.0, coeffs=list(self.coeffs)
         )

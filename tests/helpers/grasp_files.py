@@ -40,8 +40,8 @@ def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
     save_human_grasps(folder / "good.npz", good)
     (folder / "text.npz").write_text("text")
     (folder / "short.npz").write_bytes((folder / "good.npz").read_bytes()[:300])
-    meshes, millimetres, huge = folder / "meshes", folder / "millimetres", folder / "huge"
-    for place, size in ((meshes, 0.06), (millimetres, 60.0), (huge, 1.8)):
+    meshes, millimeters, huge = folder / "meshes", folder / "millimeters", folder / "huge"
+    for place, size in ((meshes, 0.06), (millimeters, 60.0), (huge, 1.8)):
         place.mkdir()
         trimesh.creation.box((size, size, size)).export(place / "block.obj")
     (meshes / "broken.obj").write_text("v 0 0 nonsense\n")
@@ -83,7 +83,7 @@ def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
         "unknown object": (["--grasps", folder / "cann.npz"], "Did you mean 'can'?"),
         "no folder": (["--grasps", folder / "block.npz", "--objects", folder / "no"], "does not exist"),
         "broken mesh": (["--grasps", folder / "broken.npz", "--objects", meshes], "broken.obj"),
-        "millimetres": (["--grasps", folder / "block.npz", "--objects", millimetres], "metres"),
+        "millimeters": (["--grasps", folder / "block.npz", "--objects", millimeters], "metres"),
         "too large": (["--grasps", folder / "block.npz", "--objects", huge], "block"),
         "unknown hand": (["--grasps", folder / "good.npz", "--hand", "allegra"], "Did you mean 'allegro'?"),
         "no thumb": (["--grasps", folder / "good.npz", "--hand", thumbless], "no thumb"),
@@ -105,7 +105,7 @@ BAD = (
     "unknown object",
     "no folder",
     "broken mesh",
-    "millimetres",
+    "millimeters",
     "too large",
     "unknown hand",
     "no thumb",

@@ -122,7 +122,7 @@ def test_without_repair_an_open_surface_is_an_error(tmp_path):
 @pytest.mark.parametrize(
     ("scale", "message"),
     [
-        (1000.0, "100 m long; this looks like millimetres: scale the mesh by 0.001"),
+        (1000.0, "100 m long; this looks like millimeters: scale the mesh by 0.001"),
         (20.0, r"2 m long, larger than the table \(1.5 m\)"),
         (0.001, "only 0.0001 m long"),
     ],

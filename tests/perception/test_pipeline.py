@@ -371,7 +371,7 @@ def test_joints_that_nothing_speaks_for_are_not_sure():
     assert (unknown < found.hand.confidence).all()
 
 
-def test_a_mesh_in_millimetres_is_refused():
+def test_a_mesh_in_millimeters_is_refused():
     scene, _ = mug()
     for factor, sides in ((1000, "x 95,000 mm"), (4, "x 380 mm")):
         model = ObjectModel("mug", 0.3, scene.model.vertices * factor, scene.model.faces)

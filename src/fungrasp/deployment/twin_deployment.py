@@ -75,7 +75,7 @@ def reachable_placements(
     Raises:
         UnreachableError: there is none nearby.
     """
-    # What is seen differs by millimetres from what is: more room than is needed. Half of the clearance more
+    # What is seen differs by millimeters from what is: more room than is needed. Half of the clearance more
     # above the table, and half of it less depth for the fingers: about the error of a tracked height.
     box = cell.workspace
     inner = np.array([ROOM, ROOM, 0.0])

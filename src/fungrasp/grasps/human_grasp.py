@@ -16,7 +16,7 @@ MAX_HAND_DISTANCE = 1.0
 """Largest distance between an object's origin and a joint of the hand that holds it [m]."""
 
 MAX_BONE_LENGTH = 0.3
-"""No bone of a human hand is longer [m]; a file in millimetres or centimetres exceeds it."""
+"""No bone of a human hand is longer [m]; a file in millimeters or centimetres exceeds it."""
 
 MIN_BONE_LENGTH = 1e-3
 """Joints nearer than this to their neighbor [m] coincide: an error of the program that wrote them."""

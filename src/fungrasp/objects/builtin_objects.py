@@ -97,7 +97,7 @@ def plain_shape(name: str, mass: float) -> ObjectModel:
     """The object that a name describes, its center at the origin, a cylinder's axis along z.
 
     Args:
-        name: "box:LENGTHxWIDTHxHEIGHT", "cylinder:DIAMETERxHEIGHT" or "sphere:DIAMETER", in millimetres.
+        name: "box:LENGTHxWIDTHxHEIGHT", "cylinder:DIAMETERxHEIGHT" or "sphere:DIAMETER", in millimeters.
         mass: [kg].
 
     Raises:
@@ -134,7 +134,7 @@ def _sizes(name: str) -> list[float]:
     example = f"{kind}:{'x'.join(size.upper() for size in wanted)}" if wanted else "box:60x28x30"
     parts = text.split("x")
     if len(parts) != len(wanted) or not all(re.fullmatch(r"\d{1,4}(\.\d{1,6})?", part) for part in parts):
-        raise FungraspError(f"'{name[:60]}' is no shape: write {example}, sizes in millimetres")
+        raise FungraspError(f"'{name[:60]}' is no shape: write {example}, sizes in millimeters")
     sizes = [float(part) for part in parts]
     if not SMALLEST <= min(sizes) <= max(sizes) <= LARGEST:
         raise FungraspError(f"'{name}': sizes must be {SMALLEST:g} to {LARGEST:g} mm")

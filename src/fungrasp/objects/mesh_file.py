@@ -139,7 +139,7 @@ def _read(path: Path) -> trimesh.Trimesh:
 def _check_size(path: Path, length: float) -> None:
     if length >= 2 * TABLE_SIDE:
         raise FungraspError(
-            f"{path}: {length:.4g} m long; this looks like millimetres: scale the mesh by 0.001"
+            f"{path}: {length:.4g} m long; this looks like millimeters: scale the mesh by 0.001"
         )
     if length > TABLE_SIDE:
         raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)")

@@ -10,7 +10,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
-from benchmarks.choose.commands import record_use
+from benchmarks.choose.__main__ import record_use
 from benchmarks.choose.measurement import MeasurementRequest
 from benchmarks.choose.pairing import paired_interval, paired_means, paired_rates
 from benchmarks.choose.variant import Variant

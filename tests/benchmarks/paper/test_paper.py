@@ -7,7 +7,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
-from benchmarks.paper.tables import PaperTable
+from benchmarks.paper.__main__ import PaperTable
 from benchmarks.paper.variants import CONDITIONS, mean_interval
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.evaluation.statistics import wilson_interval

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 from flat_hand import FLAT_HAND
 
-from benchmarks.synthetic_captures.depth_noise import ColorNoise, DepthNoise, noisy_color, noisy_depth
+from benchmarks.synthetic_captures.camera_errors import ColorNoise, noisy_color
 from benchmarks.synthetic_captures.painted_mesh import EDGE, PaintedMesh, painted_object
 from benchmarks.synthetic_captures.render_capture import posed_rays
 from benchmarks.synthetic_captures.skin_and_sleeve import (
@@ -109,34 +109,6 @@ def test_paint_is_fine_and_always_the_same():
     assert len(np.unique(np.round(painted.colors, 1), axis=0)) >= 3
     painted_object.cache_clear()
     np.testing.assert_array_equal(painted_object(mug).colors, painted.colors)
-
-
-def test_depth_noise_grows_with_the_square_of_distance():
-    noise = DepthNoise(speckle=0.0, step_size=1e-6)
-    lens = Intrinsics(200, 150, 600, 600, 99.5, 74.5)
-    spread = []
-    for distance in (0.5, 1.0):
-        depth = np.full((150, 200), distance)
-        measured = noisy_depth(depth, lens, noise, np.random.default_rng(0))
-        inner = measured[:, 30:]
-        assert (inner > 0).all()
-        spread.append((inner - distance).std())
-    assert spread[1] / spread[0] == pytest.approx(4.0, rel=0.01)
-    assert spread[0] == pytest.approx(0.25 * noise.disparity / (600 * noise.baseline), rel=0.05)
-
-
-def test_holes_open_beside_steps_and_on_slopes():
-    lens = Intrinsics(200, 150, 600, 600, 99.5, 74.5)
-    depth = np.full((150, 200), 0.9)
-    depth[:, 80:140] = 0.6
-    lost = noisy_depth(depth, lens, DepthNoise(), np.random.default_rng(0)) == 0
-    # The second camera, to the right, can't see a strip of the background left of the near thing:
-    # 600 * 0.05 * (1 / 0.6 - 1 / 0.9) = 17 pixels wide.
-    assert lost[:, 66:79].mean() > 0.9
-    assert lost[:, 20:55].mean() < 0.05
-    assert lost[:, 150:190].mean() < 0.05
-    slanted = 0.5 / (1.02 - 8.0 * lens.rays()[..., 1].clip(-0.1, 0.1))
-    assert (noisy_depth(slanted, lens, DepthNoise(), np.random.default_rng(0)) == 0).mean() > 0.3
 
 
 def test_without_noise_color_is_only_rounded():

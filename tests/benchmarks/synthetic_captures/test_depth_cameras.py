@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from benchmarks.synthetic_captures.camera_errors import (
+    DEPTH_CAMERAS,
+    ColorNoise,
+    camera_depth,
+    noisy_color,
+)
 from benchmarks.synthetic_captures.capture_settings import camera_settings
-from benchmarks.synthetic_captures.depth_cameras import DEPTH_CAMERAS, camera_depth
-from benchmarks.synthetic_captures.depth_noise import ColorNoise, noisy_color
 from benchmarks.synthetic_captures.render_capture import capture_at, vary_hand
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import builtin_grasps

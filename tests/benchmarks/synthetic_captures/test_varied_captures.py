@@ -18,7 +18,7 @@ from fungrasp.perception import Intrinsics
 
 LENS = Intrinsics(320, 240, 300, 300, 160, 119)
 PLAIN = CaptureSettings(
-    intrinsics=LENS, intrinsics_spread=4.0, depth_noise=None, color_noise=None, distance=(0.4, 0.5)
+    intrinsics=LENS, intrinsics_spread=4.0, depth_noise=(), color_noise=None, distance=(0.4, 0.5)
 )
 GRASP = builtin_grasps()[0]
 MODEL = builtin_object(GRASP.object_name)

@@ -141,7 +141,7 @@ def test_an_image_that_was_made_smaller(tmp_path, capture):
         ({"pred_keypoints_3d": None}, "'joints' or 'pred_keypoints_3d' or 'pred_3d_joints' is missing"),
         ({"pred_keypoints_3d": JOINTS[:20]}, r"shape \[21, 3\] per hand, not \[20, 3\]"),
         ({"pred_keypoints_3d": JOINTS * np.nan}, "non-finite"),
-        ({"pred_keypoints_3d": (JOINTS - JOINTS[0])[TO_OPENPOSE] * 1000}, "in millimetres"),
+        ({"pred_keypoints_3d": (JOINTS - JOINTS[0])[TO_OPENPOSE] * 1000}, "in millimeters"),
         ({"scaled_focal_length": 200000.0}, "lies outside the image"),
         ({"order": "openpos"}, "unknown order of joints"),
         ({"score": 7.0}, "score must be from 0 to 1, not 7"),

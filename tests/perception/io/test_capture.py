@@ -63,7 +63,7 @@ def test_points_are_in_the_camera_frame_and_holes_are_nan():
         ({"depth": np.ones((24, 32), np.float32)}, "depth image has shape"),
         ({"depth": np.ones((48, 64))}, "array of float32, not float64"),
         ({"depth": np.zeros((48, 64), np.float32)}, "empty"),
-        ({"depth": np.full((48, 64), 700, np.float32)}, "millimetres"),
+        ({"depth": np.full((48, 64), 700, np.float32)}, "millimeters"),
         ({"depth": np.full((48, 64), -0.7, np.float32)}, "negative"),
         ({"depth": np.full((48, 64), np.nan, np.float32)}, "non-finite"),
         ({"mask": np.zeros((48, 64), bool)}, "mask is empty"),

@@ -69,7 +69,7 @@ def test_float_depth_is_metres(tmp_path):
     assert read[100, 150] == np.float32(0.6)
     np.save(tmp_path / "depth.npy", 1000 * depth)
     read = read_capture(color, tmp_path / "depth.npy", lens, depth_unit=0.001).depth
-    assert read[100, 150] == pytest.approx(0.6), "floats in millimetres, as was said"
+    assert read[100, 150] == pytest.approx(0.6), "floats in millimeters, as was said"
     assert read[0, 0] == 0
     with pytest.raises(FungraspError, match=r"it would be 0.9 m: --depth-unit 0.001"):
         read_capture(color, tmp_path / "depth.npy", lens)

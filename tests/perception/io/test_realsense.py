@@ -53,7 +53,7 @@ def test_a_recording_is_played_once_and_in_its_own_format(realsense, tmp_path, f
         ({"missing": "depth"}, "has no depth image"),
         ({"missing": "color"}, "has no color image"),
         ({"fmt": "yuyv"}, "format yuyv; one of rgb8, bgr8"),
-        ({"millimetres": 0}, "no pixel has a measurement"),
+        ({"millimeters": 0}, "no pixel has a measurement"),
     ],
 )
 def test_what_fails_is_named_and_the_camera_is_let_go(realsense, options, words):

@@ -45,12 +45,12 @@ def test_with_a_mask() -> None:
     assert again.score == found.score
 
 
-def test_a_mesh_in_millimetres_is_said() -> None:
+def test_a_mesh_in_millimeters_is_said() -> None:
     there = mug_scene()
     large = trimesh.Trimesh(MUG.vertices * 1000, MUG.faces, process=False)
     found = estimate_object_pose(there.capture, large, there.hand)
     assert (found.accepted, found.score) == (False, 0.0)
-    assert "in millimetres?" in found.note
+    assert "in millimeters?" in found.note
 
 
 def test_a_mesh_much_smaller_than_the_mask_is_said() -> None:

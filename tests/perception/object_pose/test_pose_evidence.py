@@ -28,8 +28,8 @@ def said(name: str, *others: tuple[np.ndarray, float]) -> str:
 def test_a_nearly_symmetric_object_may_be_the_other_way_round():
     words = said("spray_bottle", (about_z(180), 0.93))
     assert "which way round the object is: turned by 180 degrees" in words
-    millimetres = int(words.split("only ")[1].split(" mm")[0])
-    assert 1 <= millimetres <= 10
+    millimeters = int(words.split("only ")[1].split(" mm")[0])
+    assert 1 <= millimeters <= 10
 
 
 def test_a_symmetry_and_a_worse_pose_give_no_warning():

@@ -120,7 +120,7 @@ def _overlaps(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
             deepest = max(found[pair] for pair in pairs)
             say = error if pose == "zero" and deepest > LARGE_OVERLAP else warning
             yield say(
-                f"the shapes of {_pairs(pairs)} overlap by {_millimetres(deepest, pairs)} at the {pose} "
+                f"the shapes of {_pairs(pairs)} overlap by {_millimeters(deepest, pairs)} at the {pose} "
                 f"pose; shrink them, or if they may, write {_exclude(pairs)}"
             )
     if not source.stripped and model.nq == model.njnt and np.all(model.jnt_limited):
@@ -165,7 +165,7 @@ def _pairs(pairs: Pairs) -> str:
     return ", ".join([words, *others]) + more
 
 
-def _millimetres(depth: float, pairs: Pairs) -> str:
+def _millimeters(depth: float, pairs: Pairs) -> str:
     return f"{'' if len(pairs) == 1 else 'up to '}{1000 * depth:.1f} mm"
 
 
@@ -199,7 +199,7 @@ def overlapping_shapes(model: mujoco.MjModel, positions: np.ndarray) -> dict[tup
 
 
 def check_size(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
-    """A hand in millimetres."""
+    """A hand in millimeters."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root = model.body(parts.palm).id if parts.palm else 0

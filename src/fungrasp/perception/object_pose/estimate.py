@@ -107,7 +107,7 @@ def search_object_pose(
         size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
-        unit = "; is it in millimetres?" if size >= SIZES[1] else ""
+        unit = "; is it in millimeters?" if size >= SIZES[1] else ""
         return _nothing(
             capture,
             joints,

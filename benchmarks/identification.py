@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import main
 from benchmarks.twins.twin_identification import ALL_ERRORS, identify_on_twin
 from fungrasp.cli.console import table
 from fungrasp.core.provenance import machine, run_record
@@ -147,3 +148,7 @@ def _text(value: object) -> str:
 
 
 COMMAND = BenchIdentify
+
+
+if __name__ == "__main__":
+    main("identification", COMMAND)

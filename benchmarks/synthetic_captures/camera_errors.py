@@ -1,4 +1,4 @@
-"""Depth as kinds of cameras give it: active stereo, structured light, time of flight.
+"""Color, and depth as kinds of cameras give it: active stereo, structured light, time of flight.
 
 A stereo camera compares windows of two infrared images. What comes of that, in this order:
 
@@ -23,13 +23,14 @@ meet the statistics of measured images in ``lab/perception.md``.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 
-from benchmarks.synthetic_captures.depth_noise import graze, smooth_field, unseen_by_second
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception import Intrinsics
 
@@ -167,26 +168,26 @@ def camera_depth(
     base = (camera.baseline or 0.05) * 0.5 * (intrinsics.fx + intrinsics.fy)
     disparity = base / np.where(depth > 0, depth, np.inf)
     matched = _matched(disparity, camera, size, rng)
-    shadow = unseen_by_second(depth, base) if camera.baseline else np.zeros(shape, bool)
+    shadow = _unseen_by_second(depth, base) if camera.baseline else np.zeros(shape, bool)
     if camera.baseline and camera.window > 1:
         # A window that is half in the shadow has no match either.
         shadow = ndimage.uniform_filter(shadow.astype(float), max(1, round(camera.window * size / 2))) > 0.5
-    lost = (shadow & (smooth_field(shape, 6 * size, rng) > _quantile(camera.filled))) | (
-        smooth_field(shape, 2 * size, rng) > _quantile(1 - camera.speckle)
+    lost = (shadow & (_smooth_field(shape, 6 * size, rng) > _quantile(camera.filled))) | (
+        _smooth_field(shape, 2 * size, rng) > _quantile(1 - camera.speckle)
     )
     matched = _filled(matched, shadow)
-    gone = rng.uniform(size=shape) < graze(depth, intrinsics, camera.grazing)
+    gone = rng.uniform(size=shape) < _graze(depth, intrinsics, camera.grazing)
     # Such pixels are lost in groups, as the window sees them together.
     lost |= ndimage.uniform_filter(gone.astype(float), max(1, round(camera.window * size / 2))) > 0.5
     if brightness is not None:
         lost |= _without_match(brightness, camera, size, rng)
-    matched = matched + camera.noise * size * smooth_field(shape, 1.2 * size, rng)
-    matched = matched + camera.waves * size * smooth_field(shape, camera.wavelength * size, rng)
+    matched = matched + camera.noise * size * _smooth_field(shape, 1.2 * size, rng)
+    matched = matched + camera.waves * size * _smooth_field(shape, camera.wavelength * size, rng)
     if camera.subpixel:
         step = camera.subpixel * size
         matched = np.round(matched / step) * step
     measured = base / np.maximum(matched, 1e-6)
-    measured = measured + (camera.axial[0] + camera.axial[1] * measured**2) * smooth_field(
+    measured = measured + (camera.axial[0] + camera.axial[1] * measured**2) * _smooth_field(
         shape, 0.6 * size, rng
     )
     measured = measured * (1 + camera.scale * rng.normal())
@@ -203,7 +204,7 @@ def _matched(disparity: np.ndarray, camera: DepthCamera, size: float, rng: np.ra
     reach = 2 * int(width / 2) + 1
     low, high = ndimage.minimum_filter(disparity, reach), ndimage.maximum_filter(disparity, reach)
     # What has more contrast in the window counts more; that differs from place to place.
-    contrast = np.exp(0.5 * smooth_field(disparity.shape, width / 3, rng))
+    contrast = np.exp(0.5 * _smooth_field(disparity.shape, width / 3, rng))
     sigma = width / 4
     mean = ndimage.gaussian_filter(contrast * disparity, sigma) / ndimage.gaussian_filter(contrast, sigma)
     apart = high - low
@@ -231,7 +232,7 @@ def _without_match(
 ) -> np.ndarray:
     """Pixels of dark and shiny surfaces that give nothing."""
     light = ndimage.gaussian_filter(brightness, camera.window * size / 4)
-    blotches = np.exp(0.4 * smooth_field(brightness.shape, 5 * size, rng))
+    blotches = np.exp(0.4 * _smooth_field(brightness.shape, 5 * size, rng))
     return (light * blotches < camera.dark) | (light * blotches > 2 * camera.shiny)
 
 
@@ -240,3 +241,84 @@ def _quantile(part: float) -> float:
     from scipy.special import ndtri
 
     return float(ndtri(part))
+
+
+def _smooth_field(shape: tuple[int, ...], width: float, rng: np.random.Generator) -> np.ndarray:
+    """Normally distributed, neighbors alike within ``width`` pixels."""
+    field = ndimage.gaussian_filter(rng.normal(size=shape), width, mode="wrap")
+    return field / field.std()
+
+
+def _unseen_by_second(depth: np.ndarray, disparity: float) -> np.ndarray:
+    """Pixels that the second camera, to the right of the first, can't see. disparity: of 1 m [pixels]."""
+    # A pixel is occluded for the second camera where another one to its right lands left of it there.
+    place = np.arange(depth.shape[1]) - disparity / np.maximum(depth, 0.1)
+    nearest = np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1]
+    ahead = np.concatenate([nearest[:, 1:], np.full((len(depth), 1), np.inf)], axis=1)
+    return ahead < place - 0.5
+
+
+def _graze(depth: np.ndarray, intrinsics: Intrinsics, limits: tuple[float, float]) -> np.ndarray:
+    """Chance that a pixel gives nothing as the surface is seen from the side, shape [H, W]."""
+    points = intrinsics.rays() * depth[..., None]
+    across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    normal = np.cross(across, down)
+    size = np.linalg.norm(normal, axis=-1) * np.linalg.norm(points, axis=-1)
+    cosine = np.abs(np.einsum("hwi,hwi->hw", normal, points)) / np.maximum(size, 1e-12)
+    angle = np.degrees(np.arccos(np.clip(cosine, 0, 1)))
+    return np.clip((angle - limits[0]) / (limits[1] - limits[0]), 0, 1)
+
+
+@dataclass(frozen=True)
+class ColorNoise:
+    """Errors of a small color camera."""
+
+    noise: float = 2.0
+    """Standard deviation of a pixel in mid gray [of 255]."""
+    blur: float = 0.45
+    """Standard deviation of the lens's blur [pixels]."""
+    balance: float = 0.05
+    """Largest error of the white balance and, times four, of the exposure, as a part."""
+    exposure: tuple[float, float] | None = None
+    """Range of factors of the light, evenly on a logarithmic scale, where skin is to be over- or
+    underexposed; None: as ``balance`` says."""
+    motion: float = 0.0
+    """Longest way that the camera moves while the shutter is open [pixels]."""
+    jpeg: tuple[int, int] | None = None
+    """Range of JPEG qualities with which the picture is coded, 1 to 95; None: it is not."""
+
+
+def noisy_color(light: np.ndarray, noise: ColorNoise, rng: np.random.Generator) -> np.ndarray:
+    """What a color camera would make of linear light.
+
+    Args:
+        light: shape [H, W, 3].
+        noise: how bad the camera is.
+        rng: random numbers.
+
+    Returns:
+        sRGB, shape [H, W, 3] uint8.
+    """
+    light = light * (1 + noise.balance * rng.uniform(-1, 1, 3)) * (1 + 4 * noise.balance * rng.uniform(-1, 1))
+    if noise.exposure is not None:
+        low, high = np.log(noise.exposure)
+        light = light * np.exp(rng.uniform(low, high))
+    if noise.motion:
+        light = _moved(light, rng.uniform(0, noise.motion), rng.uniform(0, np.pi))
+    light = ndimage.gaussian_filter(light, (noise.blur, noise.blur, 0))
+    # Shot noise grows with the root of the light, which the gamma curve evens out.
+    picture = 255 * np.clip(light, 0, 1) ** (1 / 2.2) + noise.noise * rng.normal(size=light.shape)
+    picture = np.clip(np.round(picture), 0, 255).astype(np.uint8)
+    if noise.jpeg is None:
+        return picture
+    coded = io.BytesIO()
+    Image.fromarray(picture).save(coded, "JPEG", quality=int(rng.integers(noise.jpeg[0], noise.jpeg[1] + 1)))
+    return np.array(Image.open(coded))
+
+
+def _moved(light: np.ndarray, way: float, angle: float) -> np.ndarray:
+    """The mean of the picture along a way [pixels] in a direction [rad]."""
+    steps = int(np.ceil(way)) + 1
+    shifts = np.linspace(-0.5, 0.5, steps)[:, None] * way * np.array([np.sin(angle), np.cos(angle)])
+    moved = [ndimage.shift(light, (*shift, 0), order=1, mode="nearest") for shift in shifts]
+    return np.mean(moved, axis=0)

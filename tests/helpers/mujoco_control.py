@@ -1,4 +1,4 @@
-"""An episode in MuJoCo, built anew from its bundle: the control, which has to end as recorded."""
+"""A recorded episode in MuJoCo, built anew from its bundle: the control, which has to end as recorded."""
 
 from __future__ import annotations
 

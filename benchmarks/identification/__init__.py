@@ -1,1 +1,0 @@
-"""Identified dynamics against known ones."""
