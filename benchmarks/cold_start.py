@@ -1,12 +1,10 @@
 """The first commands of a newcomer, from nothing: a clone and ``make demo``, a wheel and ``fungrasp demo``.
 
-    python3 benchmarks/cold_start.py [clone] [wheel] [--phases]
+    python3 benchmarks/cold_start.py [clone] [wheel]
 
 Needs Python 3.11, make and git alone: nothing of the project, and nothing that it depends on, is imported
 here. Each way runs in a temporary folder with a home, a cache and a virtual environment of its own. It fails
-where a command fails, where a film or a page is missing, and where a progress bar passes 100 %. With
-``--phases`` the demo is run once more with the machine code that the first run has left: the difference is
-the time of compilation.
+where a command fails, where a film or a page is missing, and where a progress bar passes 100 %.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -37,7 +34,6 @@ class ColdStartError(Exception):
 def main() -> int:
     parser = argparse.ArgumentParser(description="Try a newcomer's first commands in empty environments.")
     parser.add_argument("ways", nargs="*", help='"clone", "wheel"; both by default')
-    parser.add_argument("--phases", action="store_true", help="measure the time of compilation too")
     arguments = parser.parse_args()
     ways = {"clone": from_clone, "wheel": from_wheel}
     if unknown := set(arguments.ways) - set(ways):
@@ -45,7 +41,7 @@ def main() -> int:
     for way in arguments.ways or ways:
         with tempfile.TemporaryDirectory(prefix="fungrasp-cold-start.") as name:
             try:
-                seconds = ways[way](Path(name), arguments.phases)
+                seconds = ways[way](Path(name))
             except ColdStartError as error:
                 print(f"cold start from a {way} failed: {error}", file=sys.stderr)
                 return 1
@@ -55,7 +51,7 @@ def main() -> int:
     return 0
 
 
-def from_clone(folder: Path, phases: bool) -> dict[str, float]:
+def from_clone(folder: Path) -> dict[str, float]:
     """``git clone`` and ``make demo``. folder: an empty one; returns seconds by phase."""
     clone, environment = folder / "clone", _environment(folder)
     _run(["git", "clone", "--quiet", str(ROOT), str(clone)], folder, environment)
@@ -64,12 +60,10 @@ def from_clone(folder: Path, phases: bool) -> dict[str, float]:
     _check_page(clone / "demo")
     if "seen in one image" not in (clone / "demo" / "index.html").read_text(encoding="utf-8"):
         print("the grasp in an image was left out: the hand models could not be fetched")
-    if phases:
-        _add_phases(seconds, ["make", "demo"], clone, environment)
     return seconds
 
 
-def from_wheel(folder: Path, phases: bool) -> dict[str, float]:
+def from_wheel(folder: Path) -> dict[str, float]:
     """``pip install`` of a wheel and ``fungrasp demo``. folder: an empty one; returns seconds by phase."""
     environment, python = _environment(folder), folder / "venv" / "bin" / "python"
     _run([sys.executable, "-m", "venv", str(folder / "venv")], folder, environment)
@@ -85,8 +79,6 @@ def from_wheel(folder: Path, phases: bool) -> dict[str, float]:
     command = [str(python.with_name("fungrasp")), "demo"]
     seconds["demo"] = _run(command, folder, environment)
     _check_page(folder / "demo")
-    if phases:
-        _add_phases(seconds, command, folder, environment)
     return seconds
 
 
@@ -130,18 +122,6 @@ def _check_page(folder: Path) -> None:
         raise ColdStartError(f"there is no film in {folder}")
     if not page.is_file() or "<video" not in page.read_text(encoding="utf-8"):
         raise ColdStartError(f"there is no page with films in {folder}")
-
-
-def _add_phases(
-    seconds: dict[str, float], command: list[str], folder: Path, environment: dict[str, str]
-) -> None:
-    """The demo again, with the machine code alone in the cache."""
-    cache = Path(environment["XDG_CACHE_HOME"]) / "fungrasp"
-    for kind in cache.iterdir():
-        if kind.name not in ("compiled", "hand_models"):
-            shutil.rmtree(kind)
-    seconds["work"] = _run(command, folder, environment)
-    seconds["compilation"] = seconds["demo"] - seconds["work"]
 
 
 if __name__ == "__main__":

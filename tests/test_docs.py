@@ -111,7 +111,7 @@ def run(arguments: list[str]) -> int:
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the reader's data; few built-in grasps, and films of few frames; twins that run
+    """A folder with the reader's data; few built-in grasps, and films of few small frames; twins that run
     as fast as they go."""
     builtin = grasp_files.builtin_grasps()
     assert builtin.task is not None
@@ -123,7 +123,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     others = [row for row in first.values() if row not in named]
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
-    monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0))
+    monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0, width=240, height=136))
     monkeypatch.setattr(deploy, "DeploymentSpec", partial(deploy.DeploymentSpec, real_time=False))
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[REACHED])
     (tmp_path / "meshes").mkdir()

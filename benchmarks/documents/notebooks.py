@@ -6,6 +6,7 @@ it: so they are found in the repository as well as on the site.
 
 from __future__ import annotations
 
+import argparse
 import base64
 import io
 import re
@@ -77,4 +78,5 @@ def _tidy(data: dict[str, str], name: str, folder: Path) -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     main()

@@ -7,7 +7,7 @@ setup perception``.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -109,5 +109,7 @@ MAKERS: dict[str, Callable[[], None]] = {"grasps": grasps, "film": film, "percep
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or MAKERS:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pictures", nargs="*", help=f"of {', '.join(MAKERS)}; all by default")
+    for wanted in parser.parse_args().pictures or MAKERS:
         MAKERS[wanted]()

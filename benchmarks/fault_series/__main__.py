@@ -96,8 +96,7 @@ class BenchFaultSeries:
         return found
 
     def _trial(self, scene: Scene, drawn: Drawn) -> FaultTrial:
-        from benchmarks.fault_series.fault_kinds import Place
-        from benchmarks.fault_series.trial import no_fault_came
+        from benchmarks.fault_series.trial import Place, no_fault_came
         from benchmarks.fault_series.twin_trial import twin_trial
         from benchmarks.fault_series.wire_trial import FalseAlarm, wire_trial
 
@@ -124,9 +123,8 @@ def drawn_faults(hand: str, count: int, seed: int, kinds: Sequence[str] = ()) ->
     """
     import numpy as np
 
-    from benchmarks.fault_series.fault_kinds import KINDS
     from benchmarks.fault_series.moments import EDGE, Moment
-    from benchmarks.fault_series.trial import Drawn
+    from benchmarks.fault_series.trial import KINDS, Drawn
     from fungrasp.core.errors import UnknownNameError
 
     known = {kind.name: kind for kind in KINDS if hand in kind.hands}

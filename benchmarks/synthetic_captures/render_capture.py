@@ -6,7 +6,7 @@ made up. How well perception does on them says little about photographs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,6 @@ from benchmarks.synthetic_captures.camera_errors import ColorNoise, camera_depth
 from benchmarks.synthetic_captures.capture_scene import CaptureScene, Label, capture_scene
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
-from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
@@ -69,34 +68,6 @@ class SyntheticCapture:
         return self.labels == Label.HAND
 
 
-def render_captures(
-    grasps: HumanGraspSet,
-    objects: Mapping[str, ObjectModel],
-    count: int,
-    seed: int,
-    settings: CaptureSettings | None = None,
-) -> Iterator[SyntheticCapture]:
-    """Captures of grasps, one by one: all grasps once in random order, then again from elsewhere.
-
-    Args:
-        grasps: of right hands.
-        objects: by name, all those of the grasps.
-        count: of captures.
-        seed: decides everything; capture i is the same whatever the count.
-        settings: cameras, clutter and noise.
-
-    Raises:
-        FungraspError: there are no grasps, or an object is missing.
-    """
-    if not len(grasps):
-        raise FungraspError("there are no grasps to make captures of")
-    for name in np.unique(grasps.object_name):
-        if name not in objects:
-            raise UnknownNameError("object", str(name), objects)
-    for i in range(count):
-        yield capture_at(i, grasps, objects, seed, settings)
-
-
 def capture_at(
     index: int,
     grasps: HumanGraspSet,
@@ -104,7 +75,15 @@ def capture_at(
     seed: int,
     settings: CaptureSettings | None = None,
 ) -> SyntheticCapture:
-    """One of the captures that ``render_captures`` gives, without the others. index: from 0 on."""
+    """One capture of a series: all grasps once in random order, then again from elsewhere.
+
+    Args:
+        index: of the capture, from 0 on.
+        grasps: of right hands.
+        objects: by name, all those of the grasps.
+        seed: decides everything.
+        settings: cameras, clutter and noise.
+    """
     turn, place = divmod(index, len(grasps))
     row = int(np.random.default_rng([seed, turn]).permutation(len(grasps))[place])
     grasp = grasps[row]

@@ -24,7 +24,7 @@ from fungrasp.perception.perceived import Perceived
 
 @pytest.fixture(autouse=True)
 def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0))
+    monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0, width=240, height=136))
 
 
 def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -75,9 +75,3 @@ def moved(values: MeasuredState | PlanTarget, motion: np.ndarray) -> Any:
     carried = ("palm_pose", "palm_setpoint", "object_pose", "palm_goal", "settled_pose")
     names = [field.name for field in fields(values) if field.name in carried]
     return replace(values, **{name: compose(motion, getattr(values, name)) for name in names})
-
-
-def as_torch(values: Any) -> Any:
-    import torch
-
-    return replace(values, **{f.name: torch.as_tensor(getattr(values, f.name)) for f in fields(values)})

@@ -12,9 +12,8 @@ from benchmark_runs import run_benchmark
 from robot_cells import cell_and_hand, grasp_and_object, near_cell, placed
 
 from benchmarks.fault_series.__main__ import BenchFaultSeries, drawn_faults, series_rows
-from benchmarks.fault_series.fault_kinds import KINDS, FaultKind, Place
 from benchmarks.fault_series.moments import Moment, Scene, scene
-from benchmarks.fault_series.trial import Drawn, TruthWatch, judged
+from benchmarks.fault_series.trial import KINDS, Drawn, FaultKind, Place, TruthWatch, judged
 from benchmarks.fault_series.twin_trial import twin_trial
 from benchmarks.fault_series.wire_trial import wire_trial
 from fungrasp.core.errors import UnknownNameError
