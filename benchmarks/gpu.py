@@ -218,9 +218,9 @@ def world_speed(
 
 
 @contextmanager
-def timed(thing: Any, name: str, wait: Callable[[], None] = lambda: None) -> Iterator[list[float]]:
+def timed(obj: Any, name: str, wait: Callable[[], None] = lambda: None) -> Iterator[list[float]]:
     """A list of one number, the seconds spent in a method inside the block. wait: for a device to finish."""
-    seconds, method = [0.0], getattr(thing, name)
+    seconds, method = [0.0], getattr(obj, name)
 
     def run(*arguments: Any, **named: Any) -> Any:
         start = perf_counter()
@@ -229,11 +229,11 @@ def timed(thing: Any, name: str, wait: Callable[[], None] = lambda: None) -> Ite
         seconds[0] += perf_counter() - start
         return result
 
-    setattr(thing, name, run)
+    setattr(obj, name, run)
     try:
         yield seconds
     finally:
-        setattr(thing, name, method)
+        setattr(obj, name, method)
 
 
 def _wait(engine: Engine) -> Callable[[], None]:

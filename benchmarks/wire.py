@@ -50,7 +50,7 @@ class EmulationTask:
 
     cell: RobotCell
     """Whose addresses are on the loopback."""
-    thing: ObjectModel
+    obj: ObjectModel
     """The object as it is believed."""
     placement: np.ndarray
     """Where it is put, world frame, shape [7]."""
@@ -103,11 +103,11 @@ def run_emulation(task: EmulationTask, pipe: Connection) -> None:
     Messages through the pipe: ``("ready", True)``, ``("truth", EmulationRecord)``, ``("error", text)``.
     """
     hand = load_hand(task.cell.hand)
-    world = TwinWorld(task.cell, hand, task.thing, cell_twin(task.cell, hand, task.twin))
+    world = TwinWorld(task.cell, hand, task.obj, cell_twin(task.cell, hand, task.twin))
     world.settle(task.placement)
     settled, samples = float(world.center_of_mass()[2]), []
     try:
-        with CellEmulation(task.cell, world, task.thing.name) as emulation:
+        with CellEmulation(task.cell, world, task.obj.name) as emulation:
             pipe.send(("ready", True))
             began = time.monotonic()
             while not pipe.poll(SAMPLE_PERIOD):
@@ -175,7 +175,7 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
         FungraspError: the emulators can't be started, or a device does not answer.
     """
     began = time.monotonic()
-    placements = reachable_placements(task.cell, task.hand, task.thing, task.grasp, task.spec.seed)
+    placements = reachable_placements(task.cell, task.hand, task.obj, task.grasp, task.spec.seed)
     run, count, said = deploy_where_reached(placements, lambda placement: _run_at(task, twin, placement))
     seconds = time.monotonic() - began
     if run is None:
@@ -185,7 +185,7 @@ def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
 
 def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
     """A run with the object at a placement, shape [7]."""
-    with EmulationProcess(EmulationTask(task.cell, task.thing, placement, twin)) as process:
+    with EmulationProcess(EmulationTask(task.cell, task.obj, placement, twin)) as process:
         try:
             result = deploy_on_robot(task, [_Alone()])
         except UnreachableError:
@@ -197,7 +197,7 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
         record = process.end()
     held = _held(result, record)
     return WireRun(
-        object=task.thing.name,
+        object=task.obj.name,
         twin=twin,
         success=bool(held) and held_throughout(held, held[-1].time - held[0].time, LiftProtocol()),
         height_m=min((s.height for s in held), default=-1.0),
@@ -218,7 +218,7 @@ def _not_begun(task: DeploymentTask, twin: int, fault: str, placements: int, sec
     """A run in which nothing moved."""
     none = DeadlineMonitor(0.0)
     return WireRun(
-        object=task.thing.name,
+        object=task.obj.name,
         twin=twin,
         success=False,
         height_m=-1.0,

@@ -68,8 +68,8 @@ def test_sets_are_indexed_by_slices_lists_and_masks():
 
 def test_reprs_are_short(human):
     objects = fungrasp.load_objects(human)
-    for thing in (human, human[0], objects["mug"], fungrasp.load_hand("allegro")):
-        assert len(repr(thing)) < 100
+    for obj in (human, human[0], objects["mug"], fungrasp.load_hand("allegro")):
+        assert len(repr(obj)) < 100
 
 
 def test_type_checkers_are_told_the_names_that_are_loaded_on_use():

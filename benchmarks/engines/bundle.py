@@ -310,7 +310,7 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
             f"{recorded.differs}"
         )
     model, hand = scene.model, scene.hand
-    thing = scene.models[scene.indices([recorded.object_name])[0]]
+    obj = scene.models[scene.indices([recorded.object_name])[0]]
     servos = np.concatenate([scene.wrist_actuators, scene.finger_actuators])
     driven = [model.joint(int(model.actuator_trnid[servo, 0])).name for servo in servos]
     joints = [
@@ -321,7 +321,7 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
     in_palm, success, reason = _in_palm(recorded), recorded.success, recorded.reason
     if recorded.is_use_test:
         lift = hold = 0.0
-        reason = moved_in_palm(in_palm[0], in_palm[1:], thing.center_of_mass)
+        reason = moved_in_palm(in_palm[0], in_palm[1:], obj.center_of_mass)
         success = not reason
     return EpisodeBundle(
         name=name,
@@ -333,10 +333,10 @@ def make_bundle(name: str, recorded: Trajectory, scene: Scene) -> EpisodeBundle:
         object_name=recorded.object_name,
         object_inertia=Inertia(
             recorded.object_mass,
-            vector(thing.center_of_mass),
-            rows(thing.inertia * (recorded.object_mass / thing.mass)),
+            vector(obj.center_of_mass),
+            rows(obj.inertia * (recorded.object_mass / obj.mass)),
         ),
-        pieces=tuple(rows(piece.vertices) for piece in thing.pieces),
+        pieces=tuple(rows(piece.vertices) for piece in obj.pieces),
         gravity=scene.settings.gravity,
         friction=scene.settings.friction,
         torsional_friction=scene.settings.torsional_friction,

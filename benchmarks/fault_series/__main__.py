@@ -87,9 +87,9 @@ class BenchFaultSeries:
         cell = load_cell(self.robot)
         hand = load_hand(cell.hand)
         grasp, objects = self.choice.robot(hand)
-        thing = objects[str(grasp.object_name[0])]
-        placement = reachable_placement(cell, hand, thing, grasp)
-        tried = (scene(cell, hand, thing, grasp, placement, twin) for twin in range(MOST_TWINS))
+        obj = objects[str(grasp.object_name[0])]
+        placement = reachable_placement(cell, hand, obj, grasp)
+        tried = (scene(cell, hand, obj, grasp, placement, twin) for twin in range(MOST_TWINS))
         found = list(islice((one for one in tried if one is not None), self.twins))
         if not found:
             raise FungraspError(f"on {MOST_TWINS} twins of '{self.robot}' the grasp fails without a fault")

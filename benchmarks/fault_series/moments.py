@@ -69,7 +69,7 @@ class Scene:
     """The robot."""
     hand: Hand
     """On its arm."""
-    thing: ObjectModel
+    obj: ObjectModel
     """The object as it is believed."""
     grasp: RobotGraspSet
     """One."""
@@ -152,9 +152,9 @@ class TwinRun:
     """When each event came [s]."""
 
 
-def twin_world(scene_cell: RobotCell, hand: Hand, thing: ObjectModel, twin: int) -> TwinWorld:
+def twin_world(scene_cell: RobotCell, hand: Hand, obj: ObjectModel, twin: int) -> TwinWorld:
     """A twin of a cell, in which nothing has been put down yet."""
-    return TwinWorld(scene_cell, hand, thing, cell_twin(scene_cell, hand, twin), seed=twin)
+    return TwinWorld(scene_cell, hand, obj, cell_twin(scene_cell, hand, twin), seed=twin)
 
 
 def twin_run(
@@ -185,7 +185,7 @@ def twin_run(
 
 
 def scene(
-    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, placement: np.ndarray, twin: int
+    cell: RobotCell, hand: Hand, obj: ObjectModel, grasp: RobotGraspSet, placement: np.ndarray, twin: int
 ) -> Scene | None:
     """A deployment without faults on one twin; None where the object is not held: nothing could be said of a
     fault.
@@ -196,9 +196,9 @@ def scene(
     Raises:
         UnreachableError: the arm can't follow any plan.
     """
-    world = twin_world(cell, hand, thing, twin)
+    world = twin_world(cell, hand, obj, twin)
     world.settle(placement)
-    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    preparer = GraspPreparer(cell, hand, obj, MotionPlanner(hand, {obj.name: obj}))
     run = twin_run(world, cell, hand, preparer, OpenLoopPolicy())
     with run.robot:
         result = run.deployment.run(grasp)
@@ -221,4 +221,4 @@ def scene(
         Moment.PUT_DOWN: until(Phase.PUT_DOWN, Phase.HOME),
         Moment.HOME: until(Phase.HOME, Phase.DONE),
     }
-    return Scene(cell, hand, thing, grasp, placement, twin, run.deployment.prepared, spans, dict(run.events))
+    return Scene(cell, hand, obj, grasp, placement, twin, run.deployment.prepared, spans, dict(run.events))

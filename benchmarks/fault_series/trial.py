@@ -356,7 +356,7 @@ def no_fault_came(scene: Scene, drawn: Drawn, reason: str) -> FaultTrial:
         cell=scene.cell.name,
         number=drawn.number,
         twin=scene.twin,
-        object=scene.thing.name,
+        object=scene.obj.name,
         moment=drawn.moment.value,
         share=drawn.share,
         fault="none",

@@ -88,7 +88,7 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
     Args:
         drawn: the fault; one that is brought on a twin.
     """
-    world = twin_world(scene.cell, scene.hand, scene.thing, scene.twin)
+    world = twin_world(scene.cell, scene.hand, scene.obj, scene.twin)
     world.settle(scene.placement)
     event, after = drawn.after(scene)
     clock = FaultClock(world, scene.events[event] + after)

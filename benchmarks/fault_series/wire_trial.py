@@ -203,12 +203,12 @@ def wire_trial(scene: Scene, drawn: Drawn, patience: float) -> FaultTrial:
     """
     cell = private_cell(scene.cell, patience)
     scene = replace(scene, cell=cell)
-    world = twin_world(cell, scene.hand, scene.thing, scene.twin)
+    world = twin_world(cell, scene.hand, scene.obj, scene.twin)
     world.settle(scene.placement)
     judge, event = _HoldWatch(world), drawn.after(scene)
     with (
         TemporaryDirectory(prefix="fungrasp-") as folder,
-        CellEmulation(cell, world, scene.thing.name) as wires,
+        CellEmulation(cell, world, scene.obj.name) as wires,
     ):
         task = WireSession(scene, cell, Path(folder) / "log.mcap")
         with ControlProcess(run_wire_session, task) as session:

@@ -66,15 +66,15 @@ class MakeGraspSet:
         with PartStore.beside(self.out / "grasps") as store, progress_bar("making grasps", 1.0) as show:
             things = written_meshes(things, self.out / OBJECTS)
             grasps = made_grasps(things, self.count, self.seed, store, show)
-            kind = {thing.model.name: thing.stratum for thing in things}
+            kind = {obj.model.name: obj.stratum for obj in things}
             stratum = np.array([kind[name] for name in grasps.object_name.tolist()])
             if shown is not None:
                 known = shown.select(np.isin(shown.object_name, list(kind)))
                 grasps = HumanGraspSet.concatenate([grasps, known])
                 stratum = np.append(stratum, ["dexycb"] * len(known))
             parts = split_objects(
-                [(thing.stratum, thing.family) for thing in things],
-                [thing.model.name for thing in things],
+                [(obj.stratum, obj.family) for obj in things],
+                [obj.model.name for obj in things],
                 self.seed,
             )
             save_set(self.out, grasps, stratum, parts, run_record(self.seed))

@@ -59,7 +59,7 @@ class Generation(Job[int]):
     @cached_property
     def specifications(self) -> list[list[GraspSpecification]]:
         """Of each object."""
-        return [set_specifications(thing, self.seed) for thing in self.objects]
+        return [set_specifications(obj, self.seed) for obj in self.objects]
 
     def parts(self) -> list[int]:
         """Each object."""
@@ -67,9 +67,9 @@ class Generation(Job[int]):
 
     def key(self, part: int) -> str:
         """Digest of object, specifications and seed."""
-        thing, specs = self.objects[part], self.specifications[part]
-        count = thing.weight * self.count
-        return part_key("grasp set", load_hand("human"), thing.model, specs, SETTINGS, count, self.seed)
+        obj, specs = self.objects[part], self.specifications[part]
+        count = obj.weight * self.count
+        return part_key("grasp set", load_hand("human"), obj.model, specs, SETTINGS, count, self.seed)
 
     def run(self, parts: Sequence[int], progress: Callable[[float], None]) -> list[Arrays]:
         """Fields of each object's grasps; of an object that nobody can hold, no rows."""

@@ -87,13 +87,13 @@ def builtin_objects(count: int, seed: int) -> list[SetObject]:
     for name, number in product(object_names(), range(count)):
         rng = np.random.default_rng([seed, *name.encode(), number])
         scale = float(np.round(rng.uniform(*BUILTIN_SCALES), 3))
-        thing = load_object(name)
-        mass = thing.mass * scale**3 * rng.uniform(*MASS_FACTORS)
+        obj = load_object(name)
+        mass = obj.mass * scale**3 * rng.uniform(*MASS_FACTORS)
         model = replace(
-            thing,
+            obj,
             name=f"{name}-of-size-{scale:g}",
             mass=float(np.round(mass, 4)),
-            vertices=scale * thing.vertices,
+            vertices=scale * obj.vertices,
             construction=(),
             source="built-in, of another size and mass",
         )
@@ -126,14 +126,14 @@ def written_meshes(objects: Sequence[SetObject], folder: Path) -> list[SetObject
         FungraspError: a file can't be written.
     """
     read = []
-    for thing in objects:
-        path, model = folder / f"{thing.model.name}.obj", thing.model
-        text = _obj(model) if thing.stratum != "ycb" else Path(model.source).read_text()
+    for obj in objects:
+        path, model = folder / f"{obj.model.name}.obj", obj.model
+        text = _obj(model) if obj.stratum != "ycb" else Path(model.source).read_text()
         if not path.is_file() or path.read_text() != text:
             with atomic_path(path) as temporary:
                 temporary.write_text(text)
         same = object_from_file(path, model.mass)
-        read.append(replace(thing, model=replace(same, parts=_parts_as_of(model, same))))
+        read.append(replace(obj, model=replace(same, parts=_parts_as_of(model, same))))
     return read
 
 

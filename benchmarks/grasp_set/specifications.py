@@ -47,51 +47,51 @@ ROUNDS = 3
 """Specifications of an object are tried in so many variations."""
 
 
-def set_specifications(thing: SetObject, seed: int) -> list[GraspSpecification]:
+def set_specifications(obj: SetObject, seed: int) -> list[GraspSpecification]:
     """Specifications of plausible grasps, more than are wanted.
 
     Args:
-        thing: the object.
+        obj: the object.
         seed: of kinds, places, directions and order.
     """
-    rng = np.random.default_rng([seed, *thing.model.name.encode()])
-    usual = _usual(thing)
-    varied = [_varied(spec, thing, rng) for _ in range(ROUNDS) for spec in usual]
+    rng = np.random.default_rng([seed, *obj.model.name.encode()])
+    usual = _usual(obj)
+    varied = [_varied(spec, obj, rng) for _ in range(ROUNDS) for spec in usual]
     order = rng.permutation(len(varied))
-    return [varied[i] for i in order if _can_hold(varied[i], thing)]
+    return [varied[i] for i in order if _can_hold(varied[i], obj)]
 
 
-def _usual(thing: SetObject) -> list[GraspSpecification]:
+def _usual(obj: SetObject) -> list[GraspSpecification]:
     """Those of a built-in object at its size; of others those that are found, with the tasks of parts."""
-    if thing.stratum == "builtin":
+    if obj.stratum == "builtin":
         return [
             replace(
                 spec,
-                object=thing.model.name,
-                at=_vector(thing.scale * np.array(spec.at)),
-                places={link: _vector(thing.scale * np.array(p)) for link, p in spec.places.items()},
+                object=obj.model.name,
+                at=_vector(obj.scale * np.array(spec.at)),
+                places={link: _vector(obj.scale * np.array(p)) for link, p in spec.places.items()},
             )
             for spec in BUILTIN_SPECIFICATIONS
-            if spec.object == thing.family
+            if spec.object == obj.family
         ]
-    found = automatic_specifications(thing.model, thing.up)
-    named = [spec for spec in found if spec.part == WHOLE or spec.part in thing.tasks or not thing.tasks]
-    return [replace(spec, task=_task(spec, thing)) for spec in named]
+    found = automatic_specifications(obj.model, obj.up)
+    named = [spec for spec in found if spec.part == WHOLE or spec.part in obj.tasks or not obj.tasks]
+    return [replace(spec, task=_task(spec, obj)) for spec in named]
 
 
-def _task(spec: GraspSpecification, thing: SetObject) -> str:
+def _task(spec: GraspSpecification, obj: SetObject) -> str:
     if spec.part == WHOLE:
         return WHOLE_TASKS.get(spec.task, spec.task)
-    return thing.tasks[spec.part]
+    return obj.tasks[spec.part]
 
 
-def _varied(spec: GraspSpecification, thing: SetObject, rng: np.random.Generator) -> GraspSpecification:
+def _varied(spec: GraspSpecification, obj: SetObject, rng: np.random.Generator) -> GraspSpecification:
     """The same a little elsewhere and otherwise turned, perhaps of another kind."""
     turn = Rotation.from_rotvec(TURN * rng.standard_normal(3))
     at = np.array(spec.at) + SHIFT * rng.standard_normal(3)
     kind = str(rng.choice(OTHER_KINDS.get(spec.kind, (spec.kind,))))
     # What the specification says of single links belongs to its kind.
-    kept = spec.parts or spec.places or spec.contacts or thing.stratum == "builtin"
+    kept = spec.parts or spec.places or spec.contacts or obj.stratum == "builtin"
     return replace(
         spec,
         kind=spec.kind if kept else kind,
@@ -101,12 +101,12 @@ def _varied(spec: GraspSpecification, thing: SetObject, rng: np.random.Generator
     )
 
 
-def _can_hold(spec: GraspSpecification, thing: SetObject) -> bool:
+def _can_hold(spec: GraspSpecification, obj: SetObject) -> bool:
     """Whether people are strong enough for it."""
     weight, torque = STRENGTH.get(spec.kind, (np.inf, np.inf))
     up = np.array(spec.up) / np.linalg.norm(spec.up)
-    lever = np.array(spec.at) - thing.model.center_of_mass
-    load = GRAVITY * thing.model.mass
+    lever = np.array(spec.at) - obj.model.center_of_mass
+    load = GRAVITY * obj.model.mass
     return bool(load <= weight and load * np.linalg.norm(np.cross(lever, up)) <= torque)
 
 

@@ -54,10 +54,10 @@ class _Scene:
         palm.add_freejoint(name="free")
         table = spec.worldbody.add_body(name="table", mocap=True)
         table.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 0.05], pos=[0, 0, -0.05])
-        thing = spec.worldbody.add_body(name="object", mocap=True)
+        obj = spec.worldbody.add_body(name="object", mocap=True)
         for number, piece in enumerate(model.pieces):
             spec.add_mesh(name=f"piece{number}", uservert=np.asarray(piece.vertices).ravel())
-            thing.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece{number}")
+            obj.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece{number}")
         self.hand, self.model = hand, spec.compile()
         m = self.model
         root = m.body(hand.palm).rootid[0]

@@ -135,10 +135,10 @@ def capture_scene(
         parts.append((Label.SLEEVE, sleeve.surface(0.02, 6.0)))
     taken, center = np.concatenate([held.vertices, skin.vertices]), held.vertices.mean(0)
     for model, pose in _clutter(taken, center, clutter, towards, rng):
-        thing = painted_object(model)
+        obj = painted_object(model)
         if skin_like and rng.uniform() < skin_like:
-            thing = _in_one_color(thing, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
-        parts.append((Label.CLUTTER, thing.moved(pose).surface(0.3, 40.0)))
+            obj = _in_one_color(obj, SKIN_LIKE[rng.integers(len(SKIN_LIKE))])
+        parts.append((Label.CLUTTER, obj.moved(pose).surface(0.3, 40.0)))
     parts.append((Label.TABLE, capture_table(center, skin_like, rng)))
     parts += [(Label.ROOM, surface) for surface in _room(center, rng)]
     labels, surfaces = zip(*parts, strict=True)

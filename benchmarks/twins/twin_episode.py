@@ -150,12 +150,12 @@ class TwinSetup:
     def place(self, number: int, grasp: RobotGraspSet) -> list[PlacedGrasp]:
         """A grasp, of that number in its file, in each of its places: placements of the object from which the
         arm can reach it; one without placements if it can't."""
-        thing = self.objects[grasp.object_name[0]]
+        obj = self.objects[grasp.object_name[0]]
         most = MOST_PLACEMENTS * self.places
 
         def find() -> dict[str, np.ndarray]:
             try:
-                some = islice(reachable_placements(self.cell, self.hand, thing, grasp), most)
+                some = islice(reachable_placements(self.cell, self.hand, obj, grasp), most)
                 return {"placements": np.array(list(some)).reshape(-1, 7)}
             except UnreachableError:
                 return {"placements": np.zeros((0, 7))}
@@ -179,7 +179,7 @@ class TwinSetup:
         planner: RememberingPlanner,
     ) -> TwinEpisode:
         """Deploy one grasp on one twin. dynamics: what is known of the hand; the model's if None."""
-        thing = self.objects[placed.grasp.object_name[0]]
+        obj = self.objects[placed.grasp.object_name[0]]
 
         spec = DeploymentSpec(
             attempts=variant.attempts,
@@ -188,7 +188,7 @@ class TwinSetup:
             real_time=False,
             look_time=0.4,
         )
-        task = DeploymentTask(spec, self.cell, self.hand, thing, placed.grasp, self.policy, planner, dynamics)
+        task = DeploymentTask(spec, self.cell, self.hand, obj, placed.grasp, self.policy, planner, dynamics)
 
         def deploy_at(where: np.ndarray) -> DeploymentResult:
             return deploy_on_twin(task, where, truth, advise=False)
@@ -210,7 +210,7 @@ class TwinSetup:
             self.policy_key,
         )
         values = {name: value.item() for name, value in found.items()}
-        return TwinEpisode(placed.number, thing.name, twin, variant.name, place=placed.place, **values)
+        return TwinEpisode(placed.number, obj.name, twin, variant.name, place=placed.place, **values)
 
     def _kept(
         self,

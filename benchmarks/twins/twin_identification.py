@@ -55,7 +55,7 @@ class TwinIdentification:
 def record_on_twin(
     cell: RobotCell,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
     truth: TwinParameters,
     excitation: Excitation | None = None,
     weight: float = 0.0,
@@ -66,13 +66,13 @@ def record_on_twin(
     Args:
         cell: the robot.
         hand: on its arm.
-        thing: an object, which lies aside.
+        obj: an object, which lies aside.
         truth: what is true of the twin.
         excitation: of the joints; the default if None.
         weight: mass that is fixed to each fingertip [kg].
     """
     e = excitation or Excitation()
-    world = TwinWorld(cell, hand, thing, truth)
+    world = TwinWorld(cell, hand, obj, truth)
     if weight:
         hang_weights(world.model, hand, weight)
     world.settle(ASIDE)
@@ -101,7 +101,7 @@ def record_on_twin(
 def identify_on_twin(
     cell: RobotCell,
     hand: Hand,
-    thing: ObjectModel,
+    obj: ObjectModel,
     truth: TwinParameters,
     excitation: Excitation | None = None,
     settings: FitSettings | None = None,
@@ -113,7 +113,7 @@ def identify_on_twin(
     Args:
         cell: the robot.
         hand: on its arm.
-        thing: an object, which lies aside.
+        obj: an object, which lies aside.
         truth: what is true of the twin; it is used to simulate, and hidden from the fit.
         excitation: of the joints; the default if None.
         settings: of the fit; ``ALL_ERRORS`` if None.
@@ -125,7 +125,7 @@ def identify_on_twin(
     for number, ((wrist_1, wrist_3), mass) in enumerate(turns):
         home = (*cell.arm.home[:3], wrist_1, cell.arm.home[4], wrist_3)
         turned = replace(cell, arm=replace(cell.arm, home=home))
-        logs.append(record_on_twin(turned, hand, thing, truth, replace(e, seed=e.seed + number), mass))
+        logs.append(record_on_twin(turned, hand, obj, truth, replace(e, seed=e.seed + number), mass))
     found = fit_dynamics(hand, [log.part(0.0, 0.5) for log in logs], settings or ALL_ERRORS)
     missed = prediction_rms(hand, logs, found.dynamics, found.errors, after=0.5)
     return TwinIdentification(found, missed)

@@ -67,7 +67,7 @@ def test_an_address_that_cannot_be_emulated_is_told() -> None:
 
 
 TASK: Any = SimpleNamespace(
-    cell=None, hand=None, thing=SimpleNamespace(name="mug"), grasp=None, spec=SimpleNamespace(seed=0)
+    cell=None, hand=None, obj=SimpleNamespace(name="mug"), grasp=None, spec=SimpleNamespace(seed=0)
 )
 
 

@@ -135,8 +135,8 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
             pixels = read_folder(FOLDER).intrinsics.project(truth.joints_camera)
             covariance = np.tile(np.eye(3) * 0.004**2, (21, 1, 1))
             hand = HandEstimate(truth.joints_camera, pixels, np.full(21, 0.9), covariance, side, score)
-            thing = ObjectEstimate(truth.pose_camera_object, 0.95, True)
-            return real(capture, model, hand=hand, object_estimate=thing, **options)
+            obj = ObjectEstimate(truth.pose_camera_object, 0.95, True)
+            return real(capture, model, hand=hand, object_estimate=obj, **options)
 
         monkeypatch.setattr(pipeline, "perceive", seen)
 

@@ -279,7 +279,7 @@ def test_a_dry_run_moves_nothing() -> None:
 
 def test_where_one_plan_has_no_free_way_the_next_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     cell, hand = cell_and_hand()
-    (grasp, thing), where = grasp_and_object(), placed()
+    (grasp, obj), where = grasp_and_object(), placed()
     seeds: list[int] = []
     find, plan = FreePath.find, MotionPlanner.plan
 
@@ -289,7 +289,7 @@ def test_where_one_plan_has_no_free_way_the_next_is_tried(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(MotionPlanner, "plan", planned)
     monkeypatch.setattr(FreePath, "find", lambda self, *a: find(self, *a) if len(seeds) > 1 else None)
-    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    preparer = GraspPreparer(cell, hand, obj, MotionPlanner(hand, {obj.name: obj}))
     home = np.array(cell.arm.home)
     prepared = preparer.prepare(grasp, where, home)
     assert seeds == [0, 1] and len(prepared.corners)
@@ -330,8 +330,8 @@ def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest
 
 def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:
     cell, hand = cell_and_hand()
-    grasp, thing = grasp_and_object()
-    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    grasp, obj = grasp_and_object()
+    preparer = GraspPreparer(cell, hand, obj, MotionPlanner(hand, {obj.name: obj}))
     far = placed().copy()
     far[0] += 1.5
     with pytest.raises(UnreachableError) as error:
@@ -346,8 +346,8 @@ def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:
 @pytest.mark.parametrize("height, low", [(0.01, True), (0.25, False)])
 def test_a_palm_too_low_for_the_wrist_is_named(height: float, low: bool) -> None:
     cell, hand = cell_and_hand()
-    grasp, thing = grasp_and_object()
-    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    grasp, obj = grasp_and_object()
+    preparer = GraspPreparer(cell, hand, obj, MotionPlanner(hand, {obj.name: obj}))
     wrist = grasp.wrist_pose.copy()
     wrist[:, 2] += height + grasp.object_pose[:, 2] - placed()[2] - wrist[:, 2]
     moved = replace(grasp, wrist_pose=wrist)

@@ -108,12 +108,12 @@ def test_a_picture_is_drawn(motion: Motion, tmp_path: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(plan_picture, "WIDTH", 160)
     monkeypatch.setattr(plan_picture, "HEIGHT", 120)
-    (cell, hand), thing = cell_and_hand(), grasp_and_object()[1]
+    (cell, hand), obj = cell_and_hand(), grasp_and_object()[1]
     pedestal = Obstacle((-0.5, 0.0, 0.14), (0.25, 0.25, 0.28))
     cell = replace(cell, obstacles=(pedestal,))
     rows = [int(np.argmax(motion.phases == phase)) for phase in dict.fromkeys(motion.phases)]
     few = replace(motion, **{name: value[rows] for name, value in vars(motion).items()})
-    plan_picture.write_plan_picture(tmp_path / "lift.png", few, cell, hand, thing)
+    plan_picture.write_plan_picture(tmp_path / "lift.png", few, cell, hand, obj)
     seen = np.asarray(Image.open(tmp_path / "lift.png")).astype(int)
     assert seen.std() > 10
     # The pedestal is drawn: nothing else is as red.

@@ -50,10 +50,10 @@ def test_numbers_are_those_of_dense_points_on_the_exported_model(name, method, h
     random = np.random.default_rng(0)
     for row, grasp in enumerate(robot):
         placed = PlacedHand(hand, grasp)
-        thing, world = objects[grasp.object_name], matrix(grasp.object_pose)
+        obj, world = objects[grasp.object_name], matrix(grasp.object_pose)
         points, bodies = placed.surface(random)
         local = (points - world[:3, 3]) @ world[:3, :3]
-        distance = convex_distance(thing, local)
+        distance = convex_distance(obj, local)
         assert quality.object_penetration_mm[row] == pytest.approx(-1e3 * min(distance.min(), 0), abs=0.25)
         gaps = np.array([max(distance[np.isin(bodies, link)].min(), 0.0) for link in hand.links])
         wanted = grasp.link_contacts & (np.arange(len(gaps)) > 0)
@@ -72,7 +72,7 @@ def test_contact_error_and_directions_of_fingers_by_hand(human, objects, hand, r
     quality = static_quality(robot, human, objects, hand)
     fingers = {"index": 0, "middle": 1, "ring": 2, "thumb": 4}
     for row, grasp in enumerate(robot):
-        placed, thing, world = PlacedHand(hand, grasp), objects[grasp.object_name], matrix(grasp.object_pose)
+        placed, obj, world = PlacedHand(hand, grasp), objects[grasp.object_name], matrix(grasp.object_pose)
         person = human[row]
         errors, angles = [], []
         for name, place in fingers.items():
@@ -85,7 +85,7 @@ def test_contact_error_and_directions_of_fingers_by_hand(human, objects, hand, r
                 angles.append(np.degrees(np.arccos(cosine)))
                 if person.link_contacts[1 + 3 * place + link]:
                     ends = (np.array([joints[link + 1], own[link + 1]]) - world[:3, 3]) @ world[:3, :3]
-                    errors.append(1e3 * np.linalg.norm(np.subtract(*nearest_point(thing, ends))))
+                    errors.append(1e3 * np.linalg.norm(np.subtract(*nearest_point(obj, ends))))
         assert quality.contact_error_mm[row] == pytest.approx(np.mean(errors), abs=0.3)
         assert quality.link_direction_error_deg[row] == pytest.approx(np.mean(angles), abs=0.01)
 

@@ -57,8 +57,8 @@ def test_people_have_such_hands_and_bend_them_so(grasps):
 def test_objects_rest_on_the_table_with_their_own_mass(grasps):
     np.testing.assert_array_equal(grasps.object_pose, grasps.object_rest_pose)
     for grasp in grasps:
-        thing = load_object(grasp.object_name)
-        assert grasp.object_mass == pytest.approx(thing.mass)
+        obj = load_object(grasp.object_name)
+        assert grasp.object_mass == pytest.approx(obj.mass)
 
 
 def test_fingers_stay_out_of_object_and_table(grasps, surface):

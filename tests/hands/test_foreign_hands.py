@@ -39,7 +39,7 @@ def test_a_palm_whose_origin_is_far_starts_as_far_from_the_object(tmp_path: Path
     far, said = added(tmp_path, on_flange(odd_hand()), palm="flange")
     assert any("the origin of the palm 'flange' lies 0.59 m from the bases" in message for message in said)
     model = load_object("can", 0.3)
-    thing = np.array([[0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]])
+    obj = np.array([[0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]])
     grasp = np.array([[-0.05, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0]])
     from_palm = {"near": np.zeros(3), "far": np.array([0.0, 0.0, 0.5])}
     tips = []
@@ -50,8 +50,8 @@ def test_a_palm_whose_origin_is_far_starts_as_far_from_the_object(tmp_path: Path
         grasps = RobotGraspSet(
             object_name=np.array(["can"]),
             object_mass=np.array([0.3]),
-            object_pose=thing,
-            object_rest_pose=thing,
+            object_pose=obj,
+            object_rest_pose=obj,
             hand=hand.name,
             joint_names=hand.joint_names,
             wrist_pose=wrist,
@@ -61,10 +61,10 @@ def test_a_palm_whose_origin_is_far_starts_as_far_from_the_object(tmp_path: Path
         )
         fingers = np.zeros((1, len(hand.actuators)))
         start, target = StartPoses(hand, [model]).facing(
-            grasps, np.zeros(1, dtype=int), thing, LiftProtocol.start_distance, fingers, np.zeros(1)
+            grasps, np.zeros(1, dtype=int), obj, LiftProtocol.start_distance, fingers, np.zeros(1)
         )
         np.testing.assert_allclose(target, wrist)
-        tips.append(compose(start, at_palm)[0, :3] - thing[0, :3])
+        tips.append(compose(start, at_palm)[0, :3] - obj[0, :3])
     distance = np.linalg.norm(tips, axis=1)
     # The palm's own frame begins 9 cm before the bases, and the place that counts 15 cm.
     assert distance[0] == pytest.approx(0.30) and 0.2 < distance[1] < 0.30

@@ -37,12 +37,12 @@ class MujocoWorld:
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         spec.worldbody.add_geom(name="table", type=plane, size=[0.75, 0.75, 0.05], **self._contact)
         spec.geom("table").pos = [0.0, 0.0, bundle.table_height]
-        thing = spec.worldbody.add_body(name="object")
-        thing.add_freejoint(name="object")
-        thing.mass, thing.ipos = bundle.object_inertia.mass, bundle.object_inertia.center
-        thing.fullinertia, thing.explicitinertial = _six(bundle.object_inertia.tensor), True
+        obj = spec.worldbody.add_body(name="object")
+        obj.add_freejoint(name="object")
+        obj.mass, obj.ipos = bundle.object_inertia.mass, bundle.object_inertia.center
+        obj.fullinertia, obj.explicitinertial = _six(bundle.object_inertia.tensor), True
         for number, corners in enumerate(bundle.pieces):
-            self._convex(spec, thing, f"object/{number}", corners, {})
+            self._convex(spec, obj, f"object/{number}", corners, {})
         reference = bundle.wrist_reference
         base = spec.worldbody.add_body(name="", mocap=True, pos=reference[:3], quat=reference[3:])
         base.name = "wrist_reference"

@@ -61,7 +61,7 @@ def scene(
     camera_world = invert(world_camera)
     pose = compose(camera_world, pose_world)
     directions = CAMERA.rays().reshape(-1, 3)
-    thing = MeshRays(model.vertices, model.faces).cast(pose[None], directions)[0]
+    obj = MeshRays(model.vertices, model.faces).cast(pose[None], directions)[0]
     joints = hand_joints(beside)
     rods = [trimesh.creation.capsule(radius=0.008, segment=joints[list(bone)]) for bone in BONES]
     skin: Any = trimesh.util.concatenate(rods)
@@ -70,8 +70,8 @@ def scene(
     plane[3] = world_camera[2]
     slope = directions @ plane[:3]
     table = np.where(slope < -1e-3, -plane[3] / slope, 3.0)
-    depth = np.minimum(np.minimum(thing, flesh), np.minimum(table, 3.0))
-    mask = (thing == depth).reshape(240, 320)
+    depth = np.minimum(np.minimum(obj, flesh), np.minimum(table, 3.0))
+    mask = (obj == depth).reshape(240, 320)
     depth = depth + noise * rng.normal(size=depth.shape)
     color = np.full((240, 320, 3), 120, np.uint8)
     camera_joints = transform_points(camera_world, joints)

@@ -16,11 +16,11 @@ def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
 
     def deploy(task, *arguments, **options):
-        names.append(task.thing.name)
+        names.append(task.obj.name)
         measured = {"height": 0.11, "tracking": 0.02, "sag": 0.03}
         return SimpleNamespace(fault="", attempts=task.spec.attempts, success=len(names) % 2 == 1, **measured)
 
-    def reach(cell, hand, thing, grasp, seed=0):
+    def reach(cell, hand, obj, grasp, seed=0):
         yield from (np.array([x, 0, 0, 1, 0, 0, 0]) for x in (0.1, 0.2))
 
     def identified(setup, aside):

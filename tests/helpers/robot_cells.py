@@ -49,16 +49,16 @@ def grasp_and_object(row: int = ROW) -> tuple[RobotGraspSet, ObjectModel]:
 @cache
 def placed(row: int = ROW) -> np.ndarray:
     cell, hand = cell_and_hand()
-    grasp, thing = grasp_and_object(row)
-    return reachable_placement(cell, hand, thing, grasp)
+    grasp, obj = grasp_and_object(row)
+    return reachable_placement(cell, hand, obj, grasp)
 
 
 @cache
 def near_cell(row: int = ROW) -> RobotCell:
     """The cell with the arm where the plan begins: less to simulate."""
     cell, hand = cell_and_hand()
-    grasp, thing = grasp_and_object(row)
-    preparer = GraspPreparer(cell, hand, thing, MotionPlanner(hand, {thing.name: thing}))
+    grasp, obj = grasp_and_object(row)
+    preparer = GraspPreparer(cell, hand, obj, MotionPlanner(hand, {obj.name: obj}))
     start = preparer.prepare(grasp, placed(row), np.array(cell.arm.home)).reach.start
     return replace(cell, arm=replace(cell.arm, home=tuple(start.tolist())))
 
@@ -100,15 +100,15 @@ def task(
 ) -> DeploymentTask:
     """The built-in grasp with a plan of one motion."""
     _, hand = cell_and_hand()
-    grasp, thing = grasp_and_object(row)
+    grasp, obj = grasp_and_object(row)
     return DeploymentTask(
         spec(**options),
         cell or near_cell(row),
         hand,
-        thing,
+        obj,
         grasp,
         policy or OpenLoopPolicy(),
-        planner or MotionPlanner(hand, {thing.name: thing}),
+        planner or MotionPlanner(hand, {obj.name: obj}),
     )
 
 

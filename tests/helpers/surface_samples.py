@@ -81,10 +81,10 @@ def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     raise NotImplementedError(kind)
 
 
-def convex_distance(thing: ObjectModel, points: np.ndarray) -> np.ndarray:
+def convex_distance(obj: ObjectModel, points: np.ndarray) -> np.ndarray:
     """Signed distance of points from a convex object, its own frame: exact up to ``NEAR``, beyond it that
     from the plane of the face that is farthest below, which is less."""
-    mesh = trimesh.Trimesh(thing.vertices, thing.faces, process=True)
+    mesh = trimesh.Trimesh(obj.vertices, obj.faces, process=True)
     corners, normals = mesh.triangles[:, 0], mesh.face_normals
     planes = np.max(points @ normals.T - np.sum(corners * normals, axis=1), axis=1)
     near = np.flatnonzero((planes > 0) & (planes < NEAR))
@@ -107,6 +107,6 @@ def _closest(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     return found[np.arange(len(points)), best]
 
 
-def nearest_point(thing: ObjectModel, points: np.ndarray) -> np.ndarray:
-    mesh = trimesh.Trimesh(thing.vertices, thing.faces, process=True)
+def nearest_point(obj: ObjectModel, points: np.ndarray) -> np.ndarray:
+    mesh = trimesh.Trimesh(obj.vertices, obj.faces, process=True)
     return trimesh.proximity.closest_point_naive(mesh, points)[0]

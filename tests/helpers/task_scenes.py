@@ -34,14 +34,14 @@ def plain(name: str, size: tuple[float, float, float], mass: float = 0.2) -> Obj
 def above(objects: Sequence[ObjectModel], height: float = 0.3) -> RobotGraspSet:
     """Hands flat above objects that stand on the table; every finger link should touch."""
     count = len(objects)
-    rest = np.array([thing.rest_pose() for thing in objects])
+    rest = np.array([obj.rest_pose() for obj in objects])
     wrist = np.concatenate([rest[:, :3] + [0.0, 0.0, height], np.tile(DOWN, (count, 1))], axis=1)
     contacts = np.ones((count, len(hand().links)), dtype=bool)
     contacts[:, 0] = False
     return RobotGraspSet(
         hand=hand().name,
-        object_name=np.array([thing.name for thing in objects]),
-        object_mass=np.array([thing.mass for thing in objects]),
+        object_name=np.array([obj.name for obj in objects]),
+        object_mass=np.array([obj.mass for obj in objects]),
         object_pose=rest,
         object_rest_pose=rest,
         wrist_pose=wrist,
@@ -54,7 +54,7 @@ def above(objects: Sequence[ObjectModel], height: float = 0.3) -> RobotGraspSet:
 
 def ready(objects: Sequence[ObjectModel], protocol: LiftProtocol | None = None, threads: int = 1) -> LiftTask:
     """A task whose objects have settled, a hand 30 cm above each."""
-    kinds = {thing.name: thing for thing in objects}
+    kinds = {obj.name: obj for obj in objects}
     scene = build_scene(hand(), kinds)
     engine = MujocoCpuEngine(scene, len(objects), threads)
     grasps = above(objects)

@@ -119,9 +119,9 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     assert "Not sure" not in said and "What would help" not in said
     assert "seen in one image" in said
     warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
-    thing = replace(perceived().object, score=0.3, accepted=False)
+    obj = replace(perceived().object, score=0.3, accepted=False)
     verdict = Acceptance(False, 0.3, 0.5, METERS, ("a click at the object",))
-    html = page(tmp_path, perceived(object=thing, acceptance=verdict, warnings=warnings))
+    html = page(tmp_path, perceived(object=obj, acceptance=verdict, warnings=warnings))
     said = words(html)
     assert "✓" not in said
     assert (
@@ -208,8 +208,8 @@ def test_joints_that_are_not_trusted_are_counted(tmp_path, no_pictures):
 
 def test_another_pose_that_fits_as_well_is_told():
     def said(*others: tuple[np.ndarray, float]) -> str:
-        thing = ObjectEstimate(TRUTH.pose_camera_object, 0.95, True, others)
-        return alternatives(CAPTURE, MODEL, perceived(object=thing))
+        obj = ObjectEstimate(TRUTH.pose_camera_object, 0.95, True, others)
+        return alternatives(CAPTURE, MODEL, perceived(object=obj))
 
     assert "No other pose" in said()
     assert "turned by 180°, fits almost as well" in words(said((turned(180), 0.93)))

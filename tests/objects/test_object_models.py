@@ -245,13 +245,13 @@ def test_a_shifted_mass_is_that_of_a_box_with_a_weight_at_its_wall():
 @pytest.mark.parametrize("name", ["tennis_ball", "mug", "drill", "scissors"])
 def test_a_shifted_mass_is_always_possible(name):
     """Principal moments obey the triangle inequality: no part of the mass is negative."""
-    thing, count = builtin_object(name), 200
+    obj, count = builtin_object(name), 200
     shift = np.random.default_rng(0).uniform(-0.15, 0.15, (count, 3))
     _, inertia = shifted_mass(
-        np.tile(thing.center_of_mass, (count, 1)),
-        np.tile(thing.inertia, (count, 1, 1)),
-        np.full(count, thing.mass),
-        np.tile(thing.size, (count, 1)),
+        np.tile(obj.center_of_mass, (count, 1)),
+        np.tile(obj.inertia, (count, 1, 1)),
+        np.full(count, obj.mass),
+        np.tile(obj.size, (count, 1)),
         shift,
     )
     moments = np.linalg.eigvalsh(inertia)

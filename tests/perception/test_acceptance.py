@@ -43,10 +43,10 @@ def hand(score: float = 0.9, joints_sure: float = 0.9) -> HandEstimate:
 
 def judged(evidence: PoseEvidence, score: float = 0.9, joints_sure: float = 0.9) -> Acceptance:
     probability = object_probability(evidence)
-    thing = ObjectEstimate(
+    obj = ObjectEstimate(
         np.array([0, 0, 0.5, 1.0, 0, 0, 0]), probability, probability >= ACCEPT, evidence=evidence
     )
-    return judge(thing, hand(score, joints_sure))
+    return judge(obj, hand(score, joints_sure))
 
 
 def test_good_evidence_is_sure_and_needs_no_help():
@@ -101,10 +101,10 @@ def test_pieces_of_a_mask_are_not_known_without_one():
 
 
 def test_where_a_pose_was_given_a_mask_helps_but_not_a_click():
-    thing = ObjectEstimate(
+    obj = ObjectEstimate(
         np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.2, False, evidence=dataclasses.replace(GOOD, hinted=0.0)
     )
-    found, given = (judge(thing, hand(), given=said).help for said in (False, True))
+    found, given = (judge(obj, hand(), given=said).help for said in (False, True))
     assert any("click" in words for words in found)
     assert "a mask of the object (--mask)" in given and not any("click" in words for words in given)
 
@@ -136,17 +136,17 @@ def test_shares_add_up_to_the_odds():
 
 
 def test_a_fitted_shape_is_said_to_be_one():
-    thing = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.7, True)
-    said = judge(thing, hand(), fitted="box:60x28x30")
+    obj = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.7, True)
+    said = judge(obj, hand(), fitted="box:60x28x30")
     assert said.sure and said.summary().startswith("unknown object: a box of 60 x 28 x 30 mm explains 70 %")
     assert said.as_json()["fitted"] == "box:60x28x30"
 
 
 def test_a_doubt_is_more_than_any_probability():
-    thing = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.99, True)
-    said = judge(thing, hand(), doubt="it looks like the other hand")
+    obj = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.99, True)
+    said = judge(obj, hand(), doubt="it looks like the other hand")
     assert not said.sure and said.object == 0.99 and said.hand >= ACCEPTED_HAND
     assert said.summary().startswith("not sure: it looks like the other hand (object 99 %")
-    assert said.as_json()["doubt"] == said.doubt and judge(thing, hand()).as_json()["doubt"] is None
-    shape = judge(thing, hand(), fitted="box:60x28x30", doubt="another size")
+    assert said.as_json()["doubt"] == said.doubt and judge(obj, hand()).as_json()["doubt"] is None
+    shape = judge(obj, hand(), fitted="box:60x28x30", doubt="another size")
     assert not shape.sure and shape.summary().endswith("; not sure: another size")

@@ -84,8 +84,8 @@ def test_an_image_becomes_a_grasp():
     assert warning.code == "object_orientation" and "which way round the object is" in str(warning)
     error = np.linalg.norm(perceived.hand.joints_camera - scene.joints, axis=1)
     assert error.mean() < 0.012
-    thing = perceived.object
-    poses = [thing.pose_camera_object, *(p for p, score in thing.alternatives if score > thing.score - 0.1)]
+    obj = perceived.object
+    poses = [obj.pose_camera_object, *(p for p, score in obj.alternatives if score > obj.score - 0.1)]
     assert min(add_s(scene.model.vertices, pose, scene.pose_camera_object) for pose in poses) < 0.004
     np.testing.assert_allclose(perceived.table, scene.table, atol=0.01)
     grasp = perceived.grasp
@@ -193,9 +193,9 @@ def test_a_left_hand_is_mirrored_on_the_way_in():
         object_estimate=known(scene),
         table=scene.table,
     )
-    image, model, thing, hand = mirrored(scene, detected)
+    image, model, obj, hand = mirrored(scene, detected)
     left = perceive(
-        image, model, detector=StandIn(hand), object_estimate=thing, table=scene.table * [-1, 1, 1, 1]
+        image, model, detector=StandIn(hand), object_estimate=obj, table=scene.table * [-1, 1, 1, 1]
     )
     assert left.hand.side == "left" and left.grasp.object_name == "gum_mirrored"
     # Other pixels show the hand, and the meshes' distance grids differ by a fraction of a cell: either may

@@ -80,13 +80,13 @@ def test_an_object_that_sinks_is_pressed_harder_and_lifted_higher():
     at_work = tracker()
     for step in range(20):
         up = 0.01 * step * np.array([0.0, 0.0, 1.0])
-        palm, thing = seen.palm_pose.copy(), seen.object_pose.copy()
+        palm, obj = seen.palm_pose.copy(), seen.object_pose.copy()
         palm[:, :3] += up
-        thing[0, :3] += up
-        thing[1, :3] += 0.5 * up
+        obj[0, :3] += up
+        obj[1, :3] += 0.5 * up
         time = PERIOD * (p.lift_step + step)
         lifting = replace(
-            seen, time=time, time_since_lift=np.full(2, PERIOD * step), palm_pose=palm, object_pose=thing
+            seen, time=time, time_since_lift=np.full(2, PERIOD * step), palm_pose=palm, object_pose=obj
         )
         at_work.update(lifting)
     goal, fingers = p.at(p.lift_step + 19)

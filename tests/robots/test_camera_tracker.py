@@ -35,11 +35,11 @@ def truth(image: int) -> np.ndarray:
 @cache
 def images() -> tuple[Capture, ...]:
     rng, rays = np.random.default_rng(0), LENS.rays().reshape(-1, 3)
-    thing = load_object("can")
+    obj = load_object("can")
     center = compose(invert(CAMERA), np.array([0.0, 0, 0, 1, 0, 0, 0]))
     up = compose(invert(CAMERA), np.array([0.0, 0, 1, 1, 0, 0, 0]))[:3] - center[:3]
     table = (up @ center[:3]) / (rays @ up)
-    caster, captures = MeshRays(thing.vertices, thing.faces), []
+    caster, captures = MeshRays(obj.vertices, obj.faces), []
     for i in range(IMAGES):
         seen = caster.cast(compose(invert(CAMERA), truth(i))[None], rays)[0]
         on = seen < table

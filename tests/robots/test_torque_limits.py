@@ -67,12 +67,12 @@ def test_a_hand_that_limits_its_torques_itself_keeps_those_of_its_model() -> Non
 @pytest.mark.parametrize("limits", [0.1, [0.05, 0.1, 0.15, 0.2] * 4])
 def test_a_twin_makes_no_more_than_its_driver_asks(limits: Any) -> None:
     cell, hand = cell_and_hand()
-    _, thing = grasp_and_object()
+    _, obj = grasp_and_object()
     # A motor that makes 1.2 times the torque that it is asked for.
     truth = draw_twin(0, len(hand.joint_names), 16, replace(IDEAL, stiffness=(1.2, 1.2)))
     largest = []
     for of in (cell, with_options(cell, torque_limits=limits)):
-        world = TwinWorld(of, hand, thing, truth)
+        world = TwinWorld(of, hand, obj, truth)
         world.command_hand(world.finger_positions() + 1.0)
         seen = np.zeros(16)
         for step in range(40):

@@ -168,13 +168,13 @@ def test_a_bowl_is_grasped_on_a_twin_with_everything_over_ros(tmp_path: Path) ->
     )
     hand = load_hand(cell.hand)
     grasp, objects = GraspChoice("bowl").robot(hand)
-    thing = objects["bowl"]
+    obj = objects["bowl"]
     task = deployment_task(grasp, objects, DeploymentSpec("ur5e-inspire-emulated"))
     task = replace(task, cell=cell)
     # Of the package's own drivers, by name; these two are not installed here.
     arm, side, poses = make_arm(cell), make_hand(cell), make_pose_source(cell)
     said = tmp_path / "task"
-    said.write_bytes(pickle.dumps((cell, thing, reachable_placement(cell, hand, thing, grasp))))
+    said.write_bytes(pickle.dumps((cell, obj, reachable_placement(cell, hand, obj, grasp))))
     worker = Path(__file__).with_name("twin_over_ros.py")
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, worker, said], env=worker_environment(), **pipes) as twin:

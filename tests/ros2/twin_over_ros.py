@@ -34,9 +34,9 @@ def pose_message(pose: np.ndarray, nanoseconds: int) -> PoseStamped:
 def main() -> None:
     """See the module."""
     # Written by the test that starts this process.
-    cell, thing, placement = pickle.loads(Path(sys.argv[1]).read_bytes())
+    cell, obj, placement = pickle.loads(Path(sys.argv[1]).read_bytes())
     hand, ended = load_hand(cell.hand), threading.Event()
-    world = TwinWorld(cell, hand, thing, cell_twin(cell, hand, 0))
+    world = TwinWorld(cell, hand, obj, cell_twin(cell, hand, 0))
     world.settle(placement)
     rest, last, highest, up = float(world.center_of_mass()[2]), None, 0.0, 0.0
     commands = cell.hand_device.options["commands"]

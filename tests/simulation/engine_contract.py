@@ -138,18 +138,18 @@ class EngineContract:
 
     def test_what_is_written_is_read(self):
         engine = self.make(contract_scene(), 4)
-        thing, frame, palm = (random_poses(seed, 4) for seed in range(3))
+        obj, frame, palm = (random_poses(seed, 4) for seed in range(3))
         palm[:, :3] = frame[:, :3] + 0.1
         palm[:, 3:] = compose(frame, pose(4, 0, 0, 0, turn=np.array([0.8, 0.6, 0, 0])))[:, 3:]
         joints = np.random.default_rng(3).uniform(0, 1, (4, 16))
-        engine.set_state(object_pose=thing, wrist_frame=frame, palm_pose=palm, joint_positions=joints)
-        for seen, written in ((engine.object_pose, thing), (engine.palm_pose, palm)):
+        engine.set_state(object_pose=obj, wrist_frame=frame, palm_pose=palm, joint_positions=joints)
+        for seen, written in ((engine.object_pose, obj), (engine.palm_pose, palm)):
             np.testing.assert_allclose(seen[:, :3], written[:, :3], atol=self.readback)
             np.testing.assert_allclose(angle(seen[:, 3:], written[:, 3:]), 0, atol=self.turned)
         np.testing.assert_allclose(engine.wrist_frame, frame, atol=self.readback)
         np.testing.assert_allclose(engine.joint_positions, joints, atol=self.readback)
         centers = np.tile(contract_objects()[OBJECTS[0]].center_of_mass, (4, 1))
-        center = transform_points(thing, centers[:, None])[:, 0]
+        center = transform_points(obj, centers[:, None])[:, 0]
         np.testing.assert_allclose(engine.center_of_mass, center, atol=self.turned)
         np.testing.assert_allclose(engine.object_velocity, 0, atol=self.readback)
         assert engine.positions.shape == (4, contract_scene().model.nq)

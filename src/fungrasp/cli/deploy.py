@@ -69,8 +69,8 @@ class Deploy(Answering):
 
                 assert picture is not None
                 motion = rehearse(robot, grasp, prepared)
-                thing = objects[str(grasp.object_name[0])]
-                write_plan_picture(picture, motion, cell, hand, thing, choice.threads)
+                obj = objects[str(grasp.object_name[0])]
+                write_plan_picture(picture, motion, cell, hand, obj, choice.threads)
                 print(f"look at: {picture}", flush=True)
 
             terminal = _terminal(switch, asks, None if picture is None else draw)

@@ -470,8 +470,8 @@ def _draw(grasps: HumanGraspSet | RobotGraspSet, row: int, path: Path, objects: 
     from fungrasp.objects import load_object
 
     name = str(grasps.object_name[row])
-    thing = load_object(name, float(grasps.object_mass[row]), objects)
-    picture = grasp_picture(grasps, row, {name: thing}, WIDTH, HEIGHT)
+    obj = load_object(name, float(grasps.object_mass[row]), objects)
+    picture = grasp_picture(grasps, row, {name: obj}, WIDTH, HEIGHT)
     with atomic_path(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG")
 

@@ -178,13 +178,13 @@ class Emulate:
         cell = load_cell(self.cell)
         hand = load_hand(cell.hand)
         grasp, objects = self.choice.robot(hand)
-        thing = objects[str(grasp.object_name[0])]
+        obj = objects[str(grasp.object_name[0])]
         truth = cell_twin(cell, hand, self.twin)
-        world = TwinWorld(cell, hand, thing, truth)
-        world.settle(reachable_placement(cell, hand, thing, grasp))
+        world = TwinWorld(cell, hand, obj, truth)
+        world.settle(reachable_placement(cell, hand, obj, grasp))
         rest = world.center_of_mass()[2]
-        with emulators.CellEmulation(cell, world, thing.name) as emulation:
-            print(f"{cell.name}: emulators are ready, with '{thing.name}' on the table", flush=True)
+        with emulators.CellEmulation(cell, world, obj.name) as emulation:
+            print(f"{cell.name}: emulators are ready, with '{obj.name}' on the table", flush=True)
             start, highest, up = time.monotonic(), 0.0, 0.0
             try:
                 while self.seconds is None or time.monotonic() < start + self.seconds:

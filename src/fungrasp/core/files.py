@@ -126,27 +126,27 @@ def digest(*things: Any) -> str:
     describes."""
     result = hashlib.sha256()
 
-    def add(thing: Any) -> None:
-        own = getattr(thing, "digest", None)
+    def add(obj: Any) -> None:
+        own = getattr(obj, "digest", None)
         if isinstance(own, str):
             result.update(own.encode())
-        elif isinstance(thing, Mapping):
-            for key in sorted(thing):
+        elif isinstance(obj, Mapping):
+            for key in sorted(obj):
                 result.update(f"{key}:".encode())
-                add(thing[key])
-        elif isinstance(thing, list | tuple):
-            result.update(f"{len(thing)}:".encode())
-            for item in thing:
+                add(obj[key])
+        elif isinstance(obj, list | tuple):
+            result.update(f"{len(obj)}:".encode())
+            for item in obj:
                 add(item)
-        elif isinstance(thing, np.ndarray):
-            result.update(f"{thing.dtype}{thing.shape}".encode())
-            result.update(np.ascontiguousarray(thing).tobytes())
+        elif isinstance(obj, np.ndarray):
+            result.update(f"{obj.dtype}{obj.shape}".encode())
+            result.update(np.ascontiguousarray(obj).tobytes())
         else:
-            result.update(thing if isinstance(thing, bytes) else repr(thing).encode())
+            result.update(obj if isinstance(obj, bytes) else repr(obj).encode())
         result.update(b";")
 
-    for thing in things:
-        add(thing)
+    for obj in things:
+        add(obj)
     return result.hexdigest()
 
 

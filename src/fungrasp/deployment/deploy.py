@@ -76,7 +76,7 @@ def deploy(
         switch = stack.enter_context(StopSwitch(task.cell.stop_file)) if switch is None else switch
         if not is_twin(task.cell):
             return deploy_on_robot(task, observers, switch)
-        placement = reachable_placement(task.cell, task.hand, task.thing, robot, spec.seed)
+        placement = reachable_placement(task.cell, task.hand, task.obj, robot, spec.seed)
         truth = cell_twin(task.cell, task.hand, spec.twin)
         result = deploy_on_twin(task, placement, truth, observers, switch=switch)
         if spec.until in ("plan", "approach", "grasp"):

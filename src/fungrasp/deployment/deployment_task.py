@@ -34,7 +34,7 @@ class DeploymentTask:
     """The robot."""
     hand: Hand
     """On its arm."""
-    thing: ObjectModel
+    obj: ObjectModel
     """The object as it is believed."""
     grasp: RobotGraspSet
     """One."""
@@ -48,7 +48,7 @@ class DeploymentTask:
     def preparer(self, advise: bool = True) -> GraspPreparer:
         """What plans. advise: whether a placement that would do is looked for where the object's does not."""
         return GraspPreparer(
-            self.cell, self.hand, self.thing, self.planner, self.dynamics, self.spec.seed, advise=advise
+            self.cell, self.hand, self.obj, self.planner, self.dynamics, self.spec.seed, advise=advise
         )
 
     @property

@@ -102,7 +102,7 @@ class GraspPreparer:
         self,
         cell: RobotCell,
         hand: Hand,
-        thing: ObjectModel,
+        obj: ObjectModel,
         planner: Planner,
         dynamics: HandDynamics | None = None,
         seed: int = 0,
@@ -115,14 +115,14 @@ class GraspPreparer:
             advise: whether a placement that would do is looked for where the object's does not.
         """
         self._advise = advise
-        self._cell, self._hand, self._thing, self._planner = cell, hand, thing, planner
-        self.objects: Mapping[str, ObjectModel] = {thing.name: thing}
+        self._cell, self._hand, self._thing, self._planner = cell, hand, obj, planner
+        self.objects: Mapping[str, ObjectModel] = {obj.name: obj}
         """The object by its name."""
         self._dynamics, self._seed = dynamics, seed
-        self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand, thing)
+        self._kinematics, self._clearance = ArmKinematics(cell, hand), ClearanceModel(cell, hand, obj)
         self._rng = np.random.default_rng(seed)
         self._reach = ReachChecker(cell, self._kinematics, self._clearance, self._rng)
-        self._starts = StartPoses(hand, [thing])
+        self._starts = StartPoses(hand, [obj])
         self._protocol = LiftProtocol(
             wrist_speed=cell.limits.palm_speed, wrist_acceleration=cell.limits.palm_acceleration
         )

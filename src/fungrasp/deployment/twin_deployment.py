@@ -45,7 +45,7 @@ PLACEMENTS_PLANNED = 12
 
 
 def reachable_placement(
-    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+    cell: RobotCell, hand: Hand, obj: ObjectModel, grasp: RobotGraspSet, seed: int = 0
 ) -> np.ndarray:
     """Where a person would put the object so that the arm can grasp it: the first of
     ``reachable_placements``. Arguments and errors: as there.
@@ -53,11 +53,11 @@ def reachable_placement(
     Returns:
         the object, world frame, shape [7].
     """
-    return next(reachable_placements(cell, hand, thing, grasp, seed))
+    return next(reachable_placements(cell, hand, obj, grasp, seed))
 
 
 def reachable_placements(
-    cell: RobotCell, hand: Hand, thing: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+    cell: RobotCell, hand: Hand, obj: ObjectModel, grasp: RobotGraspSet, seed: int = 0
 ) -> Iterator[np.ndarray]:
     """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
     it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the
@@ -87,11 +87,11 @@ def reachable_placements(
         hand_depth=box.hand_depth - 0.5 * box.table_clearance,
     )
     cell = replace(cell, workspace=roomy)
-    planner = MotionPlanner(hand, {thing.name: thing})
-    preparer = GraspPreparer(cell, hand, thing, planner, seed=seed, advise=False)
+    planner = MotionPlanner(hand, {obj.name: obj})
+    preparer = GraspPreparer(cell, hand, obj, planner, seed=seed, advise=False)
     home = np.asarray(cell.arm.home)
     refused, found = None, False
-    middle = _at_rest(thing, grasp.object_rest_pose[0])
+    middle = _at_rest(obj, grasp.object_rest_pose[0])
     middle[:2] = 0.5 * (np.array(box.lower[:2]) + box.upper[:2])
     for pose, _ in islice(preparer.placements(grasp, middle), PLACEMENTS_PLANNED):
         try:
@@ -106,23 +106,23 @@ def reachable_placements(
     elif not found:
         why = preparer.hindrance(grasp, middle)
         raise UnreachableError(
-            f"no placement of '{thing.name}' was found from which the arm can grasp it: "
+            f"no placement of '{obj.name}' was found from which the arm can grasp it: "
             + (why or "take another grasp")
         )
 
 
-def _at_rest(thing: ObjectModel, pose: np.ndarray) -> np.ndarray:
+def _at_rest(obj: ObjectModel, pose: np.ndarray) -> np.ndarray:
     """An object on the broad stable face that it is nearest to, world frame, shape [7]: measured poses at
     rest are a few degrees and up to a centimeter off."""
     up = np.array([0.0, 0.0, 1.0])
-    leaning = rotate(pose[3:], broad_settled_up(thing, rotate(invert(pose)[3:], up)))
+    leaning = rotate(pose[3:], broad_settled_up(obj, rotate(invert(pose)[3:], up)))
     axis = np.cross(leaning, up)
     sine = float(np.linalg.norm(axis))
     angle = np.arctan2(sine, leaning @ up)
     turn = quaternion_from_rotation_vector(angle * axis / max(sine, 1e-12))
     settled = pose.copy()
     settled[3:] = quaternion_multiply(turn, pose[3:])
-    settled[2] = -rotate(settled[3:], thing.vertices)[:, 2].min()
+    settled[2] = -rotate(settled[3:], obj.vertices)[:, 2].min()
     return settled
 
 
@@ -154,7 +154,7 @@ def deploy_on_twin(
         FungraspError: the grasp can't be planned or reached.
     """
     cell, hand, spec = task.cell, task.hand, task.spec
-    world = TwinWorld(cell, hand, task.thing, truth, seed=spec.seed, physics=physics)
+    world = TwinWorld(cell, hand, task.obj, truth, seed=spec.seed, physics=physics)
     world.settle(placement)
     watch = _TwinWatch(world)
     with ExitStack() as stack:

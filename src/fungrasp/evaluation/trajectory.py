@@ -165,7 +165,7 @@ class Recorder:
         result = []
         for world, row in enumerate(rows):
             kept = running[:, world]
-            qpos, thing, palm, joints, contacts, phase, controls = (state[kept, world] for state in states)
+            qpos, obj, palm, joints, contacts, phase, controls = (state[kept, world] for state in states)
             result.append(
                 Trajectory(
                     hand=self._grasps.hand,
@@ -177,7 +177,7 @@ class Recorder:
                     times=times[kept, world],
                     qpos=qpos,
                     wrist_reference=frame[world],
-                    object_pose=thing,
+                    object_pose=obj,
                     palm_pose=palm,
                     joint_positions=joints,
                     link_contacts=contacts,
@@ -220,7 +220,7 @@ class UseRecorder:
             return found
         whole = [np.stack(column) for column in zip(*self._states, strict=True)]
         for world in np.flatnonzero(outcomes.motion != "").tolist():
-            positions, thing, palm, joints, controls, contacts = (array[:, world] for array in whole)
+            positions, obj, palm, joints, controls, contacts = (array[:, world] for array in whole)
             # A world whose test is over stands still.
             count = min(round(self._lasts[world] / self._period), len(positions))
             moving = np.flatnonzero((positions[1:count] != positions[: count - 1]).any(axis=1))
@@ -235,7 +235,7 @@ class UseRecorder:
                 times=self._period * np.arange(1, count + 1),
                 qpos=positions[:count],
                 wrist_reference=self._engine.wrist_frame[world],
-                object_pose=thing[:count],
+                object_pose=obj[:count],
                 palm_pose=palm[:count],
                 joint_positions=joints[:count],
                 link_contacts=contacts[:count],

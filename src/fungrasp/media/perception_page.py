@@ -219,14 +219,14 @@ def _sentence(words: str) -> str:
 
 def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
     """HTML: the scores of the object's poses, and pictures of those that are other ones."""
-    thing = perceived.object
-    if not thing.alternatives:
+    obj = perceived.object
+    if not obj.alternatives:
         return '<p class="outcome">No other pose of the object was worth considering.</p>'
-    poses = np.stack([thing.pose_camera_object, *(pose for pose, _ in thing.alternatives)])
-    scores = [thing.score, *(score for _, score in thing.alternatives)]
+    poses = np.stack([obj.pose_camera_object, *(pose for pose, _ in obj.alternatives)])
+    scores = [obj.score, *(score for _, score in obj.alternatives)]
     points = object_template(model).surface.samples[:POINTS]
     apart, turned = _differences(points, poses, poses[0])
-    rows = [f'<tr><th scope="row">The answer</th><td class="number">{thing.score:.2f}</td></tr>']
+    rows = [f'<tr><th scope="row">The answer</th><td class="number">{obj.score:.2f}</td></tr>']
     pictures, shown = [], poses[:1]
     for i in range(1, len(poses)):
         away = f"{1e3 * apart[i]:.0f} mm and {turned[i]:.0f}° from the answer"

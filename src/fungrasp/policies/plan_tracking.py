@@ -231,19 +231,19 @@ class PlanTracker:
         self._since_lift = observation.time_since_lift
 
     def _measure(self, observation: Observation) -> MeasuredState:
-        palm, thing = observation.palm_pose, observation.object_pose
+        palm, obj = observation.palm_pose, observation.object_pose
         keypoints = self._keypoints(observation.joint_positions)
-        palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], thing[:, 3:]))
+        palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], obj[:, 3:]))
         # Rows are points: p_world = R p, so P_world = P R^T, and back by P R.
         in_world = keypoints @ palm_turn.mT + palm[:, None, :3]
-        in_object = (in_world - thing[:, None, :3]) @ object_turn
+        in_object = (in_world - obj[:, None, :3]) @ object_turn
         distance, normal = self._bank.query(self._object[self.rows], in_object)
         return MeasuredState(
             joints=copied(observation.joint_positions),
             joint_setpoints=copied(observation.joint_setpoints),
             palm_pose=copied(palm),
             palm_setpoint=copied(observation.palm_setpoint),
-            object_pose=copied(thing),
+            object_pose=copied(obj),
             keypoints=keypoints,
             surface_distance=distance,
             surface_normal=normal,

@@ -273,9 +273,9 @@ def _camera(cell: RobotCell) -> PoseSource:
             raise UnknownNameError(f"option of the driver {CAMERA}", name, known)
     if not isinstance(options.get("object"), str):
         raise FungraspError(f"cell '{cell.name}': the driver {CAMERA} needs the option 'object', a name")
-    thing = load_object(options.pop("object"), options.pop("mass", None), options.pop("folder", None))
+    obj = load_object(options.pop("object"), options.pop("mass", None), options.pop("folder", None))
     frames = RealSenseFrames(cell.tracker.address, **options)
-    return CameraTracker(frames, thing, np.array(cell.tracker.pose_world_camera))
+    return CameraTracker(frames, obj, np.array(cell.tracker.pose_world_camera))
 
 
 def _stream(cell: RobotCell) -> PoseSource:

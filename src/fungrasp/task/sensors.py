@@ -121,7 +121,7 @@ class SimulatedSensors:
         if any(e != MeasurementError() for e in (r.palm_position_error, r.palm_rotation_error)):
             errors = (r.palm_position_error, r.palm_rotation_error)
             palm = offset_pose(palm, sample.palm_bias + self._jitter(errors))
-        thing, age = self._track(sample)
+        obj, age = self._track(sample)
         return Observation(
             time=copied(task.time),
             time_since_lift=since_lift,
@@ -129,7 +129,7 @@ class SimulatedSensors:
             joint_setpoints=copied(task.setpoints.fingers),
             palm_pose=palm,
             palm_setpoint=copied(task.setpoints.wrist.pose),
-            object_pose=thing,
+            object_pose=obj,
             object_pose_age=age,
         )
 

@@ -398,7 +398,7 @@ def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> di
     """Objects by name, if they still are what they were."""
     # The mass is set in each episode.
     things = {name: load_object(name, 1.0, place) for name in digests}
-    for name, thing in things.items():
-        if thing.mesh_digest != digests[name]:
+    for name, obj in things.items():
+        if obj.mesh_digest != digests[name]:
             raise FungraspError(f"the object '{name}' is not the one that {folder} was trained on")
     return things

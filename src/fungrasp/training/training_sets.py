@@ -118,8 +118,8 @@ def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
         raise FungraspError("training needs at least one set of grasps")
     objects: dict[str, ObjectModel] = {}
     for one in sets:
-        for name, thing in one.objects.items():
-            if objects.setdefault(name, thing).mesh_digest != thing.mesh_digest:
+        for name, obj in one.objects.items():
+            if objects.setdefault(name, obj).mesh_digest != obj.mesh_digest:
                 raise FungraspError(f"{one.name}: its object '{name}' is not that of another set")
     return objects
 

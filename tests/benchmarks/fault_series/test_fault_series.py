@@ -26,8 +26,8 @@ BY_NAME = {kind.name: kind for kind in KINDS}
 
 @pytest.fixture(scope="module")
 def held() -> Scene:
-    grasp, thing = grasp_and_object()
-    found = scene(near_cell(), cell_and_hand()[1], thing, grasp, placed(), 0)
+    grasp, obj = grasp_and_object()
+    found = scene(near_cell(), cell_and_hand()[1], obj, grasp, placed(), 0)
     assert found is not None
     return found
 
@@ -152,8 +152,8 @@ def test_a_fault_over_the_wire_ends_as_it_should(held: Scene, name: str) -> None
     from fungrasp.robots.cell import load_cell
 
     cell = load_cell("ur5e-allegro-emulated")
-    grasp, thing = grasp_and_object()
-    wired = scene(cell, held.hand, thing, grasp, placed(), 0)
+    grasp, obj = grasp_and_object()
+    wired = scene(cell, held.hand, obj, grasp, placed(), 0)
     assert wired is not None
     trial = wire_trial(wired, drawn(name, Moment.START), patience=10.0)
     assert trial.success, trial

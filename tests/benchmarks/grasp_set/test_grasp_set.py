@@ -28,28 +28,28 @@ def _object(name: str, number: int = 0) -> SetObject:
 
 def test_every_family_of_shapes_is_one_closed_body_of_a_mass_that_a_hand_lifts():
     drawn = drawn_objects(1, 7)
-    assert {thing.stratum for thing in drawn} == set(DRAWN_KINDS)
-    for thing in drawn:
-        model = thing.model
+    assert {obj.stratum for obj in drawn} == set(DRAWN_KINDS)
+    for obj in drawn:
+        model = obj.model
         assert vertex_components(model.faces, len(model.vertices))[0] == 1, model.name
         assert model.mesh.is_watertight and 0.005 < model.mass < 1.6, model.name
-        assert set(thing.tasks) <= set(model.parts), model.name
-    again = {thing.model.name: thing.model.digest for thing in drawn_objects(1, 7)}
-    other = {thing.model.name: thing.model.digest for thing in drawn_objects(1, 8)}
-    assert all(again[thing.model.name] == thing.model.digest for thing in drawn)
-    assert all(other[thing.model.name] != thing.model.digest for thing in drawn)
+        assert set(obj.tasks) <= set(model.parts), model.name
+    again = {obj.model.name: obj.model.digest for obj in drawn_objects(1, 7)}
+    other = {obj.model.name: obj.model.digest for obj in drawn_objects(1, 8)}
+    assert all(again[obj.model.name] == obj.model.digest for obj in drawn)
+    assert all(other[obj.model.name] != obj.model.digest for obj in drawn)
 
 
 def test_written_meshes_are_read_closed_with_their_parts(tmp_path):
     # Scissors and a glass touch themselves along edges.
-    glass = next(thing for thing in builtin_objects(1, 0) if thing.family == "wine_glass")
-    for thing, read in zip(pair := [_object("scissors"), glass], written_meshes(pair, tmp_path), strict=True):
+    glass = next(obj for obj in builtin_objects(1, 0) if obj.family == "wine_glass")
+    for obj, read in zip(pair := [_object("scissors"), glass], written_meshes(pair, tmp_path), strict=True):
         assert not read.model.repairs and read.model.mesh.is_watertight
-        assert read.model.mesh.volume == pytest.approx(thing.model.mesh.volume, rel=1e-3)
-        for name, mask in thing.model.parts.items():
-            area = thing.model.mesh.area_faces[mask].sum()
+        assert read.model.mesh.volume == pytest.approx(obj.model.mesh.volume, rel=1e-3)
+        for name, mask in obj.model.parts.items():
+            area = obj.model.mesh.area_faces[mask].sum()
             same = read.model.mesh.area_faces[read.model.parts[name]].sum()
-            assert same == pytest.approx(area, abs=0.02 * thing.model.mesh.area)
+            assert same == pytest.approx(area, abs=0.02 * obj.model.mesh.area)
 
 
 def test_parts_share_no_object_and_each_family_is_in_all():
@@ -71,13 +71,13 @@ def test_heavy_things_are_not_held_by_fingertips():
 
 
 def test_grasps_oppose_each_other_and_one_sided_ones_are_told(tmp_path):
-    thing = _object("ball")
-    grasps = made_grasps([thing], 2, 0)
-    assert len(grasps) == 2 and (balance_residuals(grasps, thing.model) < 0.05).all()
+    obj = _object("ball")
+    grasps = made_grasps([obj], 2, 0)
+    assert len(grasps) == 2 and (balance_residuals(grasps, obj.model) < 0.05).all()
     only_index = np.zeros_like(grasps.link_contacts)
     only_index[:, 3] = True
     one_sided = replace(grasps, link_contacts=only_index)
-    assert (balance_residuals(one_sided, thing.model) > 0.5).all()
+    assert (balance_residuals(one_sided, obj.model) > 0.5).all()
 
 
 def test_the_command_goes_on_and_gives_the_same(tmp_path, capsys, monkeypatch):

@@ -57,7 +57,7 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     seen: list[tuple[Any, ...]] = []
 
     def deploy(task, placement, truth, **options):
-        seen.append((task.thing.name, truth.gain, task.dynamics, task.spec.gravity_compensation))
+        seen.append((task.obj.name, truth.gain, task.dynamics, task.spec.gravity_compensation))
         if len(seen) == 2 or placement[0] < 0:
             raise UnreachableError("the grasp is not reachable: the arm would touch the table")
         return SimpleNamespace(fault="", attempts=1, success=True, height=0.12, tracking=0.02, sag=np.nan)
@@ -70,8 +70,8 @@ def test_every_object_comes_before_any_comes_twice(grasps, monkeypatch) -> None:
     robot, objects = grasps
     tried = []
 
-    def reach(cell, hand, thing, grasp, seed=0):
-        tried.append(thing.name)
+    def reach(cell, hand, obj, grasp, seed=0):
+        tried.append(obj.name)
         if len(tried) == 1:
             raise UnreachableError("too far")
         yield np.array([0.1 * len(tried), 0, 0, 1, 0, 0, 0])
@@ -107,7 +107,7 @@ def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
 def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
     robot, objects = grasps
 
-    def reach(cell, hand, thing, grasp, seed=0):
+    def reach(cell, hand, obj, grasp, seed=0):
         # The robot refuses what lies at negative x.
         for x in (-0.1, 0.2, 0.3, -0.4, -0.5, -0.6, 0.7):
             yield np.array([x, 0, 0, 1, 0, 0, 0])
@@ -142,8 +142,8 @@ def test_a_stopped_run_goes_on_where_it_was(grasps, deployed, monkeypatch, tmp_p
     robot, objects = grasps
     looked: list[str] = []
 
-    def reach(cell, hand, thing, grasp, seed=0):
-        looked.append(thing.name)
+    def reach(cell, hand, obj, grasp, seed=0):
+        looked.append(obj.name)
         yield AT[0]
 
     monkeypatch.setattr(twin_episode, "reachable_placements", reach)

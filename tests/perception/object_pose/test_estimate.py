@@ -139,9 +139,9 @@ def test_a_loose_mask_and_smoothed_depth_are_measured() -> None:
     hammer = load_object("hammer")
 
     def found(capture: Capture) -> tuple[PoseEvidence, str]:
-        thing = estimate_object_pose(capture, hammer, there.hand)
-        assert thing.evidence is not None and not thing.accepted
-        return thing.evidence, "; ".join(object_help(thing))
+        obj = estimate_object_pose(capture, hammer, there.hand)
+        assert obj.evidence is not None and not obj.accepted
+        return obj.evidence, "; ".join(object_help(obj))
 
     evidence, words = found(loose)
     # Half of the mask is not the object; not all of that looks foreign.

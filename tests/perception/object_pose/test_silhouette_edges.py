@@ -18,9 +18,9 @@ def ellipse(a, b, x=80.0, y=60.0):
     return ((U - x) / a) ** 2 + ((V - y) / b) ** 2 < 1.0
 
 
-def picture(thing, noise=3.0):
-    color = np.where(thing[..., None], GREEN, TABLE) + np.random.default_rng(0).normal(
-        0, noise, (*thing.shape, 3)
+def picture(obj, noise=3.0):
+    color = np.where(obj[..., None], GREEN, TABLE) + np.random.default_rng(0).normal(
+        0, noise, (*obj.shape, 3)
     )
     return np.clip(color, 0, 255).astype(np.uint8)
 
@@ -56,10 +56,10 @@ def test_shadows_change_it_little():
 
 
 def test_what_is_hidden_does_not_count():
-    thing, hand = ellipse(30, 30), U < 70
-    color = picture(thing)
+    obj, hand = ellipse(30, 30), U < 70
+    color = picture(obj)
     color[hand] = (200, 140, 120)
-    larger, off = edge_offset(color, thing, hand)
+    larger, off = edge_offset(color, obj, hand)
     assert abs(larger) < 0.7 and off < 1.5
 
 

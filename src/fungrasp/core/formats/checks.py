@@ -97,9 +97,9 @@ def check_tree(tree: Any, where: str) -> None:
             raise FungraspError(f"{where} holds text with half a character (an unpaired surrogate)")
 
 
-def one_line(thing: Any, longest: int = 300) -> str:
+def one_line(obj: Any, longest: int = 300) -> str:
     """The words of an exception, path or other thing in one line of limited length; never empty."""
-    text = " ".join(str(thing).split()) or type(thing).__name__
+    text = " ".join(str(obj).split()) or type(obj).__name__
     text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= longest else f"{text[:longest]} ..."
 

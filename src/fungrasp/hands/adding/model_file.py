@@ -93,8 +93,8 @@ def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
                 spec.delete(actuator)
         things_to_see = (spec.cameras, spec.lights, spec.textures, spec.hfields, spec.skins)
         for things in (spec.sensors, spec.keys, *things_to_see):
-            for thing in list(things):
-                spec.delete(thing)
+            for obj in list(things):
+                spec.delete(obj)
         for material in spec.materials:
             material.textures = [""] * len(material.textures)
         compiler = spec.compiler

@@ -55,7 +55,7 @@ class ObjectView:
     def foreign(self) -> float:
         """Part of the given mask's pixels that look like hand or background; 0 without a mask."""
         mask = self.capture.mask
-        return 0.0 if mask is None else float((self.seen.classes.thing[mask] < 0.5).mean())
+        return 0.0 if mask is None else float((self.seen.classes.obj[mask] < 0.5).mean())
 
     def scorer(self, rays: int) -> PoseScorer:
         """Scores poses by about so many rays that meet a mask."""

@@ -84,7 +84,7 @@ def fit_shape(
         known = object_template(plain_shape(f"{kind}:{size}", 1.0))
         scorer = pose_scorer(known, capture, view, masks, table, joints, RAYS)
         for owner, mask in enumerate(masks):
-            rows, columns = np.nonzero(mask & capture.measured & (view.classes.thing > 0.5))
+            rows, columns = np.nonzero(mask & capture.measured & (view.classes.obj > 0.5))
             if len(rows) < LEAST_PIXELS:
                 continue
             depth = capture.depth[rows, columns]

@@ -134,7 +134,7 @@ _CELL_COLORS = (np.stack(np.unravel_index(np.arange(LEVELS**3), (LEVELS,) * 3), 
 class PixelClasses:
     """Probability of each class for every pixel, they sum to 1; shape [H, W] each."""
 
-    thing: np.ndarray
+    obj: np.ndarray
     """The object, or another thing within reach of the hand."""
     skin: np.ndarray
     """The hand and the forearm."""
@@ -178,11 +178,11 @@ def classify(
     palm = index[evidence.palm]
     skin = table_of_colors(_alike(palm) if len(palm) else palm, SHADED)[index]
     # Of any color, the hand's and the table's among them.
-    thing = (1.0 - 2 * ALIKE) / LEVELS**3 + ALIKE * (skin + ground)
+    obj = (1.0 - 2 * ALIKE) / LEVELS**3 + ALIKE * (skin + ground)
     if mesh_colors is not None:
-        thing = 0.5 * thing + 0.5 * _mesh_likelihood(color, mesh_colors) / LEVELS**3
+        obj = 0.5 * obj + 0.5 * _mesh_likelihood(color, mesh_colors) / LEVELS**3
     if evidence.samples.sum() >= LEAST_SAMPLES:
-        thing = 0.5 * thing + 0.5 * table_of_colors(index[evidence.samples])[index]
+        obj = 0.5 * obj + 0.5 * table_of_colors(index[evidence.samples])[index]
     known_height = np.isfinite(evidence.height)
     offset = np.where(known_height, evidence.height, 0.0) / evidence.spread
     on_table = np.maximum(-0.5 * np.square(offset), -FARTHEST_OUT)
@@ -193,19 +193,19 @@ def classify(
     inside = (SKIN_EDGE[0] - evidence.skin_distance) / SKIN_EDGE[1]
     on_hand = np.maximum(-np.logaddexp(0.0, -inside), -FARTHEST_OUT)
     not_hand = np.maximum(-np.logaddexp(0.0, inside), -2.0)
-    result, anything = PixelClasses(thing, thing, thing), thing
+    result, anything = PixelClasses(obj, obj, obj), obj
     for _ in range(ROUNDS):
         logits = np.stack(
-            [np.log(thing) + above + not_hand, np.log(skin) + on_hand - 1.0, np.log(ground) + on_table]
+            [np.log(obj) + above + not_hand, np.log(skin) + on_hand - 1.0, np.log(ground) + on_table]
         )
         logits = ndimage.gaussian_filter(logits, (0, SMOOTHING, SMOOTHING))
         odds = np.exp(logits - logits.max(axis=0))
         odds /= odds.sum(axis=0)
         result = PixelClasses(*odds)
-        sure = ((result.thing > 0.8) & (evidence.prior > NEVER)) | evidence.samples
+        sure = ((result.obj > 0.8) & (evidence.prior > NEVER)) | evidence.samples
         if sure.sum() < LEAST_SAMPLES:
             break
-        thing = 0.5 * anything + 0.5 * table_of_colors(index[sure])[index]
+        obj = 0.5 * anything + 0.5 * table_of_colors(index[sure])[index]
     return result
 
 

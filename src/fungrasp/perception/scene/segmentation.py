@@ -142,7 +142,7 @@ def segment(
     outline, palm, ground = _hand_and_ground(capture, joints, prior > NEVER, samples, height)
     evidence = PixelEvidence(prior, samples, height, spread, outline, clear < hand, palm, ground)
     classes = classify(capture, evidence, mesh_colors)
-    seen = (classes.thing > 0.5) & near
+    seen = (classes.obj > 0.5) & near
     if capture.mask is not None:
         masks = [seen, capture.mask & measured]
     elif capture.point is not None:
@@ -156,7 +156,7 @@ def segment(
                 masks.extend(pointed_pieces(pieces, capture.point))
             else:
                 masks.extend(_groups(pieces, hand, joints is not None))
-    return Segmentation(_different(masks), classes.thing * near, classes, spread, width)
+    return Segmentation(_different(masks), classes.obj * near, classes, spread, width)
 
 
 def _hand_and_ground(

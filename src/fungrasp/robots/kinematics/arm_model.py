@@ -115,11 +115,11 @@ def outside(palm: np.ndarray, box: Workspace) -> str:
 class ClearanceModel:
     """Distances of the whole robot to the table and to itself."""
 
-    def __init__(self, cell: RobotCell, hand: Hand, thing: ObjectModel | None = None):
+    def __init__(self, cell: RobotCell, hand: Hand, obj: ObjectModel | None = None):
         """
         Args:
             cell: with the arm and its base.
-            thing: what the robot may keep clear of; nothing if None.
+            obj: what the robot may keep clear of; nothing if None.
         """
         spec = mount(hand, cell.arm.model, cell.mount)
         base = spec.worldbody.first_body()
@@ -129,8 +129,8 @@ class ClearanceModel:
             half, turn = 0.5 * np.array(box.size), list(box.rotation)
             kind, name = mujoco.mjtGeom.mjGEOM_BOX, f"{OBSTACLE} {number}"
             spec.worldbody.add_geom(name=name, type=kind, size=half, pos=list(box.center), quat=turn)
-        if thing is not None:
-            _add_object(spec, thing)
+        if obj is not None:
+            _add_object(spec, obj)
         for geom in spec.geoms:
             geom.margin = 0.5 * MARGIN
         # Base and shoulder stand where they stand.
@@ -152,7 +152,7 @@ class ClearanceModel:
                     kind[body] = 2
                 above = int(model.body_parentid[above])
         self._object: int | None = None
-        if thing is not None:
+        if obj is not None:
             kind[model.body(OBJECT).id] = 0
             self._object = model.geom(OBJECT).id
         self._kind = kind[model.geom_bodyid]
@@ -189,20 +189,20 @@ class ClearanceModel:
     def distance_to_object(self) -> float:
         """Distance of arm and hand, in the posture last measured, to the convex hull of the object [m], at
         most ``MARGIN``; negative where they overlap."""
-        m, d, thing = self._model, self._data, self._object
-        assert thing is not None, "made without an object"
-        reach = m.geom_rbound + m.geom_rbound[thing]
-        near = np.linalg.norm(d.geom_xpos - d.geom_xpos[thing], axis=1) - reach < MARGIN
+        m, d, obj = self._model, self._data, self._object
+        assert obj is not None, "made without an object"
+        reach = m.geom_rbound + m.geom_rbound[obj]
+        near = np.linalg.norm(d.geom_xpos - d.geom_xpos[obj], axis=1) - reach < MARGIN
         rows = np.flatnonzero(near & (self._kind >= 1))
         return min(
-            (float(mujoco.mj_geomDistance(m, d, int(row), thing, MARGIN, None)) for row in rows),
+            (float(mujoco.mj_geomDistance(m, d, int(row), obj, MARGIN, None)) for row in rows),
             default=MARGIN,
         )
 
 
-def _add_object(spec: mujoco.MjSpec, thing: ObjectModel) -> None:
+def _add_object(spec: mujoco.MjSpec, obj: ObjectModel) -> None:
     """The convex hull of an object, which collides with nothing by itself."""
-    hull = convex_hull(thing.vertices)
+    hull = convex_hull(obj.vertices)
     mesh = spec.add_mesh(name=OBJECT)
     mesh.uservert, mesh.userface = hull.vertices.ravel().tolist(), hull.faces.ravel().tolist()
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

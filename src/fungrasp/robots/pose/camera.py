@@ -104,7 +104,7 @@ class CameraTracker:
     def __init__(
         self,
         frames: FrameSource,
-        thing: ObjectModel,
+        obj: ObjectModel,
         pose_world_camera: np.ndarray,
         *,
         start: np.ndarray | None = None,
@@ -116,10 +116,10 @@ class CameraTracker:
             start: where the object is at first, world frame, shape [7]; searched for if None, which takes a
                 second or two.
         """
-        self.name = f"tracker of '{thing.name}' in images of {frames.name}"
+        self.name = f"tracker of '{obj.name}' in images of {frames.name}"
         self.seconds: list[float] = []
         """Processor time of each image that was followed [s]."""
-        self._frames, self._thing, self._camera = frames, thing, np.asarray(pose_world_camera, dtype=float)
+        self._frames, self._thing, self._camera = frames, obj, np.asarray(pose_world_camera, dtype=float)
         self._start = None if start is None else compose(invert(self._camera), np.asarray(start))
         self._seed = seed
         self._tracker: ObjectTracker | None = None

@@ -56,13 +56,13 @@ class TwinPhysics:
 
 
 def twin_model(
-    cell: RobotCell, hand: Hand, thing: ObjectModel, truth: TwinParameters, physics: TwinPhysics | None = None
+    cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParameters, physics: TwinPhysics | None = None
 ) -> mujoco.MjModel:
     """The compiled model. World frame: that of the cell.
 
     Args:
         cell: with the arm and its base.
-        thing: the object as it is believed.
+        obj: the object as it is believed.
         truth: what is true of hand, object and table.
         physics: the default if None.
     """
@@ -76,7 +76,7 @@ def twin_model(
     base = spec.worldbody.first_body()
     base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
     _add_table(spec, truth)
-    _add_object(spec, thing, truth, p)
+    _add_object(spec, obj, truth, p)
     _stiffen_arm(spec, {actuator.name for actuator in arm_spec(cell.arm.model).actuators})
     for geom in spec.geoms:
         if geom.contype or geom.conaffinity:
@@ -106,16 +106,16 @@ def _add_table(spec: mujoco.MjSpec, truth: TwinParameters) -> None:
     table.quat = quaternion_from_rotation_vector(truth.table_tilt)
 
 
-def _add_object(spec: mujoco.MjSpec, thing: ObjectModel, truth: TwinParameters, p: TwinPhysics) -> None:
+def _add_object(spec: mujoco.MjSpec, obj: ObjectModel, truth: TwinParameters, p: TwinPhysics) -> None:
     body = spec.worldbody.add_body(name=OBJECT, pos=[0.0, 0.0, 0.5])
     body.add_freejoint(name=OBJECT)
-    mass = thing.mass * truth.mass
+    mass = obj.mass * truth.mass
     body.mass, body.explicitinertial = mass, True
-    center = thing.center_of_mass + truth.center_of_mass * thing.size
+    center = obj.center_of_mass + truth.center_of_mass * obj.size
     body.ipos = center
-    i = thing.inertia * truth.mass
+    i = obj.inertia * truth.mass
     body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
-    for number, piece in enumerate(true_pieces(thing, truth.surface_amplitude, p.pieces)):
+    for number, piece in enumerate(true_pieces(obj, truth.surface_amplitude, p.pieces)):
         mesh = spec.add_mesh(name=f"{OBJECT}/{number}")
         mesh.uservert, mesh.userface = piece.vertices.ravel().tolist(), piece.faces.ravel().tolist()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
@@ -129,15 +129,15 @@ def _add_object(spec: mujoco.MjSpec, thing: ObjectModel, truth: TwinParameters, 
 
 
 def true_pieces(
-    thing: ObjectModel, amplitude: float, settings: DecompositionSettings
+    obj: ObjectModel, amplitude: float, settings: DecompositionSettings
 ) -> tuple[ConvexPiece, ...]:
     """Convex pieces of the true surface: another decomposition than the planner's, displaced along its
     normals by a smooth wave of an amplitude [m] and a length of about 4 cm."""
     if amplitude <= 0.0:
-        return convex_pieces(thing.vertices, thing.faces, settings)
+        return convex_pieces(obj.vertices, obj.faces, settings)
     # The pieces of the believed surface are cached; the wave is applied to each.
     parts = []
-    for piece in convex_pieces(thing.vertices, thing.faces, settings):
+    for piece in convex_pieces(obj.vertices, obj.faces, settings):
         mesh = trimesh.Trimesh(piece.vertices, piece.faces, process=False)
         phase = np.sin(piece.vertices @ np.array([157.0, 113.0, 131.0]))
         parts.append(convex_hull(piece.vertices + amplitude * phase[:, None] * mesh.vertex_normals))

@@ -49,7 +49,7 @@ class TwinWorld:
         self,
         cell: RobotCell,
         hand: Hand,
-        thing: ObjectModel,
+        obj: ObjectModel,
         truth: TwinParameters,
         *,
         seed: int = 0,
@@ -57,11 +57,11 @@ class TwinWorld:
     ):
         """
         Args:
-            thing: the object as it is believed.
+            obj: the object as it is believed.
             physics: the default if None.
         """
         self.hand, self.truth = hand, truth
-        self.model = model = twin_model(cell, hand, thing, truth, physics)
+        self.model = model = twin_model(cell, hand, obj, truth, physics)
         self.data = data = mujoco.MjData(model)
         self.lock = RLock()
         """Held while the world is read or changed."""
