@@ -83,7 +83,7 @@ def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
         "unknown object": (["--grasps", folder / "cann.npz"], "Did you mean 'can'?"),
         "no folder": (["--grasps", folder / "block.npz", "--objects", folder / "no"], "does not exist"),
         "broken mesh": (["--grasps", folder / "broken.npz", "--objects", meshes], "broken.obj"),
-        "millimeters": (["--grasps", folder / "block.npz", "--objects", millimeters], "metres"),
+        "millimeters": (["--grasps", folder / "block.npz", "--objects", millimeters], "meters"),
         "too large": (["--grasps", folder / "block.npz", "--objects", huge], "block"),
         "unknown hand": (["--grasps", folder / "good.npz", "--hand", "allegra"], "Did you mean 'allegro'?"),
         "no thumb": (["--grasps", folder / "good.npz", "--hand", thumbless], "no thumb"),
