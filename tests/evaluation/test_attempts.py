@@ -90,7 +90,7 @@ def test_an_episode_of_several_attempts_does_not_depend_on_the_others(good, thin
 
 
 def test_an_object_that_is_pushed_off_is_given_up(good, things, allegro):
-    """Moved by half a metre, it lies where an arm would not reach."""
+    """Moved by half a meter, it lies where an arm would not reach."""
     far = Randomization(object_shift=(0.5, 0.5))
     result = evaluate(good.select([0, 2]), things, Player(), spec=LiftTestSpec(attempts=2, randomization=far))
     assert result.attempts is not None

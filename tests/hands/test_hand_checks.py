@@ -213,7 +213,7 @@ MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></co
             '<body name="index_a" pos="0 0.03 0.1" quat="0 1 0 0">',
             "error: 'palm' and 'index_b'.* overlap",
         ),
-        (INDEX, '<body name="index_a" pos="0 0.03 1.1">', "warning: in metres"),
+        (INDEX, '<body name="index_a" pos="0 0.03 1.1">', "warning: in meters"),
         (
             '<site name="index_tip" pos="0 0 0.03"/>',
             '<site name="index_tip"/>',

@@ -224,7 +224,7 @@ def test_there_is_no_state_before_the_beginning():
 
 
 def test_directions_along_the_links():
-    """The thumb's key points in a row, a centimetre apart; all others at the origin."""
+    """The thumb's key points in a row, a centimeter apart; all others at the origin."""
     names = list(hand().keypoint_names)
     keypoints = np.zeros((1, len(names), 3))
     thumb = list(hand().fingers).index("thumb")

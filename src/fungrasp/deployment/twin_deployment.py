@@ -38,7 +38,7 @@ from fungrasp.robots.twin.world import TwinWorld
 
 ROOM = 0.02
 """An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
-up to a centimetre off, and plans differ."""
+up to a centimeter off, and plans differ."""
 
 PLACEMENTS_PLANNED = 12
 """Placements for which a motion is planned: a second or two each."""

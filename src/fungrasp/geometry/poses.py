@@ -1,6 +1,6 @@
 """Batched rigid transforms on any array-API library (NumPy, torch, ...).
 
-A pose is 7 numbers ``[x y z qw qx qy qz]``: metres and a unit quaternion. Arrays have any leading batch
+A pose is 7 numbers ``[x y z qw qx qy qz]``: meters and a unit quaternion. Arrays have any leading batch
 shape and broadcast. ``pose_a_b`` maps points of frame b to frame a: ``pose_a_c = compose(pose_a_b,
 pose_b_c)``.
 

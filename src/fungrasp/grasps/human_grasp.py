@@ -16,7 +16,7 @@ MAX_HAND_DISTANCE = 1.0
 """Largest distance between an object's origin and a joint of the hand that holds it [m]."""
 
 MAX_BONE_LENGTH = 0.3
-"""No bone of a human hand is longer [m]; a file in millimeters or centimetres exceeds it."""
+"""No bone of a human hand is longer [m]; a file in millimeters or centimeters exceeds it."""
 
 MIN_BONE_LENGTH = 1e-3
 """Joints nearer than this to their neighbor [m] coincide: an error of the program that wrote them."""
@@ -55,7 +55,7 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
 
     Raises:
         FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or
-            joints that are no hand in metres near the object; the message names field and row.
+            joints that are no hand in meters near the object; the message names field and row.
     """
 
     object_name: np.ndarray
@@ -110,7 +110,7 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         bones = bone_lengths(self.hand_joints)
         longest, shortest = bones.max(axis=1, initial=0), bones.min(axis=1, initial=np.inf)
         check_rows(
-            "hand_joints", longest <= MAX_BONE_LENGTH, "is no hand in metres; its longest bone [m]", longest
+            "hand_joints", longest <= MAX_BONE_LENGTH, "is no hand in meters; its longest bone [m]", longest
         )
         check_rows(
             "hand_joints",

@@ -35,7 +35,7 @@ class Mount:
     origin in the middle of the palm's lower end."""
 
     pose_flange_hand: tuple[float, ...] = ()
-    """Pose of that frame on the flange, whose z axis points out of it: metres and a quaternion wxyz. Empty:
+    """Pose of that frame on the flange, whose z axis points out of it: meters and a quaternion wxyz. Empty:
     ``MOUNTING_GAP`` above the flange, the palm facing the flange's x axis."""
     adapter_radius: float = 0.0
     """Radius of a cylinder that adapter and cables fit into, around the flange's z axis [m]; 0: none."""

@@ -28,7 +28,7 @@ def hand_mass(hand: Hand) -> float:
 def describe_hand(hand: Hand) -> dict[str, Any]:
     """A hand as a JSON-able dictionary.
 
-    Lengths in metres, angles in radians, masses in kilograms. A finger's ``joints`` are the points at the
+    Lengths in meters, angles in radians, masses in kilograms. A finger's ``joints`` are the points at the
     near ends of its links, its ``contact_points`` those at the far ends: each the name of a body, or of a
     site where the model has a site of that name. A coupled joint is ``constant + slope * driver``. ``limits``
     is null for an unlimited joint.

@@ -49,7 +49,7 @@ _log = logging.getLogger(__name__)
 
 
 def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Read a closed surface in metres.
+    """Read a closed surface in meters.
 
     Args:
         path: the file, of one of ``MESH_SUFFIXES``; a scene's meshes are joined.
@@ -61,7 +61,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         repairs: what was changed, one phrase each; also logged as a warning.
 
     Raises:
-        FungraspError: the file is missing, unreadable, empty, not finite, not in metres, or can't be mended.
+        FungraspError: the file is missing, unreadable, empty, not finite, not in meters, or can't be mended.
     """
     path = Path(path)
     check_file(path, "mesh file", LARGEST)
@@ -144,7 +144,7 @@ def _check_size(path: Path, length: float) -> None:
     if length > TABLE_SIDE:
         raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)")
     if length < SHORTEST_OBJECT:
-        raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in metres")
+        raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in meters")
 
 
 def _closed(mesh: trimesh.Trimesh) -> bool:

@@ -81,7 +81,7 @@ def changed(rotation=None, place=None, last=None):
         (changed(rotation=np.diag([1.0, 1, -1]) @ TURN.as_matrix()), "mirrors"),
         (changed(rotation=TURN.as_matrix() + np.diag([0.2, 0, 0])), "not perpendicular or not of length 1"),
         (changed(rotation=np.zeros((3, 3))), "no rotation"),
-        (changed(place=1000 * PLACE), "millimeters taken for metres"),
+        (changed(place=1000 * PLACE), "millimeters taken for meters"),
         (changed(place=0.001 * PLACE), "another unit"),
         (changed(place=PLACE * [1, 1, -1]), "behind the camera.*OpenGL"),
         (changed(place=[9.0, 0, 0.5]), "far outside"),

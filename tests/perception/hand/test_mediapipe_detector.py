@@ -170,8 +170,8 @@ class Answers(MediaPipeHandDetector):
     """Sees the same hand in every window."""
 
     def __init__(self, pixels_per_metre, score):
-        metres = np.random.default_rng(2).uniform(-0.06, 0.06, (21, 3))
-        self.hand = DetectedHand(metres[:, :2] * pixels_per_metre + [320, 240], metres, "right", 0.9, score)
+        meters = np.random.default_rng(2).uniform(-0.06, 0.06, (21, 3))
+        self.hand = DetectedHand(meters[:, :2] * pixels_per_metre + [320, 240], meters, "right", 0.9, score)
         self._looks = 0
 
     def _palms(self, image, window):

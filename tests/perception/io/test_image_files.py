@@ -34,7 +34,7 @@ def test_files_become_a_capture_in_metres(tmp_path, caplog):
 def test_the_unit_of_depth_is_explicit(tmp_path):
     lens = {name: value for name, value in OURS.items() if name != "depth_unit"}
     paths = write_scene(tmp_path, lens, unit=0.0001)
-    with pytest.raises(FungraspError, match=r"how many metres a unit of depth is: 0.001 \(1 mm\) is usual"):
+    with pytest.raises(FungraspError, match=r"how many meters a unit of depth is: 0.001 \(1 mm\) is usual"):
         read_capture(*paths)
     assert read_capture(*paths, depth_unit=0.0001).depth[100, 150] == pytest.approx(0.6)
 

@@ -207,7 +207,7 @@ def check_size(model: mujoco.MjModel, parts: HandParts) -> Iterator[Finding]:
         (float(np.linalg.norm(data.xpos[b] - data.xpos[root])) for b in subtree(model, root)), default=0.0
     )
     if reach > 0.6 or 0.0 < reach < 0.03:
-        yield warning(f"the farthest link is {reach:.3g} m from the palm; is the model in metres?")
+        yield warning(f"the farthest link is {reach:.3g} m from the palm; is the model in meters?")
 
 
 def _zero(model: mujoco.MjModel) -> np.ndarray:

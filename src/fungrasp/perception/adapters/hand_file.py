@@ -294,7 +294,7 @@ def turn_to(direction: np.ndarray) -> Rotation:
 def _check_shape(joints: np.ndarray, side: str, where: str) -> None:
     size = hand_size(joints)
     if not SIZES[0] < size < SIZES[1]:
-        unit = "; are the joints in millimeters?" if 400 < size < 2000 else "; joints must be in metres"
+        unit = "; are the joints in millimeters?" if 400 < size < 2000 else "; joints must be in meters"
         raise FungraspError(f"{where} is {size:.3g} times as large as an adult's{unit}")
     flexion, _ = joint_bends(joints if side == "right" else joints * MIRROR_X)
     bend = float(flexion[:4].mean())

@@ -77,7 +77,7 @@ def read_hand_estimate(
 
 
 def place_hand(detected: DetectedHand, capture: Capture, *, keep_size: bool = False) -> HandEstimate:
-    """The hand in metres.
+    """The hand in meters.
 
     Args:
         detected: landmarks and shape, as ``hands_of`` gives them.

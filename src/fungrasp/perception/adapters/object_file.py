@@ -221,7 +221,7 @@ def _check_position(position: np.ndarray, where: str) -> None:
         )
     if z > DEPTH_LIMIT:
         raise FungraspError(
-            f"{where}: the object is {z:.4g} m from the camera: were millimeters taken for metres?"
+            f"{where}: the object is {z:.4g} m from the camera: were millimeters taken for meters?"
         )
     if z < NEAREST:
         raise FungraspError(

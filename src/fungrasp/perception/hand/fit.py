@@ -1,4 +1,4 @@
-"""The hand in metres, fitted to the image, with or without the object that it holds.
+"""The hand in meters, fitted to the image, with or without the object that it holds.
 
 Landmarks say where joints are in the image; depth, how far the skin in front of them is and where no hand can
 be; the landmark model's own 3D shape, roughly how bones point; anatomy, what lengths and angles are possible;
@@ -68,7 +68,7 @@ class _Candidate:
 
 
 def fit_hand(detected: DetectedHand, capture: Capture) -> HandEstimate:
-    """The hand in metres, without knowledge of the object.
+    """The hand in meters, without knowledge of the object.
 
     Returns:
         Joints in the camera frame; a left hand is not mirrored.

@@ -17,7 +17,7 @@ from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.estimates import HandEstimate
 
 # Largest depth of a hand, nearest to farthest joint [m]: now and then the landmark model says a quarter of a
-# metre.
+# meter.
 DEEPEST = 0.16
 REACH = 0.12  # What is seen farther than this from every joint of a first guess [m] is not this hand.
 OBJECT_NEAR = 0.006  # What is seen so near to the known object's surface [m] is the object.

@@ -2,7 +2,7 @@
 
 Two models (see ``mediapipe_models``) are run: one finds palms, the other takes an upright window of the hand
 and answers with landmarks, the probability that there is a hand, which hand it is, and the landmarks' places
-in metres about the hand's middle. The window is then cut again around the landmarks found, and the second
+in meters about the hand's middle. The window is then cut again around the landmarks found, and the second
 answer counts.
 """
 

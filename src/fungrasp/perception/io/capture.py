@@ -224,5 +224,5 @@ def _check_range(depth: np.ndarray) -> None:
     middle = float(np.median(measured))
     if middle > DEPTH_LIMIT:
         raise FungraspError(
-            f"the depth is {middle:.4g} m in the middle of its range: were millimeters taken for metres?"
+            f"the depth is {middle:.4g} m in the middle of its range: were millimeters taken for meters?"
         )

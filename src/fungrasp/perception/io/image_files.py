@@ -42,9 +42,9 @@ def read_capture(
 
     Args:
         depth: 16-bit PNG (or TIFF with 16-bit or float pixels, or ``.npy``), 0 where nothing was measured;
-            floats are metres if ``depth_unit`` is not given.
+            floats are meters if ``depth_unit`` is not given.
         intrinsics: JSON, see ``read_intrinsics``.
-        depth_unit: metres per unit of the depth image; None takes what the intrinsics file says.
+        depth_unit: meters per unit of the depth image; None takes what the intrinsics file says.
         mask: image that is not 0 where the object is.
         image: number of the image, for intrinsics of many images.
 
@@ -107,8 +107,8 @@ def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0)
 
     Args:
         path: 16-bit PNG or TIFF, float TIFF, or ``.npy`` of floats or integers, shape [H, W].
-        unit: metres per unit of integers; may be None for floats.
-        float_unit: metres per unit of floats.
+        unit: meters per unit of integers; may be None for floats.
+        float_unit: meters per unit of floats.
 
     Returns:
         [m], 0 where nothing was measured, shape [H, W] float32.
@@ -127,7 +127,7 @@ def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0)
         depth = np.nan_to_num(raw, nan=0.0, posinf=0.0, neginf=0.0) * unit
     elif unit is None:
         raise FungraspError(
-            f"{path}: say how many metres a unit of depth is: 0.001 (1 mm) is usual, 0.0001 and 0.00025 occur"
+            f"{path}: say how many meters a unit of depth is: 0.001 (1 mm) is usual, 0.0001 and 0.00025 occur"
         )
     else:
         depth = raw * float(unit)
@@ -248,10 +248,10 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
 
     Args:
         depth: [m], shape [H, W].
-        unit: metres per unit that was used.
+        unit: meters per unit that was used.
 
     Raises:
-        FungraspError: no measurement, or not plausible in metres; the message names the unit that would be.
+        FungraspError: no measurement, or not plausible in meters; the message names the unit that would be.
     """
     measured = depth[depth > 0]
     if not measured.size:

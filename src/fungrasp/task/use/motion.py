@@ -39,7 +39,7 @@ class SurfacePress:
     force: float
     """Force where the motion begins [N]."""
     stiffness: float
-    """Loss of force for each metre that the end has yielded upwards [N/m]."""
+    """Loss of force for each meter that the end has yielded upwards [N/m]."""
     friction: float
     """Friction against the motion, as a share of that force."""
 
