@@ -187,6 +187,29 @@ def test_a_world_may_follow_any_plan():
     np.testing.assert_array_equal(target.size, [ball.size] * 2)
 
 
+def test_what_is_measured_is_what_is_followed_and_what_is_seen():
+    seen = start().observe()
+    wrong = replace(
+        seen,
+        joint_positions=seen.joint_positions + 0.1,
+        palm_pose=seen.palm_pose + np.array([0.01, 0, 0, 0, 0, 0, 0]),
+        object_pose=seen.object_pose + np.array([0, 0.02, 0, 0, 0, 0, 0]),
+    )
+    both, goals = [], []
+    for observation in (seen, wrong):
+        at_work = tracker()
+        at_work.begin(np.arange(2), np.arange(2), observation)
+        at_work.update(observation)
+        both.append(at_work.state().now)
+        goals.append(at_work.act(nothing(at_work)).palm_goal)
+    a, b = both
+    np.testing.assert_allclose(b.joints - a.joints, 0.1)
+    np.testing.assert_allclose((b.palm_pose - a.palm_pose)[:, :3], [[0.01, 0, 0]] * 2, atol=1e-12)
+    np.testing.assert_allclose((b.object_pose - a.object_pose)[:, :3], [[0, 0.02, 0]] * 2, atol=1e-12)
+    np.testing.assert_array_equal(a.joint_setpoints, b.joint_setpoints)
+    np.testing.assert_allclose((goals[1] - goals[0])[:, :3], [[0, 0.02, 0]] * 2, atol=1e-9)
+
+
 def test_key_points_and_distances_are_those_of_the_worlds():
     """The ball is put around a fingertip."""
     environment = start()

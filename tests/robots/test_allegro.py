@@ -195,6 +195,14 @@ def test_closing_takes_the_torque_away():
         assert not device.emulator.torques.any()
 
 
+def test_power_off_leaves_the_hand_limp():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not device.emulator.servos_on)
+
+
 @pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT])
 def test_a_disturbed_bus_does_not_throw_the_hand(fault: Fault):
     with emulated() as device:

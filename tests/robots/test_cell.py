@@ -26,12 +26,20 @@ def test_shipped_cells_load(name: str) -> None:
         ("", "'hand' is missing"),
         (GOOD + "[limits]\npalm_speed = 0.5\n", "'palm_speed' may be at most 0.25, not 0.5"),
         (GOOD + "[limits]\npalm_speed = -0.1\n", "'palm_speed' must be positive"),
+        (GOOD + "[limits]\npalm_sped = 0.1\n", "Did you mean 'limits.palm_speed'"),
+        (GOOD + "[limits]\npalm_speed = 'fast'\n", "'limits.palm_speed' must be a finite number"),
         (GOOD + "[limits]\npalm_speed = nan\n", "'limits.palm_speed' must be a finite number"),
         (GOOD + "[workspace]\nlower = [0, 0, 0.95]\n", "'workspace.lower' must be below"),
         (GOOD + "[workspace]\nlower = [0, 0]\n", "must have 3 numbers"),
         (GOOD + "[arm]\nmodel = 'ur6'\n", "unknown arm 'ur6'. Did you mean 'ur5'?"),
+        (GOOD + "[arm]\npose_world_base = [0, 0, 0, 2, 0, 0, 0]\n", "unit quaternion"),
+        (
+            GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n",
+            "'mount.pose_flange_hand' is missing",
+        ),
         (GOOD + "[mount]\npose_flange_hand = [0, 0, 0.1, 2, 0, 0, 0]\n", "unit quaternion"),
         (GOOD + "[mount]\nadapter_radius = 0.04\n", "'mount.adapter_length'"),
+        (GOOD + "[tracker]\ncalibration_residual = 0.5\n", "is 500.0 mm, more than 5 mm"),
         (GOOD + "[limits]\nsetpoint_lead = 0.5\n", "'setpoint_lead' may be at most 0.35, not 0.5"),
         (GOOD + "guard = 'no'\n", '\'guard\' must be "on" or "off"'),
         (GOOD + "[[obstacles]]\ncenter = [0, 0, 0]\n", "the field 'obstacles.size' is missing"),
@@ -94,6 +102,13 @@ def test_a_hand_stays_above_the_table_unless_its_cell_says_otherwise() -> None:
 def test_unknown_names() -> None:
     with pytest.raises(FungraspError, match="Did you mean 'ur5e-allegro'"):
         load_cell("ur5-allegro")
+
+
+def test_a_wired_cell_that_says_how_its_hand_is_mounted(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    mount = "[mount]\npose_flange_hand = [0, 0, 0.156, 0.7071, 0, 0, 0.7071]\n"
+    path.write_text(GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n" + mount)
+    assert load_cell(path).mount.pose_flange_hand[2] == 0.156
 
 
 def test_a_cell_of_before_may_say_limits_that_nothing_measures(tmp_path: Path) -> None:

@@ -51,6 +51,27 @@ def test_lerobots_actions_pass_the_guard() -> None:
         sink(robot, world)
 
 
+def test_lerobots_goals_may_not_be_far() -> None:
+    robot, world = twin_robot(cell_and_hand()[0])
+    adapter = LeRobotRobot(robot)
+    adapter.connect()
+    world.advance(world.time + 0.2)
+    seen = adapter.get_observation()
+    action = {name: seen.get(name, 0.0) for name in adapter.action_features}
+    action["palm.x"] += 0.5
+    with pytest.raises(SafetyStop, match=r"0\.50 m at once"):
+        adapter.send_action(action)
+    assert robot.state().arm.status is DeviceStatus.STOPPED
+
+
+def test_the_stop_file_of_the_cell_stops_lerobot(tmp_path: Path) -> None:
+    robot, world = twin_robot(replace(cell_and_hand()[0], stop_file=str(tmp_path / "stop")))
+    (tmp_path / "stop").touch()
+    with pytest.raises(SafetyStop, match="stop file"):
+        sink(robot, world)
+    assert robot.state().arm.status is DeviceStatus.STOPPED
+
+
 def test_without_a_guard_only_by_a_word_that_every_start_says(caplog: pytest.LogCaptureFixture) -> None:
     robot, world = twin_robot(replace(cell_and_hand()[0], guard="off"))
     below = placed()[2] - 0.1

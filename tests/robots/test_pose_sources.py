@@ -43,11 +43,13 @@ class Tracker:
 
     def spoil(self, what: str) -> None:
         began = time.monotonic()
+        jumped = IDENTITY + np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0])
         answers: dict[str, Callable[[float], object]] = {
             "stalled": lambda captured: None,
             "frozen": lambda captured: self.publish(began),
             "clock jump": lambda captured: self.publish(captured + 3600.0),
             "corrupt": lambda captured: self.publisher.send_bytes(np.random.default_rng(0).bytes(80)),
+            "jumping": lambda captured: self.publish(captured, jumped),
             "gone": lambda captured: self.publish(captured, score=0.0, status=TrackingStatus.LOST),
         }
         self.answer = answers[what]
@@ -127,6 +129,13 @@ def test_what_stops_coming_grows_old_and_is_refused(fault: str):
         assert wait_for(lambda: "ms old" in problem(stream))
         tracker.answer = tracker.publish
         assert wait_for(lambda: not problem(stream))
+
+
+def test_an_object_that_jumps_is_refused():
+    with tracked() as (tracker, stream):
+        assert wait_for(lambda: not problem(stream))
+        tracker.spoil("jumping")
+        assert wait_for(lambda: "has jumped" in problem(stream))
 
 
 def test_poses_in_the_cameras_frame_become_those_of_the_world():

@@ -128,6 +128,13 @@ def test_a_guard_that_opens_is_named_and_its_closing_moves_nothing():
         reach(device, device.near)
 
 
+def test_a_protective_stop_before_connecting_is_named():
+    with emulated() as device:
+        device.emulator.inject(Fault.PROTECTIVE_STOP)
+        with pytest.raises(RobotError, match="PROTECTIVE_STOP"):
+            device.driver.connect()
+
+
 def test_random_bytes_are_not_believed():
     with emulated() as device:
         device.driver.connect()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fungrasp.geometry.poses import compose, transform_points
+from fungrasp.geometry.poses import compose, invert, relative, rotation_vector, transform_points
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, builtin_object
@@ -359,6 +359,13 @@ class EngineContract:
         engine.step(still(engine, 0.3), 5)
         assert not engine.diverged.any()
 
+    def test_a_velocity_beyond_all_bounds_breaks_a_world(self, monkeypatch, tmp_path):
+        monkeypatch.chdir(tmp_path)
+        engine = self.ready([CAN, CAN])
+        engine.set_state(np.array([0]), palm_velocity=np.full((1, 3), 1e12))
+        engine.step(still(engine, 0.3), 5)
+        np.testing.assert_array_equal(engine.diverged, [True, False])
+
     # Contacts
 
     def test_contacts_of_a_ball_on_a_finger_on_the_table_and_in_the_air(self):
@@ -430,6 +437,22 @@ class EngineContract:
         before = engine.object_velocity[0, 5]
         engine.step(still(engine), 20)
         np.testing.assert_allclose(engine.object_velocity[0, 5], before, rtol=1e-2)
+
+    def test_bodies_fall_alike_and_tip_over_alike_whatever_they_weigh(self):
+        """As inertia scales along with mass, heavy and light boxes tip over in the same time."""
+        engine = self.ready([BOX] * 3)
+        engine.set_parameters(object_mass=np.array([0.1, 0.5, 4.0]))
+        engine.set_state(object_pose=pose(3, 0.5, 0.0, 1.0))
+        engine.step(still(engine), 60)
+        fallen = 1.0 - engine.object_pose[:, 2]
+        np.testing.assert_allclose(fallen, 0.5 * 9.81 * (60 * STEP) ** 2, rtol=0.02)
+        engine.set_state(object_pose=leaning_box(3))
+        controls, times = still(engine), np.full(3, np.nan)
+        for i in range(200):
+            engine.step(controls, 1)
+            flat = angle(engine.object_pose[:, 3:], pose(3, 0, 0, 0, turn=PALM_DOWN)[:, 3:]) < 0.2
+            times = np.where(np.isnan(times) & flat, STEP * i, times)
+        assert times.min() > 0.2 and times.max() - times.min() <= 2.1 * STEP, times
 
     def test_a_mass_is_that_of_an_object_of_this_mass(self):
         hand, light, heavy = load_hand("allegro"), builtin_object("mug", 0.2), builtin_object("mug", 0.7)
@@ -572,6 +595,24 @@ class EngineContract:
         # A few millimeters onto the table, and no jump.
         assert np.linalg.norm(engine.object_pose[:, :3] - before[:, :3], axis=1).max() < 0.005
 
+    def test_a_top_heavy_box_tips_where_another_stands(self):
+        """Leaning within its base: it falls over only with the center of mass beyond the edge."""
+        engine = self.ready([BOX, BOX])
+        half, box = 0.5 * contract_objects()["box"].size, contract_objects()["box"]
+        lean = 0.5 * np.arctan2(half[0], half[2])
+        height = half[2] * np.cos(lean) + half[0] * np.sin(lean)
+        turn = np.array([np.cos(lean / 2), 0.0, np.sin(lean / 2), 0.0])
+        shift = np.array([[0.0, 0.0, 0.0], [0.9 * half[0], 0.0, 0.0]])
+        engine.set_parameters(
+            object_mass=np.full(2, box.mass),
+            object_center=box.center_of_mass + shift,
+            object_inertia=np.tile(box.inertia, (2, 1, 1)),
+        )
+        engine.set_state(object_pose=pose(2, 0.3, 0.0, height, turn=turn))
+        engine.step(still(engine), 300)
+        fallen = angle(engine.object_pose[:, 3:], pose(2, 0, 0, 0)[:, 3:])
+        assert fallen[0] < 0.1 and fallen[1] > 1.0
+
     def test_dry_friction_takes_from_the_torque_of_the_joint_it_belongs_to(self):
         """A joint with more friction than its servo's torque hardly moves, and only until it is taken back.
         Soft constraints let it creep."""
@@ -712,3 +753,15 @@ class EngineContract:
         engine.set_state(object_pose=pose(2, 0.5, 0.0, 0.5), wrist_frame=pose(2, 0.0, 0.0, 0.8))
         engine.step(still(engine, 0.3), 10)
         assert engine.object_velocity[0, 2] > 0 > engine.object_velocity[1, 2]
+
+    def test_an_object_in_the_hand_moves_with_it(self):
+        """What is seen of the palm and of the object is in the same frame."""
+        engine = self.ready([BALL], height=0.8)
+        before = relative(engine.palm_pose, engine.object_pose)
+        moved = compose(pose(1, 0.3, -0.2, 0.4, turn=np.array([0.8, 0.0, 0.0, 0.6])), engine.palm_pose)
+        engine.set_state(wrist_frame=moved, object_pose=compose(moved, before))
+        after = compose(invert(engine.palm_pose), engine.object_pose)
+        np.testing.assert_allclose(after[:, :3], before[:, :3], atol=self.readback)
+        np.testing.assert_allclose(
+            rotation_vector(after[:, 3:]), rotation_vector(before[:, 3:]), atol=self.turned
+        )

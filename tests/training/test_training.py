@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +27,7 @@ from fungrasp.sim2real import NOMINAL, REALITY
 from fungrasp.task.features import INPUT_LIMIT
 from fungrasp.training.environment import HISTORY, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
-from fungrasp.training.folder import check_environment, environment_state
+from fungrasp.training.folder import check_environment, environment_state, read_checkpoint
 from fungrasp.training.networks import ColoredGaussian, StudentGraph, make_student, tensors
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.training_sets import TrainingSet
@@ -253,3 +259,25 @@ def test_grasps_without_use_are_named(tmp_path):
     bad = TrainingSet("bad grasps", unusable(one.grasps), one.objects)
     with pytest.raises(FungraspError, match="bad grasps: none of the grasps can be trained on"):
         trained(tmp_path, sets=[bad])
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_where_its_checkpoint_is(tmp_path):
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from pathlib import Path; import small_training as t;"
+        "t.trained(Path(sys.argv[2]), t.run_spec(10**9))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(Path(__file__).parents[1] / "helpers"), str(tmp_path)]
+    )
+    checkpoint = tmp_path / "checkpoint.pt"
+    deadline = time.time() + 600
+    while not checkpoint.exists() and time.time() < deadline and process.poll() is None:
+        time.sleep(0.2)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    steps = read_checkpoint(checkpoint)["steps"]
+    card = trained(tmp_path, run_spec(steps + BATCH))
+    assert card.budget.steps == steps + BATCH
+    lines = [json.loads(line)["steps"] for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
+    assert lines == list(range(BATCH, steps + BATCH + 1, BATCH))

@@ -81,6 +81,12 @@ def test_a_light_object_is_tilted_more_easily_than_a_heavy_one():
     assert (heavy < 0.5).all() and (heavy <= light).all()
 
 
+def test_plans_do_not_depend_on_each_other():
+    both = share(plan(), "drink", "hand over")
+    alone = [share(plan().select(np.array([i])), task)[0] for i, task in enumerate(("drink", "hand over"))]
+    np.testing.assert_allclose(both, alone, atol=1e-9)
+
+
 def test_the_parts_to_hold_are_those_under_the_links_that_should_touch():
     grasps, objects = grasps_and_objects()
     assert parts_to_hold(grasps, hand(), objects)[0] == {"body"}

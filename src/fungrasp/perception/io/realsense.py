@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.checks import one_line
 from fungrasp.perception.io.capture import CameraFrame, Capture, Intrinsics
 from fungrasp.perception.io.image_files import check_depth_range
 
@@ -177,7 +178,7 @@ class RealSenseCamera:
         return frame.capture()
 
     def _failed(self, error: RuntimeError) -> FungraspError:
-        return FungraspError(f"{self.name} failed: {_line(error)}")
+        return FungraspError(f"{self.name} failed: {one_line(error)}")
 
     def _aligned(self, frames: Any) -> CameraFrame:
         """The frame with its depth aligned to its color."""
@@ -200,11 +201,13 @@ def _module() -> Any:
         ) from error
     except ImportError as error:
         hint = "; install it with: apt install libusb-1.0-0" if "libusb" in str(error) else ""
-        raise FungraspError(f"pyrealsense2 is installed but can't be loaded: {_line(error)}{hint}") from error
+        raise FungraspError(
+            f"pyrealsense2 is installed but can't be loaded: {one_line(error)}{hint}"
+        ) from error
 
 
 def _why_not_started(recording: str | Path | None, serial: str, error: RuntimeError) -> str:
-    reason = _line(error)
+    reason = one_line(error)
     if recording is not None:
         return (
             f"the recording {recording} can't be played: is it damaged, or is color or depth missing? "
@@ -258,7 +261,3 @@ def _taken(rs: Any, depth: Any) -> float:
         return now
     age = time.time() - 0.001 * float(depth.get_timestamp())
     return now - age if 0.0 <= age < LARGEST_AGE else now
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
