@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.core.records import BatchRecord
-from fungrasp.geometry.poses import invert, rotate, transform_points
+from fungrasp.geometry.poses import transform_points
 from fungrasp.objects import ObjectModel
 from fungrasp.task.grasp_plan import GraspPlan
+from fungrasp.task.object_placement import lowest_above_origin
 from fungrasp.task.policy import Observation
 from fungrasp.task.protocol import LiftProtocol
 
@@ -140,6 +141,4 @@ def center_height(models: list[ObjectModel], pose: np.ndarray) -> np.ndarray:
 def lowest_height(models: list[ObjectModel], pose: np.ndarray) -> np.ndarray:
     """Heights of the objects' lowest points [m], shape [W]. models: length W; pose: world frame, shape
     [W, 7]."""
-    up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
-    lowest = [np.min(model.vertices @ u) for model, u in zip(models, up, strict=True)]
-    return pose[:, 2] + np.array(lowest)
+    return pose[:, 2] + lowest_above_origin(models, pose)

@@ -80,7 +80,7 @@ def where_seen(
         return on_drawn_table(seen, height, sample)
     pose = offset_pose(seen, -sample.object_bias, center)
     too_high = sample.object_bias[:, 2]
-    pose[:, 2] = seen[:, 2] + _lowest(models, seen) - _lowest(models, pose) - too_high
+    pose[:, 2] = seen[:, 2] + lowest_above_origin(models, seen) - lowest_above_origin(models, pose) - too_high
     return on_drawn_table(pose, height - too_high, sample)
 
 
@@ -148,7 +148,7 @@ def _least_change(rows: np.ndarray, least: np.ndarray) -> np.ndarray:
     return -scale * residual[:3] / residual[3]
 
 
-def _lowest(models: Sequence[ObjectModel], pose: np.ndarray) -> np.ndarray:
+def lowest_above_origin(models: Sequence[ObjectModel], pose: np.ndarray) -> np.ndarray:
     """Height of the objects' lowest points above their origins [m], shape [I]."""
     up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
     return np.array([np.min(model.vertices @ u) for model, u in zip(models, up, strict=True)])
