@@ -248,7 +248,7 @@ def test_a_hand_that_refuses_its_limits_is_refused(protocol: str):
     with emulated(protocol, force=100, answer_timeout=0.1) as device:
         device.driver.connect()
         device.emulator.inject(Fault.REFUSED)
-        with pytest.raises(RobotError, match="does not take .*force limits"):
+        with pytest.raises(RobotError, match=r"does not take .*force limits"):
             device.driver.command(device.near)
         device.emulator.clear()
         device.driver.connect()

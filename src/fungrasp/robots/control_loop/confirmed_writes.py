@@ -8,7 +8,7 @@ from typing import Any
 
 from fungrasp.robots.device import RobotError
 
-PATIENCE = 0.5
+PATIENCE = 1.0
 """A device that does not show a value within this time does not take it [s]."""
 INTERVAL = 0.02
 """Between two attempts at the same value [s]."""
@@ -35,8 +35,7 @@ class ConfirmedWrites:
             name: of what is written, for messages.
             anew: write it though it was shown before.
         """
-        wanted = self._open[name][0] if name in self._open else self._shown.get(name)
-        if anew or wanted != value:
+        if anew or self.wanted(name) != value:
             since = self._open[name][1] if name in self._open else time.monotonic()
             self._open[name] = (value, since, 0.0)
 
@@ -45,6 +44,10 @@ class ConfirmedWrites:
         for name in names:
             if name in self._shown:
                 self._open.setdefault(name, (self._shown.pop(name), time.monotonic(), 0.0))
+
+    def wanted(self, name: str) -> Any:
+        """The newest value of a name; None where there is none."""
+        return self._open[name][0] if name in self._open else self._shown.get(name)
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -176,7 +176,7 @@ class _Run:
                 told_last, asked, sent = told, loop_goal(told), float(told["sent"])
                 self._order = int(told["order"])
             goal = asked
-            if goal.mode is LoopMode.CLOSE:
+            if goal.mode in (LoopMode.CLOSE, LoopMode.ABANDON):
                 return
             if self._order > self._stopped_order >= 0 and goal.mode is LoopMode.IDLE and not self._lost:
                 self._latched = None
@@ -206,8 +206,8 @@ class _Run:
         joint = int(np.argmax(beyond))
         if not beyond[joint] <= BEYOND:
             raise RobotError(
-                f"{self._loop.name}: joint {joint} is read at {seen.positions[joint]:.2f} rad, and its limits "
-                f"are {limits.lower[joint]:.2f} to {limits.upper[joint]:.2f} rad: look at it with 'fungrasp "
+                f"{self._loop.name}: joint {joint} is read at {seen.positions[joint]:.2f} rad, and its limits"
+                f" are {limits.lower[joint]:.2f} to {limits.upper[joint]:.2f} rad: look at it with 'fungrasp "
                 "robots read', then switch it off and on"
             )
         self._was_taken = True

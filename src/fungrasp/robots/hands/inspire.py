@@ -153,6 +153,11 @@ class InspireLoop:
         if rest > 0:
             time.sleep(rest)
         self._due = max(self._due, time.monotonic() - self.settings.period) + self.settings.period
+        if goal.mode is LoopMode.IDLE and self._fault and self._taken:
+            # Somebody has connected anew after a fault.
+            self._writes.put(CLEARING, [1], anew=True)
+            self._writes.work()
+            self._fault, self._errors_due = "", 0.0
         state = self._read_state()
         if not self._taken:
             return state
@@ -208,10 +213,6 @@ class InspireLoop:
             self._goto([codec.OPEN_ANGLE] * codec.MOTORS, anew=True)
         elif goal.mode in (LoopMode.HOLD, LoopMode.POWER_OFF) and self._mode is LoopMode.FOLLOW:
             self._hold(state)
-        elif goal.mode is LoopMode.IDLE and faulted:
-            # Somebody has connected anew after a fault.
-            self._writes.put(CLEARING, [1], anew=True)
-            self._fault, self._errors_due = "", 0.0
         self._mode = goal.mode
 
     def _goto(self, angles: list[int], anew: bool = False) -> None:
