@@ -20,6 +20,7 @@ from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episod
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.results import LiftTestResult
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.as_shown import with_shown_places
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner
@@ -93,6 +94,8 @@ def evaluate(
     if protocol is not None:
         spec = replace(spec, protocol=protocol)
     check_objects(robot.object_name.tolist(), objects)
+    if human is not None and robot.shown_places is None:
+        robot = with_shown_places(robot, human, objects, hand)
     record = None if record is None else Path(record)
     job = LiftTestJob(robot, objects, hand or robot.load_hand(), spec, human, own, planner, record, threads)
     if (store is not None or ray is not None) and not job.is_named():

@@ -48,6 +48,11 @@ class RobotGrasp:
     """Which of the hand's links should touch the object, bool, shape [L]."""
     task: str = ""
     """What the grasp is for; empty if not known."""
+    shown_places: np.ndarray | None = None
+    """Where the person touched with what each finger link stands for (``grasps.as_shown``): surface points,
+    object frame [m], shape [L - 1, 3]; None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surface there, shape [L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Further numbers by name (quality, refined controller settings)."""
     hand_file: str = ""
@@ -89,6 +94,10 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """Which of the hand's links should touch the object, shape [N, L] bool."""
     task: np.ndarray | None = None
     """Given as None it becomes N empty strings."""
+    shown_places: np.ndarray | None = None
+    """Where the persons touched, object frame [m], shape [N, L - 1, 3]; None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surfaces there, shape [N, L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
     hand_file: str = ""
@@ -104,6 +113,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         "keypoints": ArrayField("number", ("N", "K", 3)),
         "link_contacts": ArrayField("flag", ("N", "L")),
         "task": ArrayField("text", ("N",), optional=True),
+        "shown_places": ArrayField("number", ("N", "S", 3), optional=True),
+        "shown_normals": ArrayField("number", ("N", "S", 3), optional=True),
     }
     GRASP: ClassVar = RobotGrasp
 
@@ -116,6 +127,14 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
             raise FungraspError(
                 f"field 'joint_positions' has shape {self.joint_positions.shape}, expected (N, M) with "
                 f"M = {len(self.joint_names)}, the length of joint_names"
+            )
+        places, links = self.shown_places, self.link_contacts.shape[1]
+        if (places is None) != (self.shown_normals is None) or (
+            places is not None and places.shape[1] != links - 1
+        ):
+            raise FungraspError(
+                f"the fields 'shown_places' and 'shown_normals' need {links - 1} rows for each grasp, "
+                "one for each finger link"
             )
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")

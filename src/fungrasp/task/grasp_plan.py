@@ -56,6 +56,11 @@ class GraspPlan(BatchRecord):
     """First step of the lift, shape [N] int."""
     path_collision: np.ndarray
     """Deepest intrusion of the planned path into the margins around object and table [m], shape [N]."""
+    shown_places: np.ndarray | None = None
+    """Where the person touched, by finger link (``RobotGraspSet``), object frame [m], shape [N, L - 1, 3];
+    None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surface there, shape [N, L - 1, 3]."""
     expected_success: np.ndarray | None = None
     """Probability of success that the planner expects, shape [N]; None if it did not estimate one."""
     rollouts: np.ndarray | None = None
