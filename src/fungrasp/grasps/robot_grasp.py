@@ -128,14 +128,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
                 f"field 'joint_positions' has shape {self.joint_positions.shape}, expected (N, M) with "
                 f"M = {len(self.joint_names)}, the length of joint_names"
             )
-        places, links = self.shown_places, self.link_contacts.shape[1]
-        if (places is None) != (self.shown_normals is None) or (
-            places is not None and places.shape[1] != links - 1
-        ):
-            raise FungraspError(
-                f"the fields 'shown_places' and 'shown_normals' need {links - 1} rows for each grasp, "
-                "one for each finger link"
-            )
+        if (self.shown_places is None) != (self.shown_normals is None):
+            raise FungraspError("of the fields 'shown_places' and 'shown_normals' one is missing")
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")
         if self.task is None:
@@ -182,7 +176,10 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         """
         if self.hand != hand.name:
             raise FungraspError(f"the grasps are of the hand '{self.hand}', not of '{hand.name}'")
-        if self.joint_names != hand.joint_names or self.link_contacts.shape[1] != len(hand.links):
+        links = {self.link_contacts.shape[1]}
+        if self.shown_places is not None:
+            links.add(1 + self.shown_places.shape[1])
+        if self.joint_names != hand.joint_names or links != {len(hand.links)}:
             raise FungraspError(
                 f"the grasps were made for another version of the hand '{hand.name}': retarget again"
             )

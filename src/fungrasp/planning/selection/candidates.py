@@ -9,12 +9,16 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import ShownContacts, ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.planning.grasp_motion import MotionSettings
 from fungrasp.planning.planner import Planner
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.task import Belief, GraspPlan
+
+NOT_AS_SHOWN = 0.3
+"""TODO"""
 
 
 @dataclass(frozen=True)
@@ -205,6 +209,7 @@ def propose(
     search: int,
     prior: float,
     chunk: int,
+    judge: ShownJudge,
     chance: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
 ) -> Candidates:
     """Plan variations of grasps.
@@ -227,6 +232,11 @@ def propose(
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
         expected.append(predictor(plans[-1]))
+        contacts = ShownContacts.of(plans[-1])
+        if contacts is not None:
+            joints = hand.all_joints(plans[-1].grasp_joints)
+            shown = judge(plans[-1].grasp_palm_pose, joints, contacts)
+            expected[-1] = expected[-1] * np.where(shown.holds, 1.0, NOT_AS_SHOWN)
         if chance is not None and varied.task is not None:
             expected[-1] = expected[-1] * chance(plans[-1], varied.task[rows])
     statistics = CandidateStatistics.untried(np.concatenate(expected).reshape(-1, count), prior)

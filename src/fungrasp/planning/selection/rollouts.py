@@ -52,6 +52,10 @@ class RolloutSettings:
     early: int = 4
     """Control steps before the fingers close at which rollouts begin; where the approach is not free
     (``BLOCKED``), they begin where it begins."""
+    other_places: bool = False
+    """Whether success alone counts, not that the object is held as shown."""
+    share: float = 0.2
+    """Weight of the share of links that are as shown against success."""
     contact: float = 0.1
     """Weight of the contact ratio against success."""
     slip: float = 0.01
@@ -73,6 +77,9 @@ class RolloutResults(BatchRecord):
 
     success: np.ndarray
     """Whether the object was held, or the share that counts, shape [R]."""
+    shown_share: np.ndarray
+    """Share of the wanted links that are as shown; zero for lost objects, one where the person's places are
+    not known, shape [R]."""
     contact_ratio: np.ndarray
     """Share of the target links in contact during the hold; zero for lost objects, shape [R]."""
     slip: np.ndarray
@@ -120,7 +127,8 @@ def try_candidates(
         held = None if parts is None else [parts[row] for row in rows % count]
         found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks, held)
         slip = np.minimum(found.slip, LARGEST_SLIP)
-        statistics.add(best, found.success, s.contact * found.contact_ratio - s.slip * slip)
+        bonus = s.share * found.shown_share + s.contact * found.contact_ratio - s.slip * slip
+        statistics.add(best, found.success, bonus)
         done += each
 
 
@@ -160,8 +168,10 @@ def roll_out(
         environment.begin(ids, some, step, sample.select(rows), beliefs.select(rows))
         outcomes = play(environment, policy, some, end_lost=True)
         lost = outcomes.reason == "lost before the hold"
-        measured = outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
-        success = outcomes.success.astype(float)
+        known = some.shown_places is not None and not s.other_places
+        success = (outcomes.held_as_shown if known else outcomes.success).astype(float)
+        share = outcomes.success * outcomes.shown_share if known else np.ones(len(ids))
+        measured = share, outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
         if tasks is not None:
             some_parts = [frozenset[str]()] * len(ids) if parts is None else parts[rows]
             success *= _withstood(environment, tasks[rows], outcomes.success, some_parts)
