@@ -175,7 +175,7 @@ class LiftEnvironment:
             ids,
             placed.object_pose,
             compose(origin, plans.grasp_palm_pose),
-            compose(origin, plans.palm_setpoint[rows, step]),
+            compose(origin, plans.palm_setpoint_object[rows, step]),
             plans.finger_targets[rows, np.maximum(step - 1, 0)],
             plans.link_contacts,
             plans.palm_velocity[rows, step],

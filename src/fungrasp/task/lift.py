@@ -228,7 +228,7 @@ class LiftTask:
         if may_be_any(begins):
             self.lift_time = where(begins, self.time, self.lift_time)
             self.measurements.lift_begins(begins, self.settled_pose)
-        goal = copied(action.palm_goal)
+        goal = copied(action.palm_goal_world)
         goal[:, 2] += p.lift_height * self._isfinite(self.lift_time)
         return self.setpoints.advance(goal, action.finger_targets)
 

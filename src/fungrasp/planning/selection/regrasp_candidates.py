@@ -64,12 +64,12 @@ def depth_on_the_way(plans: GraspPlan, hand: Hand, objects: Mapping[str, ObjectM
         plans: N of them.
     """
     depth = np.zeros(len(plans))
-    steps = np.arange(plans.palm_setpoint.shape[1])
+    steps = np.arange(plans.palm_setpoint_object.shape[1])
     plan, step = np.nonzero(steps <= plans.closing_step[:, None])
     names = plans.object_name[plan].tolist()
     around = CollisionScene.settled(names, plans.object_pose[plan], objects)
     points = HandPoints(HandKinematics(hand, len(plan)))
-    grip = plans.palm_setpoint[plan, step], plans.finger_targets[plan, step]
+    grip = plans.palm_setpoint_object[plan, step], plans.finger_targets[plan, step]
     clearance = contacts_of_links(points, around, *grip, within=0.0).clearance.min(axis=1)
     np.maximum.at(depth, plan, np.where(np.isfinite(clearance), -clearance, 0.0))
     return depth
