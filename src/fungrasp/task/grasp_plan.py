@@ -69,6 +69,8 @@ class GraspPlan(BatchRecord):
     """Outward unit normals of the surface there, shape [N, L - 1, 3]."""
     expected_success: np.ndarray | None = None
     """Probability of success that the planner expects, shape [N]; None if it did not estimate one."""
+    expected_as_shown: np.ndarray | None = None
+    """Probability that the object is held as shown, shape [N]; None if it was not estimated."""
     rollouts: np.ndarray | None = None
     """Simulated episodes that were spent on planning each grasp, shape [N] int; None for none."""
 

@@ -53,7 +53,8 @@ class LiftTask:
         self._judge = ShownJudge(
             self.scene.hand, dict(zip(self.scene.objects, self.scene.models, strict=True))
         )
-        self._shown: ShownContacts | None = None
+        self.shown: ShownContacts | None = None
+        """Where the person touched, W rows; None if not known."""
         self.controls = zeros(count, 6 + len(self.scene.hand.actuators))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
         self.time = zeros(count)
@@ -160,9 +161,9 @@ class LiftTask:
         """
         whole = len(ids) == len(self.engine)
         if contacts is None or whole:
-            self._shown = contacts if whole else None
-        elif self._shown is not None:
-            self._shown = self._shown.replaced(ids, contacts)
+            self.shown = contacts if whole else None
+        elif self.shown is not None:
+            self.shown = self.shown.replaced(ids, contacts)
 
     def withdraw(self, ids: np.ndarray) -> None:
         """Go on after an attempt: hands may move, and nothing lifts until the next one. ids: worlds, shape
@@ -249,7 +250,7 @@ class LiftTask:
 
     def as_shown(self) -> AsShown | None:
         """How the hands held in the middle of the hold, W rows; None if the person's places are not known."""
-        shown, middle = self._shown, self.measurements.middle
+        shown, middle = self.shown, self.measurements.middle
         if shown is None:
             return None
         reached = np.isfinite(middle.palm_pose[:, :1])
