@@ -170,5 +170,5 @@ def test_joints_are_found_by_name(robot_grasps):
     assert robots[0].joint_dict() == {"one": one, "two": two}
     np.testing.assert_array_equal(robots[0].joints_in_order(["two", "one"]), [two, one])
     np.testing.assert_array_equal(robots.joints_in_order(["two"]), robots.joint_positions[:, 1:])
-    with pytest.raises(FungraspError, match="unknown joint 'tow'. Did you mean 'two'"):
+    with pytest.raises(FungraspError, match=r"unknown joint 'tow'\. Did you mean 'two'"):
         robots[0].joints_in_order(["tow"])
