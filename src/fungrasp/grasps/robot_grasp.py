@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows, checked_extra
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+
+EXTRA = "extra/"
+"""What the names of a robot grasp set's further numbers begin with in the file."""
 
 SQUEEZE = "squeeze_positions"
 """The name in ``extra`` of the grasps' own squeeze targets."""
@@ -57,6 +61,20 @@ class RobotGrasp:
     """Further numbers by name (quality, refined controller settings)."""
     hand_file: str = ""
     """TOML file of a hand that is not found by its name."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Models of objects by name, where the grasp carries them; files of grasps do not."""
+
+    def joint_dict(self) -> dict[str, float]:
+        """Angle of each joint of the hand's model by name [rad], coupled ones included."""
+        return dict(zip(self.joint_names, self.joint_positions.tolist(), strict=True))
+
+    def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
+        """Angles of joints in the order of another model [rad], shape [len(names)].
+
+        Raises:
+            FungraspError: the hand has no such joint.
+        """
+        return self.joint_positions[_columns(self.joint_names, names)]
 
     def __repr__(self) -> str:
         return f"<RobotGrasp: hand {self.hand!r}, object {self.object_name!r}, task {self.task!r}>"
@@ -102,6 +120,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
     hand_file: str = ""
     """TOML file of a hand that is not found by its name."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Models of the objects by name, where the set carries them; files of grasps do not."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -146,6 +166,14 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
             "wrist_pose", distance <= MAX_HAND_DISTANCE, "is far from the object; the distance [m]", distance
         )
 
+    def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
+        """Angles of joints in the order of another model [rad], shape [N, len(names)].
+
+        Raises:
+            FungraspError: the hand has no such joint.
+        """
+        return self.joint_positions[:, _columns(self.joint_names, names)]
+
     @property
     def object_mass_spread(self) -> np.ndarray | None:
         """Standard deviation of the logarithm of each object's mass, shape [N]; None where masses are
@@ -189,3 +217,22 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
 
     def _rows(self, which: Any) -> dict[str, Any]:
         return super()._rows(which) | {"extra": {name: value[which] for name, value in self.extra.items()}}
+
+    @classmethod
+    def _whole_of(cls, grasp: RobotGrasp) -> dict[str, Any]:
+        extra = {name: np.asarray(value)[None] for name, value in grasp.extra.items()}
+        whole = {"hand": grasp.hand, "joint_names": grasp.joint_names, "hand_file": grasp.hand_file}
+        return super()._whole_of(grasp) | whole | {"extra": extra}
+
+    def _further_arrays(self) -> dict[str, np.ndarray]:
+        whole = {"hand": np.array(self.hand), "joint_names": np.array(self.joint_names, dtype=str)}
+        if self.hand_file:
+            whole["hand_file"] = np.array(self.hand_file)
+        return whole | {EXTRA + name: value for name, value in self.extra.items()}
+
+
+def _columns(known: Sequence[str], names: Sequence[str]) -> list[int]:
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("joint", name, known)
+    return [known.index(name) for name in names]
