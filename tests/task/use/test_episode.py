@@ -9,6 +9,7 @@ import numpy as np
 from planned_grasps import grasps_and_objects, plan, scene
 
 from fungrasp.geometry.poses import compose, invert
+from fungrasp.grasps.as_shown import ShownContacts
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.task.use import UseMotion, play_use
