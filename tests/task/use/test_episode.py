@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
+import pytest
 from planned_grasps import grasps_and_objects, plan, scene
 
-from fungrasp.geometry.poses import compose, invert
+from fungrasp.geometry.poses import compose, euler_angles, invert, quaternion_from_rotation_vector, relative
 from fungrasp.grasps.as_shown import ShownContacts
+from fungrasp.hands import Hand
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.task import LiftEnvironment, play
 from fungrasp.task.use import UseMotion, play_use
+from fungrasp.task.use.episode import FingerHold
+from fungrasp.task.use.geometry import far_end, turning_frame
 from fungrasp.task.use.motion import TriggerPress
 from fungrasp.task.use.outcome import functional_contact
 from fungrasp.task.use.worlds import UseWorlds
@@ -45,6 +51,24 @@ def test_what_is_only_held_stays_in_the_palm():
     use = play_use(environment, [still()] * 2, held)
     assert use.success.all() and use.motion.tolist() == ["still"] * 2
     assert (use.shift_m < 2e-3).all() and (use.turn_rad < np.deg2rad(3)).all()
+
+
+def test_a_use_counts_only_as_shown():
+    environment, held = lifted()
+    shown = ShownContacts.of(grasps_and_objects()[0])
+    assert shown is not None
+    environment.task.shown = shown
+    there = environment.task.as_shown()
+    assert there is not None
+    touching = environment.task.measurements.middle.touching[:, 1:]
+    # At right angles to every side.
+    same = replace(shown, places=there.points, wanted=touching, normals=np.zeros_like(shown.normals))
+    environment.task.shown = same
+    assert play_use(environment, [still()] * 2, held).success.all()
+    environment, held = lifted()
+    environment.task.shown = replace(same, places=there.points + np.array([0.0, 0.0, 0.05]))
+    use = play_use(environment, [still()] * 2, held)
+    assert use.reason.tolist() == ["not held as shown"] * 2
 
 
 def test_a_pull_that_no_hand_withstands_takes_the_object_out():
@@ -139,16 +163,68 @@ def test_functional_contact_counts_the_fingers_on_the_part_that_the_person_held(
     assert set(parts[0]) == {"body"}, "a can has one part"
 
 
-def test_a_use_counts_only_as_shown():
-    environment, held = lifted()
-    shown = ShownContacts.of(grasps_and_objects()[0])
-    assert shown is not None
-    environment.task.shown = shown
-    there = environment.task.as_shown()
-    assert there is not None
-    environment.task.shown = replace(shown, places=there.points, wanted=there.shown)
-    assert play_use(environment, [still()] * 2, held).success.all()
-    environment, held = lifted()
-    environment.task.shown = replace(shown, places=there.points + np.array([0.0, 0.0, 0.05]))
-    use = play_use(environment, [still()] * 2, held)
-    assert use.reason.tolist() == ["not held as shown"] * 2
+def test_hinges_stay_away_from_where_two_coincide():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        pose = np.array([0, 0, 0, *rng.normal(size=4)])
+        pose[3:] /= np.linalg.norm(pose[3:])
+        frame = turning_frame(axis, pose)
+        angles = []
+        for angle in np.linspace(-np.deg2rad(100), np.deg2rad(100), 41):
+            turned = compose(np.array([0, 0, 0, *quaternion_from_rotation_vector(angle * axis)]), pose)
+            angles.append(euler_angles(relative(frame, turned)[3:]))
+        angles = np.array(angles)
+        assert np.abs(angles[:, 1]).max() < np.deg2rad(46)
+        assert np.abs(np.diff(angles, axis=0)).max() < 0.5, "none of them jumps"
+
+
+def test_the_far_end_is_the_farthest_point_of_the_surface():
+    objects = grasps_and_objects()[1]
+    can = objects["can"]
+    identity = np.array([0, 0, 0, 1.0, 0, 0, 0])
+    above = np.array([0, 0, 1.0, 1.0, 0, 0, 0])
+    assert far_end(can, identity, above)[2] == pytest.approx(can.vertices[:, 2].min())
+
+
+# Fingers that hold on: joints stay where they were, as far as torques reach.
+
+KP, LIMIT, CONTACT = 4.0, 0.7, 20.0
+"""Of the servos [N m/rad] and [N m]; stiffness of what the joints press against [N m/rad]."""
+
+
+def two_joints() -> Hand:
+    servo = SimpleNamespace(kp=KP, force_limit=LIMIT)
+    return cast(Any, SimpleNamespace(actuators={"a": servo, "b": servo}))
+
+
+@pytest.mark.parametrize("load", [0.3, 0.9])
+def test_joints_return_to_where_they_were_as_far_as_the_torque_reaches(load):
+    """Two joints at rest in a contact, and a load on one of them: 0.9 N m is more than its servo's limit."""
+    place = np.array([[0.5, 0.5]])
+    joints = place.copy()
+    hold = FingerHold(two_joints(), joints, joints)
+    pull = np.array([[load, 0.0]])
+    moved = []
+    for _ in range(60):
+        setpoints = hold.keep(joints)
+        free = (KP * setpoints + CONTACT * place - pull) / (KP + CONTACT)
+        torque = np.clip(KP * (setpoints - free), -LIMIT, LIMIT)
+        joints = place + (torque - pull) / CONTACT
+        moved.append(joints - place)
+    assert abs(moved[-1][0, 1]) < 1e-9
+    left = max(load - LIMIT, 0.0) / CONTACT
+    assert moved[-1][0, 0] == pytest.approx(-left, abs=1e-3)
+    assert abs(moved[0][0, 0]) > left + 0.005, "it gave way at first"
+
+
+def test_a_setpoint_is_never_farther_from_its_joint_than_the_torque_limit():
+    joints = np.array([[0.5, 0.5]])
+    hold = FingerHold(two_joints(), joints, joints)
+    for _ in range(100):
+        setpoints = hold.keep(joints - 0.2)
+    np.testing.assert_allclose(setpoints, joints - 0.2 + LIMIT / KP)
+    for _ in range(2):
+        setpoints = hold.keep(joints + 0.3)
+    assert (setpoints < joints + 0.3).all(), "it comes back without delay"
