@@ -95,7 +95,7 @@ def test_static_grasps_and_episodes_agree_with_the_reference_implementation(tmp_
     result = evaluate(robot, objects, human=human, threads=1, record=tmp_path / "episodes")
     quality, outcomes = static_quality(robot, human, objects), result.outcomes
     ours = {
-        "static": (quality.as_shown, quality.shown_share, quality.place_error_mm, quality.strays),
+        "static": (quality.held_as_shown, quality.shown_share, quality.place_error_mm, quality.strays),
         "episodes": (
             outcomes.held_as_shown,
             outcomes.shown_share,

@@ -42,7 +42,7 @@ GRID_ERROR = 0.001
 class StaticQuality:
     """One number per grasp, shape [N] each; NaN where a grasp asks for no contact."""
 
-    as_shown: np.ndarray
+    held_as_shown: np.ndarray
     """Whether the hand is where and how the person's is (``grasps.as_shown``): 1 or 0."""
     shown_share: np.ndarray
     """Share of the wanted finger links that are as shown."""
@@ -83,7 +83,7 @@ class StaticQuality:
         return static_quality_table(self.summary())
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Mean, 95th percentile and maximum of each number over the grasps."""
+        """Mean, 90th and 95th percentile and maximum of each number over the grasps."""
         result = {}
         for field in fields(self):
             values = getattr(self, field.name)
@@ -91,6 +91,7 @@ class StaticQuality:
             if len(values):
                 result[field.name] = {
                     "mean": float(values.mean()),
+                    "p90": float(np.percentile(values, 90)),
                     "p95": float(np.percentile(values, 95)),
                     "max": float(values.max()),
                 }
@@ -99,12 +100,14 @@ class StaticQuality:
 
 def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
     """``StaticQuality.summary`` as text."""
-    rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
+    rows: list[tuple[str, ...]] = [("quality", "mean", "p90", "p95", "max", "unit")]
     for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
         if unit not in UNITS:
             what, unit = name, ""
-        rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
+        rows.append(
+            (what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p90", "p95", "max")), unit)
+        )
     return table(rows)
 
 
@@ -189,7 +192,7 @@ def _quality(
     shown = ShownJudge(hand, objects)(wrist, robot.joint_positions, theirs)
     residual, epsilon = _force_closure(contacts, by_link, bank, grid, models)
     return StaticQuality(
-        as_shown=np.where(wanted.any(axis=1), shown.holds.astype(float), np.nan),
+        held_as_shown=np.where(wanted.any(axis=1), shown.holds.astype(float), np.nan),
         shown_share=shown.share,
         place_error_mm=1e3 * shown.place_error,
         other_side=shown.other_side,

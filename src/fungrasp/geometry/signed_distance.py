@@ -16,7 +16,6 @@ from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.geometry.array_distances import GridArrays, array_distances
 from fungrasp.geometry.arrays import is_numpy, rows_like
-from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.poses import Array
 from fungrasp.geometry.triangle_mesh import triangle_mesh
 
@@ -171,6 +170,7 @@ def project_to_surface(
     Returns:
         surface points [m] and outward unit normals, each shape [N, P, 3].
     """
+    from fungrasp.geometry.compiling import plain
     from fungrasp.geometry.distance_queries import nearest_surfaces
 
     surface, normal = np.empty(points.shape), np.empty(points.shape)

@@ -42,13 +42,24 @@ class ShownGrasps(Protocol):
     """What robot grasps and plans have in common."""
 
     @property
-    def object_name(self) -> np.ndarray: ...
+    def object_name(self) -> np.ndarray:
+        """Shape [N] str."""
+        ...
+
     @property
-    def link_contacts(self) -> np.ndarray: ...
+    def link_contacts(self) -> np.ndarray:
+        """Shape [N, L] bool."""
+        ...
+
     @property
-    def shown_places(self) -> np.ndarray | None: ...
+    def shown_places(self) -> np.ndarray | None:
+        """Shape [N, L - 1, 3]."""
+        ...
+
     @property
-    def shown_normals(self) -> np.ndarray | None: ...
+    def shown_normals(self) -> np.ndarray | None:
+        """Shape [N, L - 1, 3]."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
