@@ -21,11 +21,13 @@ planner = fungrasp.make_planner("plan", hand, objects)
 plan = planner.plan(robot, belief, seed=0)
 
 assert plan.expected_success is not None and plan.rollouts is not None
-print(f"{plan.object_name[0]}: {plan.palm_goal.shape[1]} control steps, lift at step {plan.lift_step[0]}")
+print(
+    f"{plan.object_name[0]}: {plan.palm_goal_object.shape[1]} control steps, lift at step {plan.lift_step[0]}"
+)
 print(f"expected success {plan.expected_success[0]:.0%} after {plan.rollouts[0]} rollouts")
 offset = np.linalg.norm(plan.grasp_palm_pose[0, :3] - motion.grasp_palm_pose[0, :3])
 print(f"the chosen candidate's palm is {1e3 * offset:.0f} mm from the unchanged grasp's")
 
 plan.save("plan.npz")
 again = fungrasp.GraspPlan.load("plan.npz")
-assert np.array_equal(again.palm_goal, plan.palm_goal)
+assert np.array_equal(again.palm_goal_object, plan.palm_goal_object)

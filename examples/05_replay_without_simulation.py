@@ -47,6 +47,6 @@ for step, action in enumerate(recorder.actions):
     if step == 0:
         student.reset(plan, observation)
     again = student.act(observation)
-    assert np.array_equal(again.palm_goal, action.palm_goal)
+    assert np.array_equal(again.palm_goal_world, action.palm_goal_world)
     assert np.array_equal(again.finger_targets, action.finger_targets)
 print(f"{len(recorder.actions)} recorded control steps give the same actions")

@@ -83,4 +83,4 @@ def test_plans_are_made_in_the_open(human):
     plans = fungrasp.plan(retarget(human, objects, "allegro"), objects)
     assert len(plans) == len(human)
     np.testing.assert_array_equal(plans.object_name, human.object_name)
-    assert np.isfinite(plans.palm_goal).all() and (plans.lift_step > plans.closing_step).all()
+    assert np.isfinite(plans.palm_goal_object).all() and (plans.lift_step > plans.closing_step).all()

@@ -137,7 +137,7 @@ def _bring(name: str, run: TwinRun, policy: SpoiledPolicy, log: FullLog) -> None
     elif name == "error in the policy":
         policy.spoil = _error
     elif name == "policy returns NaN":
-        policy.spoil = lambda action: action.palm_goal.fill(np.nan)
+        policy.spoil = lambda action: action.palm_goal_world.fill(np.nan)
     elif name == "computer hangs":
         policy.spoil = lambda action: run.robot.clock.sleep_until(run.world.time + HANGING)
     else:

@@ -41,7 +41,7 @@ KINDS = (
     Waypoints,
 )
 """Every kind of record."""
-STEPPED = ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity")
+STEPPED = ("palm_goal_object", "finger_targets", "palm_setpoint_object", "palm_velocity")
 """Fields of a plan with an axis of steps."""
 
 
@@ -158,7 +158,7 @@ def test_a_file_of_something_else_is_named(tmp_path):
     with pytest.raises(FungraspError, match="does not exist"):
         Action.load(path)
     made_up(Observation, 0, 2).save(path)
-    with pytest.raises(FungraspError, match=r"r\.npz holds no Action: .*palm_goal"):
+    with pytest.raises(FungraspError, match=r"r\.npz holds no Action: .*palm_goal_world"):
         Action.load(path)
     whole = path.read_bytes()
     for damaged in (b"", b"text", whole[: len(whole) // 2], whole[:-30]):
@@ -169,7 +169,14 @@ def test_a_file_of_something_else_is_named(tmp_path):
     with pytest.raises(FungraspError, match=r"one\.npy can't be read"):
         Action.load(tmp_path / "one.npy")
     with pytest.raises(KeyError, match="finger_targets"):
-        Action.from_arrays({"palm_goal": np.zeros((1, 7)), "lift": np.zeros(1)})
+        Action.from_arrays({"palm_goal_world": np.zeros((1, 7)), "lift": np.zeros(1)})
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.FORMER_NAMES])
+def test_files_with_former_names_are_read(kind, tmp_path):
+    record, now = made_up(kind, 0, 2), {new: old for old, new in kind.FORMER_NAMES.items()}
+    np.savez(tmp_path / "old.npz", **{now.get(name, name): v for name, v in record.arrays().items()})
+    assert_same(kind.load(tmp_path / "old.npz"), record)
 
 
 def test_what_is_written_is_written_whole_or_not_at_all(tmp_path, monkeypatch):

@@ -183,10 +183,10 @@ def test_an_object_that_is_moved_while_the_arm_goes_to_the_start_stops_it() -> N
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda a: a.palm_goal.__setitem__((0, 0), np.nan), "not finite"),
+        (lambda a: a.palm_goal_world.__setitem__((0, 0), np.nan), "not finite"),
         (lambda a: a.finger_targets.__setitem__((0, 2), np.inf), "not finite"),
-        (lambda a: a.palm_goal.__setitem__((0, 1), 3.0), "palm would move"),
-        (lambda a: a.palm_goal.__isub__([[0, 0, 0.2, 0, 0, 0, 0]]), "table"),
+        (lambda a: a.palm_goal_world.__setitem__((0, 1), 3.0), "palm would move"),
+        (lambda a: a.palm_goal_world.__isub__([[0, 0, 0.2, 0, 0, 0, 0]]), "table"),
     ],
 )
 def test_a_policy_gone_wrong_stops_the_robot(change: Any, said: str) -> None:
@@ -389,7 +389,7 @@ class Low(OpenLoopPolicy):
     def act(self, observation: Observation) -> Action:
         action = super().act(observation)
         if len(self.plans) <= self._times and action.lift[0]:
-            action.palm_goal[:, 2] -= 0.12
+            action.palm_goal_world[:, 2] -= 0.12
         return action
 
 

@@ -27,7 +27,7 @@ from fungrasp.task import Action, Observation
 pytest.importorskip("mink")
 
 ENDINGS = {
-    "fault": lambda action: action.palm_goal.__setitem__((0, 0), np.nan),
+    "fault": lambda action: action.palm_goal_world.__setitem__((0, 0), np.nan),
     "Ctrl-C": lambda action: signal.raise_signal(signal.SIGINT),
     "kill": lambda action: os.kill(os.getpid(), signal.SIGTERM),
     "a terminal that is closed": lambda action: os.kill(os.getpid(), signal.SIGHUP),

@@ -72,6 +72,6 @@ def action(rng: np.random.Generator, hand: Hand, count: int) -> np.ndarray:
 
 def moved(values: MeasuredState | PlanTarget, motion: np.ndarray) -> Any:
     """The same with all world poses carried along. motion: pose, shape [7]."""
-    carried = ("palm_pose", "palm_setpoint", "object_pose", "palm_goal", "settled_pose")
+    carried = ("palm_pose", "palm_setpoint", "object_pose", "palm_goal_world", "settled_pose")
     names = [field.name for field in fields(values) if field.name in carried]
     return replace(values, **{name: compose(motion, getattr(values, name)) for name in names})

@@ -46,9 +46,9 @@ def test_the_wrist_keeps_its_limits(protocol):
     assert 0.1 < speed.max() <= protocol.wrist_speed + 1e-9
     change = np.linalg.norm(np.diff(p.palm_velocity, axis=1), axis=-1)
     assert change.max() <= P.control_period * protocol.wrist_acceleration + 1e-9
-    way = np.linalg.norm(np.diff(p.palm_setpoint[..., :3], axis=1), axis=-1)
+    way = np.linalg.norm(np.diff(p.palm_setpoint_object[..., :3], axis=1), axis=-1)
     assert way.max() <= P.control_period * protocol.wrist_speed + 1e-9
-    turn = turned(p.palm_setpoint[:, 1:, 3:], p.palm_setpoint[:, :-1, 3:])
+    turn = turned(p.palm_setpoint_object[:, 1:, 3:], p.palm_setpoint_object[:, :-1, 3:])
     assert turn.max() <= P.control_period * P.wrist_rotation_speed + 1e-6
 
 
@@ -56,12 +56,12 @@ def test_it_comes_to_the_grasp_closes_and_then_lifts():
     p = plan()
     steps = round((S.close_time + S.squeeze_time + S.pause) / P.control_period)
     np.testing.assert_array_equal(p.lift_step - p.closing_step, steps)
-    assert p.lift_step.max() == p.palm_goal.shape[1] - 1
+    assert p.lift_step.max() == p.palm_goal_object.shape[1] - 1
     assert (p.closing_step > 5).all() and (p.lift_step < P.approach_time / P.control_period).all()
     assert (p.path_collision < 0.01).all()
     rows = np.arange(2)
     # Pressed on by a little.
-    at_lift = p.palm_setpoint[rows, p.lift_step]
+    at_lift = p.palm_setpoint_object[rows, p.lift_step]
     near = np.linalg.norm(at_lift[:, :3] - p.grasp_palm_pose[:, :3], axis=-1)
     assert (near < S.press_in + S.press_down + 1e-3).all()
     assert turned(at_lift[:, 3:], p.grasp_palm_pose[:, 3:]).max() < 1e-3
@@ -84,7 +84,7 @@ def test_nothing_is_struck_before_the_fingers_close():
     around = CollisionScene.settled(names, believed.object_pose, objects)
     points = HandPoints(HandKinematics(hand(), len(grasps)))
     for step in range(int(p.closing_step.max())):
-        state = HandState(points, around, p.palm_setpoint[:, step], p.finger_targets[:, step])
+        state = HandState(points, around, p.palm_setpoint_object[:, step], p.finger_targets[:, step])
         going = step < p.closing_step
         assert state.clearance[going].min() > -0.002
 
@@ -97,12 +97,12 @@ def test_the_task_goes_where_it_was_planned_to_go():
     for step in range(int(p.lift_step.min()) + 1):
         setpoint = task.setpoints.wrist
         np.testing.assert_allclose(
-            setpoint.pose, compose(task.settled_pose, p.palm_setpoint[:, step]), atol=1e-9
+            setpoint.pose, compose(task.settled_pose, p.palm_setpoint_object[:, step]), atol=1e-9
         )
         np.testing.assert_allclose(setpoint.velocity, p.palm_velocity[:, step], atol=1e-9)
         action = policy.act(environment.observe())
-        goal = compose(task.settled_pose, p.palm_goal[:, step])
-        np.testing.assert_allclose(action.palm_goal, goal, atol=1e-12)
+        goal = compose(task.settled_pose, p.palm_goal_object[:, step])
+        np.testing.assert_allclose(action.palm_goal_world, goal, atol=1e-12)
         np.testing.assert_array_equal(action.finger_targets, p.finger_targets[:, step])
         np.testing.assert_array_equal(action.lift, step >= p.lift_step)
         environment.step(action)
@@ -118,7 +118,9 @@ def test_it_says_what_it_was_planned_for():
     assert p.object_name.tolist() == grasps.object_name.tolist()
     np.testing.assert_array_equal(p.object_pose, belief().object_pose)
     np.testing.assert_array_equal(p.object_mass, belief().object_mass)
-    np.testing.assert_allclose(compose(p.object_pose, p.palm_setpoint[:, 0]), belief().palm_pose, atol=1e-9)
+    np.testing.assert_allclose(
+        compose(p.object_pose, p.palm_setpoint_object[:, 0]), belief().palm_pose, atol=1e-9
+    )
     assert p.rollouts is None and p.expected_success is None
 
 
@@ -133,14 +135,16 @@ def test_plans_are_for_the_pose_that_is_believed():
     )
     there, here = planned(elsewhere), plan()
     np.testing.assert_array_equal(there.object_pose, elsewhere.object_pose)
-    np.testing.assert_allclose(there.palm_goal, here.palm_goal, atol=1e-4)
+    np.testing.assert_allclose(there.palm_goal_object, here.palm_goal_object, atol=1e-4)
     np.testing.assert_allclose(there.finger_targets, here.finger_targets, atol=1e-3)
 
 
 def test_the_hand_starts_where_it_is_believed_to_be():
     farther = replace(belief(), palm_pose=belief().palm_pose + np.array([0, 0, 0.05, 0, 0, 0, 0]))
     p = planned(farther)
-    np.testing.assert_allclose(compose(p.object_pose, p.palm_setpoint[:, 0]), farther.palm_pose, atol=1e-9)
+    np.testing.assert_allclose(
+        compose(p.object_pose, p.palm_setpoint_object[:, 0]), farther.palm_pose, atol=1e-9
+    )
     open_hand = replace(belief(), joint_positions=0.0 * belief().joint_positions)
     first = planned(open_hand).finger_targets[:, 0]
     assert np.abs(first - plan().finger_targets[:, 0]).max() > 0.1
@@ -182,7 +186,7 @@ def test_grasps_may_have_settings_of_their_own():
     p = MotionPlanner(hand(), objects).plan(replace(grasps, extra=extra), belief())
     assert np.abs(squeeze(p)[0]).sum() < 0.9 * np.abs(squeeze(plan())[0]).sum()
     np.testing.assert_allclose(squeeze(p)[1], squeeze(plan())[1], atol=1e-9)
-    moved = np.linalg.norm(p.palm_goal[:, -1, :3] - plan().palm_goal[:, -1, :3], axis=1)
+    moved = np.linalg.norm(p.palm_goal_object[:, -1, :3] - plan().palm_goal_object[:, -1, :3], axis=1)
     np.testing.assert_allclose(moved, [S.press_in, 0.0], atol=1e-6)
 
 

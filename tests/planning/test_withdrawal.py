@@ -37,8 +37,8 @@ def test_what_hangs_in_the_hand_is_lowered_before_the_hand_opens():
 def test_the_hand_withdraws_by_the_planned_path_backwards():
     seen = raised(start().observe())
     ways = way_off(plan(), seen, np.zeros(2))
-    planned = compose(plan().object_pose, plan().palm_setpoint[:, 0])
-    closing = plan().palm_setpoint[np.arange(2), plan().closing_step]
+    planned = compose(plan().object_pose, plan().palm_setpoint_object[:, 0])
+    closing = plan().palm_setpoint_object[np.arange(2), plan().closing_step]
     moved = seen.palm_setpoint[:, :3] - compose(plan().object_pose, closing)[:, :3]
     np.testing.assert_allclose(ways.palm[:, -1, :3], planned[:, :3] + moved, atol=1e-9)
     np.testing.assert_allclose(np.abs(np.sum(ways.palm[:, -1, 3:] * planned[:, 3:], axis=1)), 1.0)

@@ -85,7 +85,7 @@ def test_a_policy_may_act_for_the_worlds_one_by_one():
         alone.reset(plan().select(row), recorded.seen[0].select(row))
         for observation, expected in zip(recorded.seen, recorded.done, strict=True):
             action = alone.act(observation.select(row))
-            np.testing.assert_array_equal(action.palm_goal[0], expected.palm_goal[world])
+            np.testing.assert_array_equal(action.palm_goal_world[0], expected.palm_goal_world[world])
             np.testing.assert_array_equal(action.finger_targets[0], expected.finger_targets[world])
 
 

@@ -44,15 +44,15 @@ def test_the_plan_goes_where_the_object_goes_until_the_fingers_close():
         pose[:, :3] += ANCHOR_SHARE * (seen.object_pose - pose)[:, :3]
         goal, fingers = p.at(step)
         action = at_work.act(nothing(at_work))
-        np.testing.assert_allclose(action.palm_goal, compose(pose, goal), atol=1e-9)
+        np.testing.assert_allclose(action.palm_goal_world, compose(pose, goal), atol=1e-9)
         np.testing.assert_array_equal(action.finger_targets, fingers)
-        wanted = at_work.state().target.palm_goal
+        wanted = at_work.state().target.palm_goal_world
         np.testing.assert_allclose(wanted, compose(pose, goal), atol=1e-9)
         assert not action.lift.any()
     for step in (p.closing_step, p.lift_step):
         at_work.update(later(seen, step, (0.05, 0.05, 0)))
         action = at_work.act(nothing(at_work))
-        np.testing.assert_allclose(action.palm_goal, compose(pose, p.at(step)[0]), atol=1e-9)
+        np.testing.assert_allclose(action.palm_goal_world, compose(pose, p.at(step)[0]), atol=1e-9)
         np.testing.assert_array_equal(action.lift, step >= p.lift_step)
 
 
@@ -72,7 +72,7 @@ def test_the_plan_turns_with_the_object_about_the_vertical_alone():
             moved = transform_points(pose, center) - transform_points(p.object_pose, center)
             wanted = np.concatenate([p.object_pose[:, :3] + moved[:, 0], p.object_pose[:, 3:]], axis=1)
         action = at_work.act(nothing(at_work))
-        np.testing.assert_allclose(action.palm_goal, compose(wanted, goal), atol=1e-4)
+        np.testing.assert_allclose(action.palm_goal_world, compose(wanted, goal), atol=1e-4)
 
 
 def test_an_object_that_sinks_is_pressed_harder_and_lifted_higher():
@@ -91,7 +91,7 @@ def test_an_object_that_sinks_is_pressed_harder_and_lifted_higher():
         at_work.update(lifting)
     goal, fingers = p.at(p.lift_step + 19)
     action = at_work.act(nothing(at_work))
-    raised = (action.palm_goal - compose(at_work.state().target.settled_pose, goal))[:, 2]
+    raised = (action.palm_goal_world - compose(at_work.state().target.settled_pose, goal))[:, 2]
     assert abs(raised[0]) < 2e-3 and 0.05 < raised[1] <= HIGHEST + 1e-3
     np.testing.assert_allclose(action.finger_targets[0], fingers[0])
     np.testing.assert_allclose(
@@ -129,14 +129,16 @@ def test_the_target_tells_the_time_to_closing_and_the_lift():
     np.testing.assert_allclose(target.since_closing, PERIOD * (p.lift_step + 3 - p.closing_step))
     np.testing.assert_allclose(target.since_lift, [0.3, -1.0])
     goal = compose(seen.object_pose, p.at(p.lift_step + 3)[0])
-    np.testing.assert_allclose(target.palm_goal[:, 2] - goal[:, 2], [0.15, 0.0], atol=1e-9)
+    np.testing.assert_allclose(target.palm_goal_world[:, 2] - goal[:, 2], [0.15, 0.0], atol=1e-9)
 
 
 def test_guided_actions_change_the_grasps_wrist_on_the_tracked_object_and_the_measured_joints():
     settings = ResidualSettings("guided", smoothing=0.0)
     seen, at_work, p = start().observe(), tracker(settings=settings), plan()
     target = at_work.state().target
-    np.testing.assert_allclose(target.palm_goal, compose(seen.object_pose, p.grasp_palm_pose), atol=1e-9)
+    np.testing.assert_allclose(
+        target.palm_goal_world, compose(seen.object_pose, p.grasp_palm_pose), atol=1e-9
+    )
     np.testing.assert_allclose(target.servo_targets, p.grasp_joints)
     action = np.random.default_rng(0).uniform(-1, 1, (2, at_work.size))
     assert not at_work.act(action).lift.any()
@@ -150,7 +152,7 @@ def test_guided_actions_change_the_grasps_wrist_on_the_tracked_object_and_the_me
     goal = compose(seen.object_pose, p.grasp_palm_pose)
     asked, changed = at_work.act(action), add_residual(goal, elsewhere.joint_positions, action, settings)
     assert asked.lift.all()
-    np.testing.assert_allclose(asked.palm_goal, changed[0], atol=1e-9)
+    np.testing.assert_allclose(asked.palm_goal_world, changed[0], atol=1e-9)
     np.testing.assert_allclose(asked.finger_targets, changed[1], atol=1e-12)
 
 
@@ -162,17 +164,17 @@ def test_beginning_anew_in_some_worlds_leaves_the_others():
         at_work.update(seen)
     before = at_work.state()
     kept = {field.name: getattr(before.now, field.name)[0].copy() for field in fields(MeasuredState)}
-    goal = before.target.palm_goal[0].copy()
+    goal = before.target.palm_goal_world[0].copy()
     at_work.begin(np.array([1]), np.array([1]), later(seen, np.array([2, 0]), (0, 0, 0)))
     after = at_work.state()
     for name, value in kept.items():
         np.testing.assert_array_equal(getattr(after.now, name)[0], value, err_msg=name)
-    np.testing.assert_array_equal(after.target.palm_goal[0], goal)
+    np.testing.assert_array_equal(after.target.palm_goal_world[0], goal)
     assert np.all(after.action[0] == 0.75) and not after.action[1].any()
     np.testing.assert_array_equal(after.before.object_pose[1], after.now.object_pose[1])
     assert (after.before.object_pose[0] != after.now.object_pose[0]).any()
     first = compose(after.now.object_pose, plan().at(np.zeros(2, int))[0])
-    np.testing.assert_allclose(after.target.palm_goal[1], first[1], atol=1e-9)
+    np.testing.assert_allclose(after.target.palm_goal_world[1], first[1], atol=1e-9)
 
 
 def test_a_world_may_follow_any_plan():
@@ -201,7 +203,7 @@ def test_what_is_measured_is_what_is_followed_and_what_is_seen():
         at_work.begin(np.arange(2), np.arange(2), observation)
         at_work.update(observation)
         both.append(at_work.state().now)
-        goals.append(at_work.act(nothing(at_work)).palm_goal)
+        goals.append(at_work.act(nothing(at_work)).palm_goal_world)
     a, b = both
     np.testing.assert_allclose(b.joints - a.joints, 0.1)
     np.testing.assert_allclose((b.palm_pose - a.palm_pose)[:, :3], [[0.01, 0, 0]] * 2, atol=1e-12)

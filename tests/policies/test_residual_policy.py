@@ -56,7 +56,7 @@ def test_a_policy_that_changes_nothing_plays_the_plan(tmp_path, kind):
         # The objects stay where they are: once the palm rises they seem to sink, which is answered.
         on = ~(environment.task.lift_time < environment.task.time)
         ours, theirs = act(policy, environment), reference.act(other.observe())
-        np.testing.assert_allclose(ours.palm_goal[on], theirs.palm_goal[on], atol=1e-9)
+        np.testing.assert_allclose(ours.palm_goal_world[on], theirs.palm_goal_world[on], atol=1e-9)
         np.testing.assert_array_equal(ours.finger_targets[on], theirs.finger_targets[on])
         np.testing.assert_array_equal(ours.lift, theirs.lift)
         environment.step(ours)
@@ -73,7 +73,7 @@ def test_a_networks_actions_are_residuals_of_the_cards_size(tmp_path):
     for _ in range(3):
         follower.update(other.observe())
         ours, theirs = act(policy, environment), follower.act(np.tile(offset, (2, 1)))
-        np.testing.assert_allclose(ours.palm_goal, theirs.palm_goal, atol=1e-7)
+        np.testing.assert_allclose(ours.palm_goal_world, theirs.palm_goal_world, atol=1e-7)
         np.testing.assert_allclose(ours.finger_targets, theirs.finger_targets, atol=1e-7)
         environment.step(ours)
         other.step(theirs)
@@ -89,11 +89,11 @@ def test_it_sees_what_happens_to_the_object_of_its_world(tmp_path):
         policy = made(path)
         policy.reset(plan(), seen)
         actions.append(policy.act(observation))
-    np.testing.assert_array_equal(actions[0].palm_goal[0], actions[1].palm_goal[0])
+    np.testing.assert_array_equal(actions[0].palm_goal_world[0], actions[1].palm_goal_world[0])
     nothing = tracker()
     nothing.update(moved)
-    change = actions[1].palm_goal - nothing.act(np.zeros((2, SIZE))).palm_goal
-    before = actions[0].palm_goal - tracker().act(np.zeros((2, SIZE))).palm_goal
+    change = actions[1].palm_goal_world - nothing.act(np.zeros((2, SIZE))).palm_goal_world
+    before = actions[0].palm_goal_world - tracker().act(np.zeros((2, SIZE))).palm_goal_world
     assert np.linalg.norm((change - before)[1, :3]) > 0.01 * SETTINGS.position
 
 
@@ -102,7 +102,7 @@ def test_a_teacher_sees_contacts(tmp_path):
     environment = start()
     policy = made(policy_file(tmp_path, watch=("contact_errors", 1.0), kind="teacher"))
     policy.reset(plan(), environment.observe())
-    moved = act(policy, environment).palm_goal - tracker().act(np.zeros((2, SIZE))).palm_goal
+    moved = act(policy, environment).palm_goal_world - tracker().act(np.zeros((2, SIZE))).palm_goal_world
     wanted = grasps_and_objects()[0].link_contacts[:, 0]
     expected = 0.5 * SETTINGS.position * wanted
     np.testing.assert_allclose(np.linalg.norm(moved[:, :3], axis=1), expected, atol=1e-9)
@@ -118,7 +118,7 @@ def test_a_broken_world_does_not_stop_the_others(tmp_path):
         if step:
             bad.object_pose[1], bad.palm_pose[1] = np.nan, np.nan
         ours, theirs = broken.act(bad), whole.act(seen)
-        np.testing.assert_array_equal(ours.palm_goal[0], theirs.palm_goal[0])
+        np.testing.assert_array_equal(ours.palm_goal_world[0], theirs.palm_goal_world[0])
         np.testing.assert_array_equal(ours.finger_targets[0], theirs.finger_targets[0])
 
 
@@ -131,7 +131,7 @@ def test_a_policy_may_be_reset_for_other_plans_and_another_number_of_worlds(tmp_
         policy.reset(plan().select(one), seen.select(one))
     for _ in range(2):
         ours, theirs = used.act(seen.select(one)), fresh.act(seen.select(one))
-        np.testing.assert_array_equal(ours.palm_goal, theirs.palm_goal)
+        np.testing.assert_array_equal(ours.palm_goal_world, theirs.palm_goal_world)
         np.testing.assert_array_equal(ours.finger_targets, theirs.finger_targets)
 
 

@@ -36,7 +36,7 @@ def test_actions_move_the_palm_and_say_what_was_sent() -> None:
         for tick in range(15):
             sent = robot.send_action(Action(goal, seen.joint_setpoints, np.array([False])), 0.2 + 0.1 * tick)
         assert not sent.lift[0]
-        np.testing.assert_allclose(sent.palm_goal[0, :3], goal[0, :3], atol=1e-3)
+        np.testing.assert_allclose(sent.palm_goal_world[0, :3], goal[0, :3], atol=1e-3)
         world.advance(world.time + 0.5)
         np.testing.assert_allclose(world.look().palm_pose[:3], goal[0, :3], atol=5e-3)
         with pytest.raises(RobotError, match="not finite"):

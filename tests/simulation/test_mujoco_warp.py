@@ -215,7 +215,7 @@ def test_the_lift_test_on_the_engines_own_tensors_ends_as_on_copies():
         environment = begun(scene, plans, engine, plans.closing_step - 4)
         task, given = environment.task, partial(moved_to, environment.task.time)
         for step in range(30):
-            at = np.minimum(plans.closing_step - 4 + step, plans.palm_goal.shape[1] - 1)
+            at = np.minimum(plans.closing_step - 4 + step, plans.palm_goal_object.shape[1] - 1)
             goal, fingers = plans.at(at, np.arange(len(plans)))
             goal, lifts = compose(plans.object_pose, goal), np.full(len(plans), step >= 12)
             task.step(Action(given(goal), given(fingers), given(lifts)))

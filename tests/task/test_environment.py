@@ -177,7 +177,7 @@ def test_an_episode_begins_where_its_plan_is():
     seen, p = environment.observe(), plan()
     np.testing.assert_allclose(seen.time, 0.1 * step)
     np.testing.assert_allclose(seen.object_pose, p.object_pose, atol=1e-9)
-    np.testing.assert_allclose(seen.palm_setpoint, compose(p.object_pose, p.palm_setpoint[BOTH, step]))
+    np.testing.assert_allclose(seen.palm_setpoint, compose(p.object_pose, p.palm_setpoint_object[BOTH, step]))
     np.testing.assert_allclose(seen.palm_pose[:, :3], seen.palm_setpoint[:, :3], atol=1e-9)
     np.testing.assert_allclose(seen.joint_positions, p.finger_targets[BOTH, step - 1], atol=1e-9)
     np.testing.assert_array_equal(environment.task.setpoints.wrist.velocity, p.palm_velocity[BOTH, step])
@@ -236,7 +236,7 @@ def test_an_object_whose_pose_is_wrong_is_seen_where_the_plan_has_it():
     assert np.abs(truth[:, :2] - planned[:, :2] + off[:, :2]).max() < 1.5e-3
     turned = rotation_vector(relative(planned, seen)[:, 3:])
     np.testing.assert_allclose(turned, 0.0, atol=1e-6)
-    expected = compose(planned, np.concatenate([plan().palm_setpoint[:, 0]] * 2))
+    expected = compose(planned, np.concatenate([plan().palm_setpoint_object[:, 0]] * 2))
     np.testing.assert_allclose(environment.engine.palm_pose[:, :3], expected[:, :3], atol=1e-9)
     for _ in range(4):
         environment.step(still(environment))
@@ -272,7 +272,7 @@ def test_a_world_of_the_reality_protocol_differs_in_everything_from_what_is_beli
 def test_a_hand_has_followed_a_moved_object_or_is_where_the_plan_has_it(followed):
     environment = begun(Randomization(object_shift=(0.02, 0.02), object_turn=0.1), hand_followed=followed)
     origin = environment.engine.object_pose if followed else plan().object_pose
-    expected = compose(origin, plan().palm_setpoint[:, 0])
+    expected = compose(origin, plan().palm_setpoint_object[:, 0])
     np.testing.assert_allclose(environment.engine.palm_pose[:, :3], expected[:, :3], atol=1e-9)
 
 

@@ -68,7 +68,7 @@ def example() -> tuple[MeasuredState, MeasuredState, PlanTarget, np.ndarray]:
         surface_normal=now.surface_normal,
     )
     goal = PlanTarget(
-        palm_goal=pose(0, 0.05, 0.2),
+        palm_goal_world=pose(0, 0.05, 0.2),
         servo_targets=0.5 * one,
         palm_in_object=invert(pose(0.1, 0, -0.15, turn=[HALF, 0, 0, -HALF])),
         keypoints=np.array([[[0.05, 0, 0], [0.0, 0, 0.05]]]),

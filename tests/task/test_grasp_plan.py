@@ -31,9 +31,9 @@ def made_up(seed: int, count: int, steps: int) -> GraspPlan:
         keypoints=rng.normal(size=(count, 4, 3)),
         grasp_palm_pose=poses(count),
         grasp_joints=rng.normal(size=(count, 6)),
-        palm_goal=poses(count, steps),
+        palm_goal_object=poses(count, steps),
         finger_targets=rng.normal(size=(count, steps, 6)),
-        palm_setpoint=poses(count, steps),
+        palm_setpoint_object=poses(count, steps),
         palm_velocity=rng.normal(size=(count, steps, 3)),
         closing_step=rng.integers(0, steps, count),
         lift_step=rng.integers(0, steps, count),
@@ -50,11 +50,11 @@ def assert_same(a: GraspPlan, b: GraspPlan) -> None:
 def test_joined_motions_stay_where_they_end():
     short, long = made_up(0, 2, 3), made_up(1, 3, 7)
     both = GraspPlan.join([short, long])
-    assert len(both) == 5 and both.palm_goal.shape == (5, 7, 7)
+    assert len(both) == 5 and both.palm_goal_object.shape == (5, 7, 7)
     for steps in (np.array([0, 1]), np.array([2, 2]), np.array([4, 99])):
         for ours, theirs in zip(both.at(steps, np.arange(2)), short.at(steps), strict=True):
             np.testing.assert_array_equal(ours, theirs)
-    np.testing.assert_array_equal(both.palm_setpoint[:2, 3:], short.palm_setpoint[:, [-1] * 4])
+    np.testing.assert_array_equal(both.palm_setpoint_object[:2, 3:], short.palm_setpoint_object[:, [-1] * 4])
     assert_same(both.select(np.arange(2, 5)), long)
     assert both.object_name.tolist() == ["thing 0 0", "thing 0 1", "thing 1 0", "thing 1 1", "thing 1 2"]
 
@@ -65,13 +65,15 @@ def test_selecting_picks_the_same_rows_of_everything():
     some = whole.select(rows)
     assert_same(some.select(np.array([1])), whole.select(np.array([0])))
     np.testing.assert_array_equal(some.keypoints, whole.keypoints[rows])
-    np.testing.assert_array_equal(some.palm_goal, whole.palm_goal[rows])
+    np.testing.assert_array_equal(some.palm_goal_object, whole.palm_goal_object[rows])
     assert_same(whole.select(np.array([True, False, False, True])), whole.select(np.array([0, 3])))
 
 
 def test_before_its_start_and_after_its_end_it_stays():
     goal, fingers = plan().at(np.array([-3, 10_000]))
-    np.testing.assert_array_equal(goal, np.stack([plan().palm_goal[0, 0], plan().palm_goal[1, -1]]))
+    np.testing.assert_array_equal(
+        goal, np.stack([plan().palm_goal_object[0, 0], plan().palm_goal_object[1, -1]])
+    )
     np.testing.assert_array_equal(
         fingers, np.stack([plan().finger_targets[0, 0], plan().finger_targets[1, -1]])
     )
@@ -80,7 +82,7 @@ def test_before_its_start_and_after_its_end_it_stays():
 def test_rows_can_be_picked_in_any_order():
     rows, steps = np.array([1, 0, 1]), np.array([3, 4, 5])
     goal, fingers = plan().at(steps, rows)
-    np.testing.assert_array_equal(goal, plan().palm_goal[rows, steps])
+    np.testing.assert_array_equal(goal, plan().palm_goal_object[rows, steps])
     np.testing.assert_array_equal(fingers, plan().finger_targets[rows, steps])
 
 
@@ -99,7 +101,7 @@ def test_raised_plans_are_for_objects_that_rest_higher():
     higher = plan().raised(height)
     np.testing.assert_allclose(higher.object_pose[:, 2] - plan().object_pose[:, 2], height, atol=1e-12)
     assert_same(higher.raised(-height).select(slice(0)), plan().select(slice(0)))
-    np.testing.assert_array_equal(higher.palm_goal, plan().palm_goal)
+    np.testing.assert_array_equal(higher.palm_goal_object, plan().palm_goal_object)
 
 
 def test_key_points_are_those_of_the_grasp_in_the_objects_frame():

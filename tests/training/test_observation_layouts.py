@@ -81,7 +81,7 @@ def test_a_played_file_acts_as_in_training(tmp_path, layout, sees):
             worlds.step(actor(tensors(worlds.observations)).numpy())
     # Weights are stored in half precision.
     for ours, theirs in zip(moved, trained, strict=True):
-        np.testing.assert_allclose(ours.palm_goal, theirs.palm_goal, atol=5e-4)
+        np.testing.assert_allclose(ours.palm_goal_world, theirs.palm_goal_world, atol=5e-4)
         np.testing.assert_allclose(ours.finger_targets, theirs.finger_targets, atol=2e-3)
     plan = worlds.tracker.plans.at(np.full(WORLDS, 3), worlds.tracker.rows)[1]
     assert np.abs(moved[-1].finger_targets - plan).max() > 0.02, "the network does something"

@@ -31,7 +31,7 @@ def test_what_is_of_another_library_or_damaged_is_planned_again(tmp_path):
     kept_library(path, "another key", lambda: again.append("damaged") or library())
     with np.load(path) as data:
         arrays = dict(data)
-    del arrays["palm_goal"]
+    del arrays["palm_goal_object"]
     np.savez(path, **arrays)  # pyright: ignore[reportArgumentType]
     kept_library(path, "another key", lambda: again.append("a field is missing") or library())
     assert again == ["key", "damaged", "a field is missing"]
@@ -42,8 +42,8 @@ def test_every_grasp_has_its_copies_and_the_first_is_the_grasp_itself():
     assert library().group.tolist() == [0, 0, 1, 1]
     assert plans.object_name.tolist() == np.repeat(one.grasps.object_name, 2).tolist()
     single = build_plan_library(one.grasps, one.objects, hand(), ONE).plans
-    length = single.palm_goal.shape[1]
-    np.testing.assert_allclose(single.palm_goal, plans.palm_goal[::2, :length], atol=1e-6)
+    length = single.palm_goal_object.shape[1]
+    np.testing.assert_allclose(single.palm_goal_object, plans.palm_goal_object[::2, :length], atol=1e-6)
     assert (np.abs(plans.grasp_joints[::2] - plans.grasp_joints[1::2]).max(axis=1) > 0.01).all()
 
 

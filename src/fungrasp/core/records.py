@@ -26,6 +26,8 @@ class BatchRecord:
     """
 
     SCALARS: ClassVar[tuple[str, ...]] = ()
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {}
+    """Names of fields in older files, and what they are called now."""
 
     def __len__(self) -> int:
         return next(len(value) for value in self._rows().values())
@@ -104,6 +106,7 @@ class BatchRecord:
         Raises:
             KeyError: a quantity that has no default is missing.
         """
+        arrays = {cls.FORMER_NAMES.get(name, name): value for name, value in arrays.items()}
         wanted = fields(cls)  # pyright: ignore[reportArgumentType]
         missing = [f.name for f in wanted if f.default is MISSING and f.name not in arrays]
         if missing:

@@ -271,10 +271,12 @@ class Deployment:
                 observer.step(state.time, self.machine.phase, observation, action, sent, late)
             if self.machine.phase is Phase.GRASP and np.isfinite(robot.lift_time):
                 self._begin(Phase.LIFT)
-            if self.machine.phase is Phase.LIFT and self.scripted.arrived(action.palm_goal, p.lift_height):
+            if self.machine.phase is Phase.LIFT and self.scripted.arrived(
+                action.palm_goal_world, p.lift_height
+            ):
                 self._begin(Phase.HOLD)
                 held_since = robot.clock.now()
-            self._last_goal = action.palm_goal
+            self._last_goal = action.palm_goal_world
             step += 1
             self.scripted.check_length(self.machine.phase, step)
 

@@ -197,7 +197,7 @@ class GraspPreparer:
 
     def _path(self, plan: GraspPlan, start: np.ndarray, fingers: np.ndarray) -> PalmPath:
         """The plan's motion with the lift, as high as a policy may take it."""
-        palm = compose(plan.object_pose[:1, None], plan.palm_setpoint[:1])[0]
+        palm = compose(plan.object_pose[:1, None], plan.palm_setpoint_object[:1])[0]
         up = palm[-1:].copy()
         rise = np.linspace(0.0, self._protocol.lift_height + HIGHEST, 8)[1:]
         up = np.repeat(up, len(rise), axis=0)

@@ -89,7 +89,7 @@ class ScriptedMotion:
 
         closing = int(plan.closing_step[0])
         # As the approach had fingers and palm, step by step: those postures are clear of table and object.
-        back = compose(plan.object_pose, plan.palm_setpoint[0, : closing + 1][::-1])
+        back = compose(plan.object_pose, plan.palm_setpoint_object[0, : closing + 1][::-1])
         opening = np.concatenate([prepared.start_fingers[None], plan.finger_targets[0, :closing]])[::-1]
         # The same goal until the object stands; then the hand opens.
         while opened < 1.0:

@@ -9,25 +9,18 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
 from fungrasp.grasps.diagnosis import checked_grasps
-from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.grasp_set import FILE_VERSION, GraspSet
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.robot_grasp import RobotGraspSet
+from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object, object_names
-
-FILE_VERSION = 1
-"""Version of the file format; a file without the field ``version`` is of version 1."""
 
 BUILTIN = "builtin"
 """The name that stands for the built-in human grasps wherever a file of human grasps is asked for."""
 
 BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
-
-EXTRA = "extra/"
-"""What the names of a robot grasp set's further numbers begin with in the file."""
 
 _KNOWN = {"version", "hand", "hand_file", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
 """Names of all fields but the further numbers."""
@@ -82,29 +75,13 @@ def builtin_grasps() -> HumanGraspSet:
 
 
 def save_human_grasps(path: str | Path, grasps: HumanGraspSet) -> None:
-    """Write human grasps. Nothing is lost: numbers are kept as float32 where that is exact, else as float64.
-
-    Raises:
-        FungraspError: the set is empty or the file can't be written.
-    """
-    _write(path, grasps, {})
+    """Write human grasps, as ``grasps.save`` does."""
+    grasps.save(path)
 
 
 def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
-    """Write robot grasps. Nothing is lost: numbers are kept as float32 where that is exact, else as float64.
-
-    Raises:
-        FungraspError: the set is empty or the file can't be written.
-    """
-    _write(path, grasps, _whole_of_robot(grasps))
-
-
-def _whole_of_robot(grasps: RobotGraspSet) -> dict[str, np.ndarray]:
-    """What belongs to a set of robot grasps as a whole."""
-    whole = {"hand": np.array(grasps.hand), "joint_names": np.array(grasps.joint_names, dtype=str)}
-    if grasps.hand_file:
-        whole["hand_file"] = np.array(grasps.hand_file)
-    return whole | {EXTRA + name: value for name, value in grasps.extra.items()}
+    """Write robot grasps, as ``grasps.save`` does."""
+    grasps.save(path)
 
 
 def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
@@ -212,20 +189,3 @@ def _read(path: str | Path) -> dict[str, np.ndarray]:
             f"{path} is of file version {given}, this fungrasp reads versions up to {FILE_VERSION}"
         )
     return arrays
-
-
-def _write(path: str | Path, grasps: GraspSet[Any], further: Mapping[str, np.ndarray]) -> None:
-    if not len(grasps):
-        raise FungraspError(f"no grasps to write to {path}")
-    arrays = {name: getattr(grasps, name) for name in grasps.FIELDS} | dict(further)
-    stored = {name: _compact(value) for name, value in arrays.items() if value is not None}
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
-
-
-def _compact(array: np.ndarray) -> np.ndarray:
-    if array.dtype != np.float64:
-        return array
-    with np.errstate(over="ignore"):
-        short = array.astype(np.float32)
-    return short if np.array_equal(short.astype(np.float64), array, equal_nan=True) else array

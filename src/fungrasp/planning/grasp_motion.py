@@ -173,6 +173,8 @@ class MotionPlanner:
             grasp_palm_pose=palm,
             grasp_joints=joints,
             path_collision=approach.collision,
+            shown_places=grasps.shown_places,
+            shown_normals=grasps.shown_normals,
             **steps,
         )
 
@@ -235,9 +237,9 @@ def _follow_path(
     last = len(table) - 1
     closing_step = np.where(np.isfinite(arrived), np.rint(arrived / p.control_period), last)
     return {
-        "palm_goal": goals,
+        "palm_goal_object": goals,
         "finger_targets": targets,
-        "palm_setpoint": points,
+        "palm_setpoint_object": points,
         "palm_velocity": velocities,
         "closing_step": closing_step.astype(int),
         "lift_step": np.where(lift.any(axis=1), lift.argmax(axis=1), last),

@@ -65,7 +65,7 @@ def way_off(plan: GraspPlan, observation: Observation, gap: np.ndarray) -> Waypo
     low[:, 2] -= np.where(gap > SMALL_GAP, gap, 0.0)
     last = int(closing.max())
     back = np.maximum(closing[:, None] - np.arange(last + 1), 0)
-    path = compose(plan.object_pose[:, None], plan.palm_setpoint[rows[:, None], back])
+    path = compose(plan.object_pose[:, None], plan.palm_setpoint_object[rows[:, None], back])
     path[..., :3] += (low[:, :3] - path[:, 0, :3])[:, None]
     # As open as it was before the fingers closed.
     opened = plan.finger_targets[rows, np.maximum(closing - 1, 0)]

@@ -147,7 +147,7 @@ class PlanTracker:
         goal = copied(goal)
         goal[:, 2] += LiftProtocol.lift_height * lifting
         target = PlanTarget(
-            palm_goal=goal,
+            palm_goal_world=goal,
             servo_targets=fingers,
             since_closing=period * (self._step - self._closing),
             since_lift=self._since_lift,
@@ -269,9 +269,9 @@ def without_motion(plans: GraspPlan) -> GraspPlan:
     """Plans that ask for the grasp at every step, until the lift and beyond it; they lift as late."""
     return replace(
         plans,
-        palm_goal=plans.grasp_palm_pose[:, None],
+        palm_goal_object=plans.grasp_palm_pose[:, None],
         finger_targets=plans.grasp_joints[:, None],
-        palm_setpoint=plans.palm_setpoint[:, :1],
+        palm_setpoint_object=plans.palm_setpoint_object[:, :1],
         palm_velocity=plans.palm_velocity[:, :1],
         closing_step=plans.lift_step,
     )

@@ -55,16 +55,16 @@ def smoothed(action: Array, previous: Array, settings: ResidualSettings) -> Arra
 
 
 def add_residual(
-    palm_goal: Array, servo_targets: Array, action: Array, settings: ResidualSettings
+    palm_goal_world: Array, servo_targets: Array, action: Array, settings: ResidualSettings
 ) -> tuple[Array, Array]:
     """Palm goals [W, 7] and servo targets [W, U] with a residual.
 
     Args:
-        palm_goal: what the action changes, world frame, shape [W, 7].
+        palm_goal_world: what the action changes, world frame, shape [W, 7].
         servo_targets: likewise [rad], shape [W, U].
         action: smoothed, shape [W, 6 + U].
     """
     xp = array_namespace(action)
     turn = quaternion_from_rotation_vector(settings.rotation * action[:, 3:WRIST_ACTIONS])
     shift = xp.concat([settings.position * action[:, :3], turn], axis=-1)
-    return compose(palm_goal, shift), servo_targets + settings.fingers * action[:, WRIST_ACTIONS:]
+    return compose(palm_goal_world, shift), servo_targets + settings.fingers * action[:, WRIST_ACTIONS:]

@@ -103,7 +103,7 @@ class LeRobotRobot:
             robot.stop()
             raise SafetyStop(problem, StopKind.HOLD)
         sent = robot.send_action(asked)
-        numbers = [*sent.palm_goal[0], *sent.finger_targets[0], *sent.lift]
+        numbers = [*sent.palm_goal_world[0], *sent.finger_targets[0], *sent.lift]
         return dict(zip(self.action_features, map(float, numbers), strict=True))
 
     def disconnect(self) -> None:

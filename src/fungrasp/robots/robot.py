@@ -267,12 +267,12 @@ class Robot:
             SafetyStop: the guard stopped the robot.
             RobotError: a device follows no more, or a value is not finite.
         """
-        if not all(np.isfinite(v).all() for v in (action.palm_goal, action.finger_targets)):
+        if not all(np.isfinite(v).all() for v in (action.palm_goal_world, action.finger_targets)):
             raise RobotError("the policy's action is not finite: its file may be damaged")
         start = self.clock.now() if start is None else start
         if action.lift[0] and not np.isfinite(self.lift_time):
             self.lift_time = self.plan_time(start)
-        goal = action.palm_goal.copy()
+        goal = action.palm_goal_world.copy()
         goal[:, 2] += self.lift_height * np.isfinite(self.lift_time)
         palm, joints = self.setpoints.wrist.pose[0].copy(), self.setpoints.fingers[0].copy()
         sequence = self.setpoints.advance(goal, action.finger_targets)
@@ -291,7 +291,7 @@ class Robot:
         assert sent is not None
         return replace(
             action,
-            palm_goal=sent.palm[None],
+            palm_goal_world=sent.palm[None],
             finger_targets=sent.hand[None],
             lift=np.array([np.isfinite(self.lift_time)]),
         )

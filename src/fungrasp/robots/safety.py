@@ -210,7 +210,7 @@ def check_action(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     Args:
         palm: where it is measured, world frame, shape [7].
     """
-    far = float(np.linalg.norm(action.palm_goal[0, :3] - palm[:3]))
+    far = float(np.linalg.norm(action.palm_goal_world[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
     return ""

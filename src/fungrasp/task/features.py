@@ -77,7 +77,7 @@ class MeasuredState:
 class PlanTarget:
     """What the plans ask for in W worlds."""
 
-    palm_goal: Array
+    palm_goal_world: Array
     """Goal of the palm for the coming control period, world frame, shape [W, 7]."""
     servo_targets: Array
     """Targets of the finger servos for the coming control period [rad], shape [W, U]."""
@@ -118,7 +118,7 @@ def robot_features(
     # What is treated alike is treated together: for one robot the number of calls is what takes time.
     seen = relative(
         stack(now.palm_pose, now.palm_pose, now.palm_pose, now.palm_pose, before.object_pose),
-        stack(now.palm_setpoint, before.palm_pose, target.palm_goal, now.object_pose, before.palm_pose),
+        stack(now.palm_setpoint, before.palm_pose, target.palm_goal_world, now.object_pose, before.palm_pose),
     )
     object_in_palm, from_object_before = seen[3], seen[4]
     change = compose(stack(target.palm_in_object, from_object_before), object_in_palm)

@@ -22,7 +22,13 @@ class GraspPlan(BatchRecord):
     """
 
     SCALARS: ClassVar[tuple[str, ...]] = ("hand", "control_period")
-    _STEPPED: ClassVar[tuple[str, ...]] = ("palm_goal", "finger_targets", "palm_setpoint", "palm_velocity")
+    FORMER_NAMES: ClassVar = {"palm_goal": "palm_goal_object", "palm_setpoint": "palm_setpoint_object"}
+    _STEPPED: ClassVar[tuple[str, ...]] = (
+        "palm_goal_object",
+        "finger_targets",
+        "palm_setpoint_object",
+        "palm_velocity",
+    )
 
     hand: str
     """Name of the hand."""
@@ -42,11 +48,11 @@ class GraspPlan(BatchRecord):
     """Palm in the grasp, object frame, shape [N, 7]."""
     grasp_joints: np.ndarray
     """Angles of the independent joints in the grasp [rad], shape [N, U]."""
-    palm_goal: np.ndarray
+    palm_goal_object: np.ndarray
     """Goal of the palm at each step, without the lift, object frame, shape [N, T, 7]."""
     finger_targets: np.ndarray
     """Targets of the finger servos at each step [rad], shape [N, T, U]."""
-    palm_setpoint: np.ndarray
+    palm_setpoint_object: np.ndarray
     """Where the palm's setpoint is when the step begins, object frame, shape [N, T, 7]."""
     palm_velocity: np.ndarray
     """Velocity of that setpoint, world frame [m/s], shape [N, T, 3]."""
@@ -56,8 +62,15 @@ class GraspPlan(BatchRecord):
     """First step of the lift, shape [N] int."""
     path_collision: np.ndarray
     """Deepest intrusion of the planned path into the margins around object and table [m], shape [N]."""
+    shown_places: np.ndarray | None = None
+    """Where the person touched, by finger link (``RobotGraspSet``), object frame [m], shape [N, L - 1, 3];
+    None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surface there, shape [N, L - 1, 3]."""
     expected_success: np.ndarray | None = None
     """Probability of success that the planner expects, shape [N]; None if it did not estimate one."""
+    expected_as_shown: np.ndarray | None = None
+    """Probability that the object is held as shown, shape [N]; None if it was not estimated."""
     rollouts: np.ndarray | None = None
     """Simulated episodes that were spent on planning each grasp, shape [N] int; None for none."""
 
@@ -68,9 +81,9 @@ class GraspPlan(BatchRecord):
             step: control step of each row, shape [I] int; beyond the last it is the last.
             rows: I rows; all if left out.
         """
-        step = clip(step, 0, self.palm_goal.shape[1] - 1)
+        step = clip(step, 0, self.palm_goal_object.shape[1] - 1)
         index = np.arange(len(self))[rows] if is_numpy(step) else rows
-        return self.palm_goal[index, step], self.finger_targets[index, step]
+        return self.palm_goal_object[index, step], self.finger_targets[index, step]
 
     def raised(self, height: np.ndarray) -> GraspPlan:
         """The plans for objects that rest higher. height: [m], shape [N]."""
@@ -81,7 +94,7 @@ class GraspPlan(BatchRecord):
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
         """One after the other; motions that end earlier stay where they end."""
-        length = max(part.palm_goal.shape[1] for part in parts)
+        length = max(part.palm_goal_object.shape[1] for part in parts)
         return super().join([part._padded(length) for part in parts])
 
     def _padded(self, length: int) -> Self:

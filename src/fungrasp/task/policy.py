@@ -4,7 +4,7 @@ does (``Action``)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -65,7 +65,9 @@ class Privileged(BatchRecord):
 class Action(BatchRecord):
     """What a policy asks of W robots during the next control period."""
 
-    palm_goal: np.ndarray
+    FORMER_NAMES: ClassVar = {"palm_goal": "palm_goal_world"}
+
+    palm_goal_world: np.ndarray
     """Goal of the palm body, world frame, before any lift is added, shape [W, 7]. The wrist moves there
     within its speed limits."""
     finger_targets: np.ndarray

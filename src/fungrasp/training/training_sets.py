@@ -205,7 +205,7 @@ def build_plan_library(
 
 def _usable(plans: GraspPlan) -> np.ndarray:
     """Finite, and the object is on the table."""
-    finite = np.isfinite(plans.palm_goal).all(axis=(1, 2)) & np.isfinite(plans.finger_targets).all(
+    finite = np.isfinite(plans.palm_goal_object).all(axis=(1, 2)) & np.isfinite(plans.finger_targets).all(
         axis=(1, 2)
     )
     settled = plans.object_pose

@@ -258,7 +258,11 @@ def _partial(folder: Path) -> tuple[str, bytes, Reader]:
 
 
 def _record(folder: Path) -> tuple[str, bytes, Reader]:
-    arrays = {"palm_goal": np.zeros((2, 7)), "finger_targets": np.zeros((2, 3)), "lift": np.zeros(2, bool)}
+    arrays = {
+        "palm_goal_world": np.zeros((2, 7)),
+        "finger_targets": np.zeros((2, 3)),
+        "lift": np.zeros(2, bool),
+    }
     return "x.npz", _saved(lambda stream: np.savez(stream, **arrays)), Action.load  # pyright: ignore
 
 

@@ -46,7 +46,7 @@ def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[
     normals = rotate(to_palm[:, None, 3:], normal)
     up = rotate(to_palm[:, 3:], rotate(invert(plans.object_pose)[:, 3:], np.array([0.0, 0.0, 1.0])))
     axes = np.abs(rotation_matrix(to_palm[:, 3:]))
-    press = compose(to_palm, plans.palm_goal[:, -1])[:, :3]
+    press = compose(to_palm, plans.palm_goal_object[:, -1])[:, :3]
     height = compose(plans.object_pose, plans.grasp_palm_pose)[:, 2:3]
     return {
         "keypoints": keypoints.reshape(count, -1) / POSITION_UNIT,
