@@ -16,6 +16,7 @@ from fungrasp.core.parallel import in_chunks
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
 from fungrasp.grasps.as_shown import shown_places
+from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.correspondence import correspond
@@ -110,6 +111,7 @@ def retarget(
     origin = hand_origin(hand)
     spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
     _check(human, objects, hand)
+    human = checked_grasps(vars(human), objects, "the human grasps", read=True)
     used = {name: objects[name] for name in np.unique(human.object_name).tolist()}
     for model in used.values():
         _ = model.signed_distance  # once, not in each worker
