@@ -36,17 +36,6 @@ def test_long_cells_are_folded_where_asked() -> None:
     assert lines == ["name  data", "a     one two", "      three"]
 
 
-def test_progress_off_a_terminal_is_a_line_now_and_then(capsys, monkeypatch):
-    from fungrasp.cli import console
-
-    now = iter([0.0, 10.0, 31.0, 31.0, 40.0])
-    monkeypatch.setattr(console, "monotonic", lambda: next(now))
-    with console.progress_bar("lifting", 8) as show:
-        for done in (1, 4, 5):
-            show(done)
-    assert capsys.readouterr().err == "lifting: 50 %\nlifting: 100 %\n"
-
-
 def test_a_suggested_command_can_be_copied_whatever_its_paths() -> None:
     line = suggestion("view", Path("my grasps.npz"), option("--objects", Path("a b")), option("--x", None))
     assert line == "next: fungrasp view 'my grasps.npz' --objects 'a b'"

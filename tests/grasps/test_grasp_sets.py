@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_grasps
 
 
 def same(a, b) -> None:
@@ -143,3 +145,30 @@ def test_spoiled_human_sets_are_named(human_grasps, field, spoil, words):
 def test_spoiled_robot_sets_are_named(robot_grasps, changes, words):
     with pytest.raises(FungraspError, match=words):
         robot_grasps(3, **changes)
+
+
+@pytest.mark.parametrize("kind", ["human_grasps", "robot_grasps"])
+def test_single_grasps_make_the_set_again_and_carry_their_objects(kind, request, tmp_path):
+    from fungrasp.objects import load_object
+
+    model = load_object("mug")
+    grasps = replace(request.getfixturevalue(kind)(3), objects={"mug": model})
+    again = type(grasps).of(list(grasps))
+    same(again, grasps)
+    assert again.objects == grasps[1:].objects == grasps[0].objects == {"mug": model}
+    assert again.digest == replace(grasps, objects={}).digest
+    heavier = replace(grasps, objects={"mug": load_object("mug", 2 * model.mass)})
+    with pytest.raises(FungraspError, match="different objects by 'mug'"):
+        type(grasps).concatenate([grasps, heavier])
+    grasps.save(tmp_path / "set.npz")
+    same(load_grasps(tmp_path / "set.npz"), grasps)
+
+
+def test_joints_are_found_by_name(robot_grasps):
+    robots = robot_grasps(2)
+    one, two = robots.joint_positions[0].tolist()
+    assert robots[0].joint_dict() == {"one": one, "two": two}
+    np.testing.assert_array_equal(robots[0].joints_in_order(["two", "one"]), [two, one])
+    np.testing.assert_array_equal(robots.joints_in_order(["two"]), robots.joint_positions[:, 1:])
+    with pytest.raises(FungraspError, match=r"unknown joint 'tow'\. Did you mean 'two'"):
+        robots[0].joints_in_order(["tow"])

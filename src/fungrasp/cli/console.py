@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.progress import progress_bar
 from fungrasp.core.text_table import table
 
 if TYPE_CHECKING:
@@ -28,10 +25,6 @@ __all__ = [
     "write_human_grasps",
     "write_json",
 ]
-
-LINE_PERIOD = 30.0
-"""Time between two lines of progress where there is no terminal [s]."""
-
 
 STDOUT = "-"
 """What ``--json`` means without a file, where it takes one."""
@@ -94,52 +87,6 @@ def option(name: str, value: object) -> str:
     return "" if value is None else f"{name} {shlex.quote(str(value))}"
 
 
-@contextmanager
-def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr while something takes long; where stderr is no terminal, a line now and then, and one
-    at the end if there was any.
-
-    Args:
-        total: how much there is to do.
-
-    Yields:
-        A function to be called with how much is done.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        with _plain_lines(words, total) as show:
-            yield show
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(words, total=total)
-        yield lambda done: bar.update(task, completed=done)
-
-
-@contextmanager
-def _plain_lines(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """``progress_bar`` without a terminal: a line every ``LINE_PERIOD`` seconds."""
-    last, shown = monotonic(), 100
-
-    def line(percent: int) -> None:
-        nonlocal shown
-        shown = percent
-        print(f"{words}: {percent} %", file=sys.stderr, flush=True)
-
-    def show(done: float) -> None:
-        nonlocal last
-        if monotonic() - last >= LINE_PERIOD:
-            last = monotonic()
-            line(round(100 * done / total))
-
-    yield show
-    if shown != 100:
-        line(100)
-
-
 def write_json(path: Path, value: Any) -> None:
     """Whole or not at all; NaN is a bug.
 
@@ -159,7 +106,8 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
         FungraspError: it can't be written.
     """
     from fungrasp.grasps import save_human_grasps
-    from fungrasp.grasps.diagnosis import check_anatomy, grouped, table_remarks
+    from fungrasp.grasps.anatomy import check_anatomy, grouped
+    from fungrasp.grasps.diagnosis import table_remarks
 
     save_human_grasps(path, grasps)
     objects, unusual = sorted(set(grasps.object_name.tolist())), grouped(check_anatomy(grasps))

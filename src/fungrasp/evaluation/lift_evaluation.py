@@ -20,13 +20,14 @@ from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episod
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.results import LiftTestResult
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.as_shown import with_shown_places
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner
 from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.sim2real import ProtocolName
 from fungrasp.task import Outcomes, Policy, PrivilegedPolicy
-from fungrasp.task.use import UseOutcomes
+from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
 """Fewest and most episodes of a part: 5 s of work at most, beside which what a part costs is little, and many
@@ -66,7 +67,8 @@ def evaluate(
         protocol: in the place of that of ``spec``.
         spec: what is asked; the defaults if None.
         hand: the hand of the grasps, where it has other dynamics than its files say; theirs if None.
-        human: what the grasps were retargeted from: for the use test, and the static quality.
+        human: what the grasps were retargeted from: for the static quality, and for grasps that don't know
+            where the person touched.
         planner: in the place of the one that belongs to the policy.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds), and of the use tests, ``<row>_<object>_use.npz``; with several conditions a folder
@@ -93,8 +95,10 @@ def evaluate(
     if protocol is not None:
         spec = replace(spec, protocol=protocol)
     check_objects(robot.object_name.tolist(), objects)
+    if human is not None and robot.shown_places is None:
+        robot = with_shown_places(robot, human, objects, hand)
     record = None if record is None else Path(record)
-    job = LiftTestJob(robot, objects, hand or robot.load_hand(), spec, human, own, planner, record, threads)
+    job = LiftTestJob(robot, objects, hand or robot.load_hand(), spec, own, planner, record, threads)
     if (store is not None or ray is not None) and not job.is_named():
         raise FungraspError(
             "parts are kept, and sent to a cluster, only for a policy that is given by name and a planner "
@@ -137,7 +141,8 @@ class LiftTestJob(LiftTest, Job[Episodes]):
 
     def key(self, part: Episodes) -> str:
         """Digest of all that the outcomes depend on."""
-        grasps, spec, use = self.grasps.select(part.rows), self.spec, self.use_test
+        grasps, spec = self.grasps.select(part.rows), self.spec
+        motions = load_use_motions() if spec.use else {}
         return part_key(
             "lift test",
             self.hand,
@@ -148,7 +153,7 @@ class LiftTestJob(LiftTest, Job[Episodes]):
             (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
             (part.rows, part.seed),
             [str(file.absolute()) for file in self.files(part)],
-            "" if use is None else use.key(part.rows),
+            {name: str(motion) for name, motion in motions.items()},
         )
 
     def size(self, part: Episodes) -> float:
@@ -210,6 +215,7 @@ def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays
         task=grasps.task[index],
         outcomes=Outcomes.from_arrays(merged),
         rollouts=merged["rollouts"],
+        expected_as_shown=merged["expected_as_shown"],
         contact_estimates=ContactEstimates.from_arrays(merged),
         use=UseOutcomes.from_arrays(_without(merged, USE_PREFIX)) if spec.use else None,
         attempts=AttemptRecord.from_arrays(_without(merged, ATTEMPT_PREFIX)) if spec.attempts > 1 else None,

@@ -2,39 +2,30 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
-from fungrasp.grasps.diagnosis import hand_remarks, refuse_or_list, table_remarks
-from fungrasp.grasps.grasp_set import GraspSet
+from fungrasp.grasps.diagnosis import checked_grasps
+from fungrasp.grasps.grasp_set import FILE_VERSION, GraspSet
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.robot_grasp import RobotGraspSet
-
-FILE_VERSION = 1
-"""Version of the file format; a file without the field ``version`` is of version 1."""
+from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
+from fungrasp.objects import ObjectModel, load_object, object_names
 
 BUILTIN = "builtin"
 """The name that stands for the built-in human grasps wherever a file of human grasps is asked for."""
 
 BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
 
-EXTRA = "extra/"
-"""What the names of a robot grasp set's further numbers begin with in the file."""
-
 _KNOWN = {"version", "hand", "hand_file", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
 """Names of all fields but the further numbers."""
 
-_log = logging.getLogger(__name__)
-
-Set = TypeVar("Set", bound=GraspSet[Any])
+Grasps = TypeVar("Grasps", bound=GraspSet[Any])
 
 
 @guarded("grasp file")
@@ -84,44 +75,35 @@ def builtin_grasps() -> HumanGraspSet:
 
 
 def save_human_grasps(path: str | Path, grasps: HumanGraspSet) -> None:
-    """Write human grasps. Nothing is lost: numbers are kept as float32 where that is exact, else as float64.
-
-    Raises:
-        FungraspError: the set is empty or the file can't be written.
-    """
-    _write(path, grasps, {})
+    """Write human grasps, as ``grasps.save`` does."""
+    grasps.save(path)
 
 
 def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
-    """Write robot grasps. Nothing is lost: numbers are kept as float32 where that is exact, else as float64.
-
-    Raises:
-        FungraspError: the set is empty or the file can't be written.
-    """
-    _write(path, grasps, _whole_of_robot(grasps))
-
-
-def _whole_of_robot(grasps: RobotGraspSet) -> dict[str, np.ndarray]:
-    """What belongs to a set of robot grasps as a whole."""
-    whole = {"hand": np.array(grasps.hand), "joint_names": np.array(grasps.joint_names, dtype=str)}
-    if grasps.hand_file:
-        whole["hand_file"] = np.array(grasps.hand_file)
-    return whole | {EXTRA + name: value for name, value in grasps.extra.items()}
+    """Write robot grasps, as ``grasps.save`` does."""
+    grasps.save(path)
 
 
 def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
+    if path == BUILTIN_PATH:
+        return human_grasps(path, arrays)
     if _is_robot(arrays):
-        raise FungraspError(
-            f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
-        )
-    joints = arrays.get("hand_joints", np.zeros(0))
-    readable = joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind == "f"
-    if readable and path != BUILTIN_PATH and np.isfinite(joints).all():
-        joints = joints.astype(np.float64)
-        remarks = hand_remarks(joints, arrays.get("object_name")) + table_remarks(joints)
-        for remark in refuse_or_list(remarks, len(joints), str(path)):
-            _log.warning("%s: %s", path, remark)
-    return _build(path, HumanGraspSet, arrays, {})
+        human_grasps(path, arrays)
+    _require_fields(path, HumanGraspSet, arrays, {"link_contacts", "object_rest_pose"})
+    grasps = checked_grasps(arrays, _needed_objects(arrays), str(path), file=True)
+    if not len(grasps):
+        raise FungraspError(f"{path} holds no grasps")
+    return grasps
+
+
+def _needed_objects(arrays: Mapping[str, np.ndarray]) -> dict[str, ObjectModel]:
+    """The built-in objects of grasps of which something must be computed from meshes."""
+    contacts = arrays.get("link_contacts")
+    lacking = contacts is None or contacts.ndim != 2 or not contacts.any(axis=1).all()
+    names = arrays.get("object_name", np.zeros(0, dtype="U1"))
+    if names.dtype.kind not in "US" or not (lacking or "object_rest_pose" not in arrays):
+        return {}
+    return {name: load_object(name) for name in set(names.astype(str).ravel().tolist()) & set(object_names())}
 
 
 def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
@@ -131,15 +113,6 @@ def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
         FungraspError: no such file, or none that can be read.
     """
     return _read(path)
-
-
-def human_grasps_from_fields(arrays: Mapping[str, np.ndarray], where: str) -> HumanGraspSet:
-    """Human grasps from their fields; where: begins the messages.
-
-    Raises:
-        FungraspError: bad content; names field, shapes and row.
-    """
-    return _build(Path(where), HumanGraspSet, arrays, {})
 
 
 def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:
@@ -170,11 +143,10 @@ def _is_robot(arrays: Mapping[str, np.ndarray]) -> bool:
     return "hand" in arrays and "hand_joints" not in arrays
 
 
-def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole: Mapping[str, Any]) -> Set:
-    missing = [name for name, field in kind.FIELDS.items() if name not in arrays and not field.optional]
-    if missing:
-        found = ", ".join(sorted(npz_names(path, "grasp file"))) or "nothing"
-        raise FungraspError(f"{path}: field '{missing[0]}' is missing; found: {found}")
+def _build(
+    path: Path, kind: type[Grasps], arrays: Mapping[str, np.ndarray], whole: Mapping[str, Any]
+) -> Grasps:
+    _require_fields(path, kind, arrays)
     try:
         grasps = kind(**whole, **{name: arrays.get(name) for name in kind.FIELDS})
     except FungraspError as error:
@@ -182,6 +154,29 @@ def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole:
     if not len(grasps):
         raise FungraspError(f"{path} holds no grasps")
     return grasps
+
+
+def human_grasps(path: str | Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
+    """Human grasps from the fields of a file, without the checks of their convention.
+
+    Raises:
+        FungraspError: bad content; names field, shapes and row.
+    """
+    if _is_robot(arrays):
+        raise FungraspError(
+            f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
+        )
+    return _build(Path(path), HumanGraspSet, arrays, {})
+
+
+def _require_fields(
+    path: Path, kind: type[GraspSet[Any]], arrays: Mapping[str, np.ndarray], computed: Set[str] = frozenset()
+) -> None:
+    needed = (name for name, field in kind.FIELDS.items() if not field.optional and name not in computed)
+    missing = [name for name in needed if name not in arrays]
+    if missing:
+        found = ", ".join(sorted(npz_names(path, "grasp file"))) or "nothing"
+        raise FungraspError(f"{path}: field '{missing[0]}' is missing; found: {found}")
 
 
 def _read(path: str | Path) -> dict[str, np.ndarray]:
@@ -194,20 +189,3 @@ def _read(path: str | Path) -> dict[str, np.ndarray]:
             f"{path} is of file version {given}, this fungrasp reads versions up to {FILE_VERSION}"
         )
     return arrays
-
-
-def _write(path: str | Path, grasps: GraspSet[Any], further: Mapping[str, np.ndarray]) -> None:
-    if not len(grasps):
-        raise FungraspError(f"no grasps to write to {path}")
-    arrays = {name: getattr(grasps, name) for name in grasps.FIELDS} | dict(further)
-    stored = {name: _compact(value) for name, value in arrays.items() if value is not None}
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
-
-
-def _compact(array: np.ndarray) -> np.ndarray:
-    if array.dtype != np.float64:
-        return array
-    with np.errstate(over="ignore"):
-        short = array.astype(np.float32)
-    return short if np.array_equal(short.astype(np.float64), array, equal_nan=True) else array

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Literal, Self, TypeVar, overload
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import digest
+from fungrasp.core.files import atomic_path, digest
+
+if TYPE_CHECKING:
+    from fungrasp.objects import ObjectModel
+
+FILE_VERSION = 1
+"""Version of the file format; a file without the field ``version`` is of version 1."""
 
 QUATERNION_TOLERANCE = 1e-3
 """How far the norm of a quaternion may be from 1: within, it is normalised; beyond, it is an error."""
@@ -145,6 +152,7 @@ class GraspSet(Generic[Grasp]):
     GRASP: ClassVar[type]
 
     object_name: np.ndarray
+    objects: Mapping[str, ObjectModel]
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -170,7 +178,7 @@ class GraspSet(Generic[Grasp]):
         if isinstance(index, slice | Sequence | np.ndarray):
             return self.select(index)
         row = range(len(self))[index]
-        return self.GRASP(**self._whole_set(), **self._rows(row))
+        return self.GRASP(**self._shared(), **self._rows(row))
 
     def __repr__(self) -> str:
         objects = len(set(self.object_name.tolist()))
@@ -203,7 +211,45 @@ class GraspSet(Generic[Grasp]):
                 raise FungraspError(
                     f"index {which.min()} or {which.max()} is outside the set of {len(self)} grasps"
                 )
-        return type(self)(**self._whole_set(), **self._rows(which))
+        return type(self)(**self._shared(), **self._rows(which))
+
+    @classmethod
+    def of(cls, grasps: Sequence[Grasp]) -> Self:
+        """A set of single grasps. Optional values are kept if every grasp has them.
+
+        Raises:
+            FungraspError: no grasps, or grasps that do not belong to the same hand.
+        """
+        return cls.concatenate([cls._of_one(grasp) for grasp in grasps])
+
+    @classmethod
+    def _of_one(cls, grasp: Any) -> Self:
+        columns = {name: getattr(grasp, name) for name in cls.FIELDS}
+        rows = {name: None if value is None else np.asarray(value)[None] for name, value in columns.items()}
+        return cls(**rows, **cls._whole_of(grasp))
+
+    @classmethod
+    def _whole_of(cls, grasp: Any) -> dict[str, Any]:
+        """What a set has beside the arrays of ``FIELDS``, of one grasp."""
+        return {"objects": grasp.objects}
+
+    def save(self, path: str | Path) -> None:
+        """Write an ``.npz`` file (docs/file-format.md), without the objects. Nothing is lost: numbers are
+        kept as float32 where that is exact, else as float64.
+
+        Raises:
+            FungraspError: the set is empty or the file can't be written.
+        """
+        if not len(self):
+            raise FungraspError(f"no grasps to write to {path}")
+        arrays = {name: getattr(self, name) for name in self.FIELDS} | self._further_arrays()
+        stored = {name: _compact(value) for name, value in arrays.items() if value is not None}
+        with atomic_path(path) as temporary, temporary.open("wb") as stream:
+            np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
+
+    def _further_arrays(self) -> dict[str, np.ndarray]:
+        """What a file has beside the arrays of ``FIELDS``."""
+        return {}
 
     @classmethod
     def concatenate(cls, sets: Sequence[Self]) -> Self:
@@ -221,11 +267,21 @@ class GraspSet(Generic[Grasp]):
                     raise FungraspError(
                         f"cannot join grasp sets of different {name}: {first[name]} and {value}"
                     )
-        return cls(**first, **_joined([grasps._rows(slice(None)) for grasps in sets]))
+        objects: dict[str, ObjectModel] = {}
+        for grasps in sets:
+            for name, model in grasps.objects.items():
+                if objects.setdefault(name, model).digest != model.digest:
+                    raise FungraspError(f"cannot join grasp sets: they mean different objects by '{name}'")
+        whole: dict[str, Any] = {**first, "objects": objects}
+        return cls(**whole, **_joined([grasps._rows(slice(None)) for grasps in sets]))
 
     def _whole_set(self) -> dict[str, Any]:
         """Values that belong to the set and not to a grasp."""
         return {}
+
+    def _shared(self) -> dict[str, Any]:
+        """The same and the objects, which are not a part of what the set says."""
+        return {**self._whole_set(), "objects": self.objects}
 
     def _rows(self, which: Any) -> dict[str, Any]:
         """The per-grasp values at ``which``: arrays, None or a dict of arrays."""
@@ -255,3 +311,11 @@ def _joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         else:
             joined[name] = np.concatenate(values)
     return joined
+
+
+def _compact(array: np.ndarray) -> np.ndarray:
+    if array.dtype != np.float64:
+        return array
+    with np.errstate(over="ignore"):
+        short = array.astype(np.float32)
+    return short if np.array_equal(short.astype(np.float64), array, equal_nan=True) else array

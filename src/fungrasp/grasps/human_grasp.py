@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError
 from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows
 from fungrasp.grasps.human_hand import bone_lengths
+
+if TYPE_CHECKING:
+    from fungrasp.objects import ObjectModel
 
 MAX_HAND_DISTANCE = 1.0
 """Largest distance between an object's origin and a joint of the hand that holds it [m]."""
@@ -44,6 +46,8 @@ class HumanGrasp:
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
     object_mass_spread: float | None = None
     """Standard deviation of the logarithm of the object's mass, where that was guessed."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Models of objects by name, where the grasp carries them; files of grasps do not."""
 
     def __repr__(self) -> str:
         return f"<HumanGrasp: object {self.object_name!r}, task {self.task!r}>"
@@ -76,6 +80,8 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [N, 51]."""
     object_mass_spread: np.ndarray | None = None
     """Standard deviation of the logarithm of each object's mass, where that was guessed, shape [N]."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Models of the objects by name, where the set carries them; files of grasps do not."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -89,19 +95,6 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         "object_mass_spread": ArrayField("positive", ("N",), optional=True),
     }
     GRASP: ClassVar = HumanGrasp
-
-    @classmethod
-    def of(cls, grasps: Sequence[HumanGrasp]) -> Self:
-        """A set of single grasps. Optional values are kept if every grasp has them.
-
-        Raises:
-            FungraspError: no grasps.
-        """
-        if not grasps:
-            raise FungraspError("no grasps to make a set of")
-        columns = {name: [getattr(grasp, name) for grasp in grasps] for name in cls.FIELDS}
-        known = {name: np.array(rows) for name, rows in columns.items() if all(v is not None for v in rows)}
-        return cls(**known)
 
     def __post_init__(self) -> None:
         super().__post_init__()

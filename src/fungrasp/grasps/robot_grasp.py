@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows, checked_extra
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
+    from fungrasp.objects import ObjectModel
+
+EXTRA = "extra/"
+"""What the names of a robot grasp set's further numbers begin with in the file."""
 
 SQUEEZE = "squeeze_positions"
 """The name in ``extra`` of the grasps' own squeeze targets."""
@@ -48,10 +52,29 @@ class RobotGrasp:
     """Which of the hand's links should touch the object, bool, shape [L]."""
     task: str = ""
     """What the grasp is for; empty if not known."""
+    shown_places: np.ndarray | None = None
+    """Where the person touched with what each finger link stands for (``grasps.as_shown``): surface points,
+    object frame [m], shape [L - 1, 3]; None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surface there, shape [L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Further numbers by name (quality, refined controller settings)."""
     hand_file: str = ""
     """TOML file of a hand that is not found by its name."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Models of objects by name, where the grasp carries them; files of grasps do not."""
+
+    def joint_dict(self) -> dict[str, float]:
+        """Angle of each joint of the hand's model by name [rad], coupled ones included."""
+        return dict(zip(self.joint_names, self.joint_positions.tolist(), strict=True))
+
+    def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
+        """Angles of joints in the order of another model [rad], shape [len(names)].
+
+        Raises:
+            FungraspError: the hand has no such joint.
+        """
+        return self.joint_positions[_columns(self.joint_names, names)]
 
     def __repr__(self) -> str:
         return f"<RobotGrasp: hand {self.hand!r}, object {self.object_name!r}, task {self.task!r}>"
@@ -89,10 +112,16 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """Which of the hand's links should touch the object, shape [N, L] bool."""
     task: np.ndarray | None = None
     """Given as None it becomes N empty strings."""
+    shown_places: np.ndarray | None = None
+    """Where the persons touched, object frame [m], shape [N, L - 1, 3]; None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surfaces there, shape [N, L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
     hand_file: str = ""
     """TOML file of a hand that is not found by its name."""
+    objects: Mapping[str, ObjectModel] = field(default_factory=dict)
+    """Models of the objects by name, where the set carries them; files of grasps do not."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -104,6 +133,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         "keypoints": ArrayField("number", ("N", "K", 3)),
         "link_contacts": ArrayField("flag", ("N", "L")),
         "task": ArrayField("text", ("N",), optional=True),
+        "shown_places": ArrayField("number", ("N", "S", 3), optional=True),
+        "shown_normals": ArrayField("number", ("N", "S", 3), optional=True),
     }
     GRASP: ClassVar = RobotGrasp
 
@@ -117,6 +148,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
                 f"field 'joint_positions' has shape {self.joint_positions.shape}, expected (N, M) with "
                 f"M = {len(self.joint_names)}, the length of joint_names"
             )
+        if (self.shown_places is None) != (self.shown_normals is None):
+            raise FungraspError("of the fields 'shown_places' and 'shown_normals' one is missing")
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")
         if self.task is None:
@@ -132,6 +165,14 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         check_rows(
             "wrist_pose", distance <= MAX_HAND_DISTANCE, "is far from the object; the distance [m]", distance
         )
+
+    def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
+        """Angles of joints in the order of another model [rad], shape [N, len(names)].
+
+        Raises:
+            FungraspError: the hand has no such joint.
+        """
+        return self.joint_positions[:, _columns(self.joint_names, names)]
 
     @property
     def object_mass_spread(self) -> np.ndarray | None:
@@ -163,7 +204,10 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         """
         if self.hand != hand.name:
             raise FungraspError(f"the grasps are of the hand '{self.hand}', not of '{hand.name}'")
-        if self.joint_names != hand.joint_names or self.link_contacts.shape[1] != len(hand.links):
+        links = {self.link_contacts.shape[1]}
+        if self.shown_places is not None:
+            links.add(1 + self.shown_places.shape[1])
+        if self.joint_names != hand.joint_names or links != {len(hand.links)}:
             raise FungraspError(
                 f"the grasps were made for another version of the hand '{hand.name}': retarget again"
             )
@@ -173,3 +217,22 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
 
     def _rows(self, which: Any) -> dict[str, Any]:
         return super()._rows(which) | {"extra": {name: value[which] for name, value in self.extra.items()}}
+
+    @classmethod
+    def _whole_of(cls, grasp: RobotGrasp) -> dict[str, Any]:
+        extra = {name: np.asarray(value)[None] for name, value in grasp.extra.items()}
+        whole = {"hand": grasp.hand, "joint_names": grasp.joint_names, "hand_file": grasp.hand_file}
+        return super()._whole_of(grasp) | whole | {"extra": extra}
+
+    def _further_arrays(self) -> dict[str, np.ndarray]:
+        whole = {"hand": np.array(self.hand), "joint_names": np.array(self.joint_names, dtype=str)}
+        if self.hand_file:
+            whole["hand_file"] = np.array(self.hand_file)
+        return whole | {EXTRA + name: value for name, value in self.extra.items()}
+
+
+def _columns(known: Sequence[str], names: Sequence[str]) -> list[int]:
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("joint", name, known)
+    return [known.index(name) for name in names]

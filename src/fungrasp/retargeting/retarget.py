@@ -15,8 +15,11 @@ from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run
 from fungrasp.core.parallel import in_chunks
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
+from fungrasp.grasps.as_shown import shown_places
+from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
+from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.optimization.hand_state import HandPoints
@@ -108,6 +111,7 @@ def retarget(
     origin = hand_origin(hand)
     spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
     _check(human, objects, hand)
+    human = checked_grasps(vars(human), objects, "the human grasps", read=True)
     used = {name: objects[name] for name in np.unique(human.object_name).tolist()}
     for model in used.values():
         _ = model.signed_distance  # once, not in each worker
@@ -116,6 +120,7 @@ def retarget(
         np.concatenate([part[name] for part in found])
         for name in ("wrist_pose", "joint_positions", "keypoints", "link_contacts")
     )
+    places, normals = shown_places(human, used, correspond(hand))
     return RobotGraspSet(
         hand=hand.name,
         hand_file=origin,
@@ -129,6 +134,8 @@ def retarget(
         keypoints=keypoints,
         link_contacts=contacts,
         task=human.task,
+        shown_places=places,
+        shown_normals=normals,
         extra={} if human.object_mass_spread is None else {MASS_SPREAD: human.object_mass_spread},
     )
 

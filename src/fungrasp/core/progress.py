@@ -1,0 +1,95 @@
+"""How far long work has come: bars in terminals and notebooks, lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+from typing import TypeAlias
+
+LINE_PERIOD = 30.0
+"""Time between two lines of progress where there is no terminal [s]."""
+
+ShowProgress: TypeAlias = "Callable[[float], None] | bool | None"
+"""How a verb shows its progress: by a function that is called with how much is done; by a bar (True), not at
+all (False), or by a bar where a person is there to see it, in a terminal or a notebook (None)."""
+
+_bars = threading.Lock()
+"""Held by the bar on the screen: a verb that another one calls shows none."""
+
+
+@contextmanager
+def shown_progress(how: ShowProgress, words: str, total: float) -> Iterator[Callable[[float], None]]:
+    """What a verb calls with how much is done, as its caller wants it shown.
+
+    Args:
+        words: what is done, in front of a bar.
+        total: how much there is to do.
+    """
+    if callable(how):
+        yield how
+    elif how or (how is None and _watched()):
+        with progress_bar(words, total) as show:
+            yield show
+    else:
+        yield lambda done: None
+
+
+def _watched() -> bool:
+    """Whether a person sees a bar that this thread draws."""
+    if threading.current_thread() is not threading.main_thread() or _bars.locked():
+        return False
+    return sys.stderr.isatty() or "ipykernel" in sys.modules
+
+
+@contextmanager
+def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr while something takes long; where stderr is no terminal, a line now and then, and one
+    at the end if there was any.
+
+    Args:
+        total: how much there is to do.
+
+    Yields:
+        A function to be called with how much is done.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if _bars.locked():
+        # A terminal has room for one.
+        yield lambda done: None
+        return
+    if not (console.is_terminal or console.is_jupyter):
+        with _plain_lines(words, total) as show:
+            yield show
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with _bars, Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(words, total=total)
+        yield lambda done: bar.update(task, completed=done)
+
+
+@contextmanager
+def _plain_lines(words: str, total: float) -> Iterator[Callable[[float], None]]:
+    """``progress_bar`` without a terminal: a line every ``LINE_PERIOD`` seconds."""
+    last, shown = monotonic(), 100
+
+    def line(percent: int) -> None:
+        nonlocal shown
+        shown = percent
+        sys.stderr.write(f"{words}: {percent} %\n")
+        sys.stderr.flush()
+
+    def show(done: float) -> None:
+        nonlocal last
+        if monotonic() - last >= LINE_PERIOD:
+            last = monotonic()
+            line(round(100 * done / total))
+
+    yield show
+    if shown != 100:
+        line(100)
