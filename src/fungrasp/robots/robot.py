@@ -152,11 +152,13 @@ class Robot:
         self.close()
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """End motion: the arm brakes and holds, the hand does as asked. Never raises, if no driver does."""
-        try:
-            self.arm.stop(StopKind.HOLD)
-        finally:
-            self.hand_driver.stop(kind)
+        """End motion: the arm brakes and holds, the hand does as asked. Never raises."""
+        for device, how in ((self.arm, StopKind.HOLD), (self.hand_driver, kind)):
+            try:
+                device.stop(how)
+            except Exception:
+                # A driver of others: the other device is stopped all the same, and the hold begins.
+                _log.exception("%s does not stop", device.name)
 
     def state(self) -> RobotState:
         """What all devices say now, without waiting."""
