@@ -108,7 +108,8 @@ class HoldWatch:
 
 def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: None) -> None:
     """Hold, watched, until a person says open at the keyboard of the robot's switch and the hand has opened.
-    Ctrl-C ends holding without opening: where the hand would let go then (``lets_go``) only a second one does.
+    Ctrl-C ends holding without opening: where the hand would let go then (``lets_go``) only a second one
+    does.
 
     Args:
         robot: connected and stopped.

@@ -123,9 +123,7 @@ class GraspPreparer:
         self._rng = np.random.default_rng(seed)
         self._reach = ReachChecker(cell, self._kinematics, self._clearance, self._rng)
         self._starts = StartPoses(hand, [obj])
-        self._protocol = LiftProtocol(
-            wrist_speed=cell.limits.palm_speed, wrist_acceleration=cell.limits.palm_acceleration
-        )
+        self._protocol = LiftProtocol()
 
     def prepare(
         self,
