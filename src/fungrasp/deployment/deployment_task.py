@@ -91,9 +91,9 @@ def deployment_task(
         )
     if watches and plan_speed(cell.limits) < 1.0:
         raise FungraspError(
-            f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of their "
-            f"speed, and the policy '{spec.policy}' watches what it does and can't be slowed down; the policies "
-            '"plan" and "reference" can'
+            f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of "
+            f"their speed, and the policy '{spec.policy}' watches what it does and can't be slowed down; the "
+            'policies "plan" and "reference" can'
         )
     planner = robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)
     return DeploymentTask(spec, cell, hand, obj, robot, policy, planner, dynamics)

@@ -188,7 +188,7 @@ class Watchdog:
     pose_stale: float = 0.5
     """Before planning and until the fingers close, the arm stops where the tracked pose is older than this
     [s]."""
-    pose_jump: float = 0.05
+    pose_jump: float = 0.02
     """The same where the tracked object jumps farther than this [m]."""
     pose_turn: float = 0.52
     """The same where it turns farther than this [rad]: trackers flip what looks alike from two sides."""
