@@ -13,11 +13,12 @@ from benchmarks.grasp_set.specifications import set_specifications
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.geometry.poses import invert, transform_points
+from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.force_closure import closure_residual, primitive_wrenches
-from fungrasp.optimization.problem import CollisionScene, project_to_surface
+from fungrasp.optimization.problem import CollisionScene
 from fungrasp.simulation.scene import NOMINAL_FRICTION
 from fungrasp.synthesis import GraspSpecification, SynthesisSettings, synthesize_grasps
 

@@ -60,7 +60,7 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     )
     assert status == 0 and err == ""
     lines = out.splitlines()
-    assert lines[0].split()[:3] == ["object", "episodes", "success"]
+    assert lines[0].split()[:3] == ["object", "episodes", "held"]
     assert [line.split()[0] for line in lines[1:5]] == ["can", "tennis_ball", "all", "mean"]
     assert "95 % interval" in lines[0] and "2 episodes in" in lines[-2] and f"view {one}" in lines[-1]
     assert (
@@ -149,7 +149,7 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     status, out, _ = run(capsys, "evaluate", *options)
     assert status == 0
     lines = out.splitlines()
-    assert lines[0].split()[:3] == ["condition", "episodes", "success"]
+    assert lines[0].split()[:3] == ["condition", "episodes", "held"]
     assert [line.split("  ")[0] for line in lines[1:4]] == list(SOME)
     # What is not random is tried once.
     assert [line.replace(name, "").split()[0] for line, name in zip(lines[1:4], SOME, strict=True)] == list(

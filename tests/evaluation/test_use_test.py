@@ -7,33 +7,39 @@ from lifted_grasps import allegro_hand, good_grasps, grasped_objects, human_gras
 
 from fungrasp.evaluation import LiftTestSpec, evaluate, replay
 from fungrasp.evaluation.results import result_json
-from fungrasp.evaluation.use_evaluation import UseTest, held_parts, use_json
+from fungrasp.evaluation.use_evaluation import use_json
 from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.grasps.as_shown import shown_places
+from fungrasp.hands.correspondence import correspond
+from fungrasp.objects.object_model import nearest_parts
 from fungrasp.planning import MotionPlanner, MotionSettings
 from fungrasp.task import DIVERGED
-from fungrasp.task.use import UseOutcomes
+from fungrasp.task.use import UseOutcomes, load_use_motions
 
 
 def test_people_hold_what_their_specification_says():
-    grasps = builtin_grasps()
+    grasps, match = builtin_grasps(), correspond(allegro_hand())
     rows = [
         int(np.flatnonzero((grasps.object_name == name) & (grasps.task == task))[0])
         for name, task in (("mug", "drink"), ("hammer", "hammer"), ("screwdriver", "drive"))
     ]
     human = grasps.select(rows)
-    parts = held_parts(human, load_objects(human), allegro_hand())
-    for touched, part in zip(parts, ("handle", "grip", "handle"), strict=True):
-        distal = [names for names in touched[1:] if names]
-        assert distal and sum(part in names for names in distal) >= 0.7 * len(distal)
+    objects = load_objects(human)
+    places = shown_places(human, objects, match)[0]
+    wanted = match.link_contacts(human.link_contacts)[:, 1:]
+    for row, part in enumerate(("handle", "grip", "handle")):
+        parts = nearest_parts(objects[str(human.object_name[row])], places[row, wanted[row]])
+        assert (parts == part).mean() > 0.5
 
 
 def test_the_trigger_is_held_by_the_index_finger():
-    grasps = builtin_grasps()
+    grasps, hand = builtin_grasps(), allegro_hand()
     human = grasps.select(np.flatnonzero(grasps.task == "drill")[:1])
-    (touched,) = held_parts(human, load_objects(human), allegro_hand())
-    index = allegro_hand().link_names.index("index_distal")
-    assert "trigger" in touched[index]
+    objects = load_objects(human)
+    places = shown_places(human, objects, correspond(hand))[0]
+    tip = hand.link_names.index("index_distal") - 1
+    assert nearest_parts(objects["drill"], places[0, [tip]]) == ["trigger"]
 
 
 def test_evaluate_adds_the_use_test():
@@ -53,8 +59,8 @@ def test_evaluate_adds_the_use_test():
 
 
 def test_use_tests_are_recorded_by_themselves(tmp_path):
-    hand, objects = allegro_hand(), grasped_objects()
-    use = UseTest.of(human_grasps(), good_grasps(), objects, hand)
+    objects = grasped_objects()
+    motions = load_use_motions()
     asked = LiftTestSpec(use=True)
     result = evaluate(good_grasps(), objects, spec=asked, human=human_grasps(), threads=1, record=tmp_path)
     assert result.use is not None
@@ -62,7 +68,7 @@ def test_use_tests_are_recorded_by_themselves(tmp_path):
     tested = np.flatnonzero(result.use.motion != "")
     assert sorted(found) == tested.tolist() and len(found)
     for row, episode in found.items():
-        motion = use.motions[str(result.use.motion[row])]
+        motion = motions[str(result.use.motion[row])]
         assert (episode.success, episode.reason) == (result.use.success[row], result.use.reason[row])
         assert {name for _, name in episode.phases} == {"use"}
         assert (episode.controls is not None) == motion.only_moves

@@ -12,16 +12,17 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.text_table import table
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
-from fungrasp.geometry.signed_distance import nearest_on_mesh
+from fungrasp.geometry.signed_distance import nearest_on_mesh, project_to_surface
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.as_shown import ShownContacts, ShownJudge, shown_places
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.collisions import CollisionSpheres, collision_spheres, self_collision_depth
 from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.objects.object_model import nearest_surface_points
 from fungrasp.optimization.force_closure import closure_epsilon, closure_residual, primitive_wrenches
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
-from fungrasp.optimization.problem import project_to_surface
 from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 UNITS = ("mm", "deg", "rad")
@@ -41,6 +42,16 @@ GRID_ERROR = 0.001
 class StaticQuality:
     """One number per grasp, shape [N] each; NaN where a grasp asks for no contact."""
 
+    held_as_shown: np.ndarray
+    """Whether the hand is where and how the person's is (``grasps.as_shown``): 1 or 0."""
+    shown_share: np.ndarray
+    """Share of the wanted finger links that are as shown."""
+    place_error_mm: np.ndarray
+    """Mean distance of their places from the person's."""
+    other_side: np.ndarray
+    """Share of them on the other side of the surface."""
+    strays: np.ndarray
+    """Number of links that touch far from every place of the person."""
     contact_error_mm: np.ndarray
     """Mean over human joints in contact of the distance between the surface point nearest to the joint and
     the one nearest to the robot's corresponding point."""
@@ -72,7 +83,7 @@ class StaticQuality:
         return static_quality_table(self.summary())
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Mean, 95th percentile and maximum of each number over the grasps."""
+        """Mean, 90th and 95th percentile and maximum of each number over the grasps."""
         result = {}
         for field in fields(self):
             values = getattr(self, field.name)
@@ -80,6 +91,7 @@ class StaticQuality:
             if len(values):
                 result[field.name] = {
                     "mean": float(values.mean()),
+                    "p90": float(np.percentile(values, 90)),
                     "p95": float(np.percentile(values, 95)),
                     "max": float(values.max()),
                 }
@@ -88,12 +100,14 @@ class StaticQuality:
 
 def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
     """``StaticQuality.summary`` as text."""
-    rows: list[tuple[str, ...]] = [("quality", "mean", "p95", "max", "unit")]
+    rows: list[tuple[str, ...]] = [("quality", "mean", "p90", "p95", "max", "unit")]
     for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
         if unit not in UNITS:
             what, unit = name, ""
-        rows.append((what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p95", "max")), unit))
+        rows.append(
+            (what.replace("_", " "), *(f"{numbers[k]:.2f}" for k in ("mean", "p90", "p95", "max")), unit)
+        )
     return table(rows)
 
 
@@ -164,17 +178,25 @@ def _quality(
     grid = np.array([names.index(name) for name in robot.object_name.tolist()])
     models = [objects[name] for name in names]
     wanted = match.link_contacts(human.link_contacts)[:, 1:]
-    theirs = nearest_surface_points(models, grid, joints[:, match.human_far], wanted)
+    wanted_places = nearest_surface_points(models, grid, joints[:, match.human_far], wanted)
     ours = nearest_surface_points(models, grid, keypoints[:, match.far], wanted)
-    contact_error = _mean_where(np.linalg.norm(theirs - ours, axis=-1), wanted)
+    contact_error = _mean_where(np.linalg.norm(wanted_places - ours, axis=-1), wanted)
 
     centers, clearance, heights = _clearances(kinematics, spheres, bank, grid, robot)
     clearance = exact_clearance(models, grid, centers, clearance, spheres.radius)
     nearest = [_nearest(clearance, spheres.link == link) for link in range(len(hand.links))]
     by_link = np.stack([distance for _, distance in nearest], axis=1)
     contacts = np.stack([centers[np.arange(len(robot)), sphere] for sphere, _ in nearest], axis=1)
+    places, normals = shown_places(human, objects, match)
+    theirs = ShownContacts(robot.object_name, wanted, places, normals)
+    shown = ShownJudge(hand, objects)(wrist, robot.joint_positions, theirs)
     residual, epsilon = _force_closure(contacts, by_link, bank, grid, models)
     return StaticQuality(
+        held_as_shown=np.where(wanted.any(axis=1), shown.holds.astype(float), np.nan),
+        shown_share=shown.share,
+        place_error_mm=1e3 * shown.place_error,
+        other_side=shown.other_side,
+        strays=shown.strays.astype(float),
         contact_error_mm=1e3 * contact_error,
         contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
         link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
@@ -348,25 +370,6 @@ def _signed_distance(
             away = points[chosen] - nearest
             outside = np.sum(away * model.mesh.face_normals[face], axis=1) > 0
             result[chosen] = np.where(outside, 1.0, -1.0) * np.linalg.norm(away, axis=1)
-    return result
-
-
-def nearest_surface_points(
-    objects: list[ObjectModel], grid: np.ndarray, points: np.ndarray, which: np.ndarray
-) -> np.ndarray:
-    """Points of the objects' surfaces that are nearest to some points, the points themselves for the others.
-
-    Args:
-        objects: O of them.
-        grid: index of the object of each grasp, shape [N].
-        points: object frame [m], shape [N, P, 3].
-        which: shape [N, P] bool.
-    """
-    result = points.copy()
-    for number, model in enumerate(objects):
-        chosen = which & (grid == number)[:, None]
-        if chosen.any():
-            result[chosen] = nearest_on_mesh(model.mesh, points[chosen])[0]
     return result
 
 

@@ -15,8 +15,7 @@ from fungrasp.core.jobs import Arrays
 from fungrasp.evaluation.contact_estimate import ContactEstimateMeter, ContactEstimates
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.trajectory import Recorder, UseRecorder
-from fungrasp.evaluation.use_evaluation import UseTest
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner, make_planner
@@ -27,6 +26,7 @@ from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy
 from fungrasp.sim2real import Randomization, draw_each, random_stream
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftEnvironment, Policy, PrivilegedPolicy, play
+from fungrasp.task.use import load_use_motions, motion_of, play_use
 
 USE_PREFIX = "use."
 """Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
@@ -67,8 +67,6 @@ class LiftTest:
     """Their hand."""
     spec: LiftTestSpec
     """How they are tried."""
-    human: HumanGraspSet | None = None
-    """What they were retargeted from, for the use test; None if that is not known."""
     given_policy: Policy | PrivilegedPolicy | None = None
     """In the place of the one that is named."""
     given_planner: Planner | GivenPlans | None = None
@@ -116,13 +114,6 @@ class LiftTest:
             return MotionPlanner(self.hand, self.objects, motions, spec.lift)
         selection = spec.selection_settings
         return make_planner(spec.policy, self.hand, self.objects, selection, spec.lift, self.threads, motions)
-
-    @cached_property
-    def use_test(self) -> UseTest | None:
-        """What follows the lift test."""
-        if not self.spec.use:
-            return None
-        return UseTest.of(self.human, self.grasps, self.objects, self.hand)
 
     @cached_property
     def searches(self) -> bool:
@@ -201,8 +192,8 @@ class LiftTest:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
         use = {}
-        if self.use_test is not None:
-            use = self._use(self.use_test, environment, grasps, rows, outcomes.success, files)
+        if spec.use:
+            use = self._use(environment, grasps, rows, outcomes.success, files)
         return (
             outcomes.arrays()
             | estimates.arrays()
@@ -213,7 +204,6 @@ class LiftTest:
 
     def _use(
         self,
-        use: UseTest,
         environment: LiftEnvironment,
         grasps: RobotGraspSet,
         rows: np.ndarray,
@@ -222,9 +212,10 @@ class LiftTest:
     ) -> Arrays:
         """Play the use motions of the grasps that held. held: shape [W] bool."""
         assert grasps.task is not None
-        tasks = grasps.task.tolist()
-        watching = UseRecorder(environment, grasps, use.motions_of(tasks)) if files else None
-        tried = use.run(environment, rows, tasks, held, watching or (lambda controls: None))
+        known = load_use_motions().values()
+        motions = [motion_of(task, known) for task in grasps.task.tolist()]
+        watching = UseRecorder(environment, grasps, motions) if files else None
+        tried = play_use(environment, motions, held, watching or (lambda controls: None))
         if watching is not None:
             for trajectory, file in zip(watching.trajectories(rows, tried), files, strict=True):
                 if trajectory is not None:

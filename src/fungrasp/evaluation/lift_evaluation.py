@@ -20,6 +20,7 @@ from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.results import LiftTestResult
+from fungrasp.grasps.as_shown import with_shown_places
 from fungrasp.grasps.grasp_arguments import AnyGrasps, HumanGrasps, Objects, as_human_grasps
 from fungrasp.hands import Hand
 from fungrasp.planning import Planner
@@ -28,7 +29,7 @@ from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.sim2real import ProtocolName
 from fungrasp.task import GraspPlan, Outcomes, Policy, PrivilegedPolicy
-from fungrasp.task.use import UseOutcomes
+from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
 """Fewest and most episodes of a part: 5 s of work at most, beside which what a part costs is little, and many
@@ -71,7 +72,8 @@ def evaluate(
         spec: what is asked; the defaults if None.
         hand: of human grasps, allegro if None; of robot grasps, where it has other dynamics than its files
             say.
-        human: what robot grasps were retargeted from: for the use test, and the static quality.
+        human: what robot grasps were retargeted from: for the static quality, and for grasps that don't know
+            where the person touched.
         plans: to follow, one for each grasp (``fungrasp.plan``), or what makes them; by default the policy's
             planner.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
@@ -97,9 +99,11 @@ def evaluate(
         spec = replace(spec, protocol=protocol)
     robot, known, used, made_of = as_robot_grasps(grasps, objects, hand, threads)
     shown = made_of if human is None else as_human_grasps(human)
+    if shown is not None and robot.shown_places is None:
+        robot = with_shown_places(robot, shown, known, used)
     given = GivenPlans(plans, robot) if isinstance(plans, GraspPlan) else plans
     record = None if record is None else Path(record)
-    job = LiftTestJob(robot, known, used, spec, shown, own, given, record, threads)
+    job = LiftTestJob(robot, known, used, spec, own, given, record, threads)
     if (store is not None or ray is not None) and not job.is_named():
         raise FungraspError(
             "parts are kept, and sent to a cluster, only for a policy that is given by name and a planner "
@@ -146,7 +150,8 @@ class LiftTestJob(LiftTest, Job[Episodes]):
 
     def key(self, part: Episodes) -> str:
         """Digest of all that the outcomes depend on."""
-        grasps, spec, use = self.grasps.select(part.rows), self.spec, self.use_test
+        grasps, spec = self.grasps.select(part.rows), self.spec
+        motions = load_use_motions() if spec.use else {}
         return part_key(
             "lift test",
             self.hand,
@@ -157,7 +162,7 @@ class LiftTestJob(LiftTest, Job[Episodes]):
             (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
             (part.rows, part.seed),
             [str(file.absolute()) for file in self.files(part)],
-            "" if use is None else use.key(part.rows),
+            {name: str(motion) for name, motion in motions.items()},
         )
 
     def size(self, part: Episodes) -> float:

@@ -91,6 +91,8 @@ class LiftTestSpec:
     """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
     worlds that differ from the nominal one, and search further where none holds: 12 to 201 episodes for each
     grasp."""
+    other_places: bool = False
+    """Where no candidate plan holds the object as the person showed it, play one that holds it otherwise."""
     selection: SelectionSettings | None = None
     """How plans are chosen among candidates; what suits protocol, rollouts and use if None."""
     attempts: int = 1
@@ -132,7 +134,12 @@ class LiftTestSpec:
             return record_from_json(cls, data, where)
         if data.get("refine"):
             return None
-        return record_from_json(cls, {k: v for k, v in data.items() if k != "refine"}, where)
+        data = {name: value for name, value in data.items() if name != "refine"}
+        selection = data.get("selection")
+        if isinstance(selection, Mapping):
+            gone = ("grips", "grips_kept")
+            data["selection"] = {name: value for name, value in selection.items() if name not in gone}
+        return record_from_json(cls, data, where)
 
     @property
     def conditions(self) -> dict[str, Randomization]:
@@ -146,5 +153,5 @@ class LiftTestSpec:
         """``selection``, or what suits the rest, on the device of the physics."""
         if self.selection is not None:
             return self.selection
-        settings = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use)
+        settings = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use, self.other_places)
         return settings.on(self.physics.device, self.physics.buffers)

@@ -43,7 +43,19 @@ MEANS = (
     "pushed_m",
 )
 """Fields of ``Outcomes`` that are averaged."""
-HEAD = ("episodes", "success", "95 % interval", "contacts", "slip [mm/s]", "pushed [mm]")
+SHOWN_MEANS = ("shown_share", "place_error_mm", "other_side", "strays")
+"""Fields of ``Outcomes`` that are averaged over the held objects, where the person's places are known."""
+HEAD = (
+    "episodes",
+    "held as shown",
+    "95 % interval",
+    "success",
+    "95 % interval",
+    "place [mm]",
+    "contacts",
+    "slip [mm/s]",
+    "pushed [mm]",
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,6 +169,7 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
     }
     values |= {name: float(np.mean(getattr(result.outcomes, name)[which])) for name in MEANS}
     held = which & result.outcomes.success
+    values |= shown_summary(result.outcomes, which)
     for name in ("sim_distance_world_mm_s", "sim_distance_hand_mm_s"):
         distance = getattr(result.outcomes, name)[held]
         values[f"{name}_held"] = float(np.mean(distance)) if len(distance) else None
@@ -171,11 +184,44 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
     return values
 
 
+def shown_summary(outcomes: Outcomes, which: np.ndarray) -> dict[str, Any]:
+    """How many of some episodes are held as shown, and means over what is held; None where the person's
+    places are not known. which: shape [N] bool."""
+    known = which & np.isfinite(outcomes.place_error_mm)
+    if not np.isfinite(outcomes.strays[which]).any():
+        return dict.fromkeys(("held_as_shown", "held_as_shown_interval", *SHOWN_MEANS, "place_error_p90_mm"))
+    count, shown = int(which.sum()), int(outcomes.held_as_shown[which].sum())
+    held = known & outcomes.success
+    values: dict[str, Any] = {
+        "held_as_shown": shown / count,
+        "held_as_shown_interval": list(wilson_interval(shown, count)),
+    }
+    for name in SHOWN_MEANS:
+        values[name] = float(np.mean(getattr(outcomes, name)[held])) if held.any() else None
+    error = outcomes.place_error_mm[held]
+    return values | {"place_error_p90_mm": float(np.percentile(error, 90)) if held.any() else None}
+
+
+def by_task(result: LiftTestResult) -> dict[str, dict[str, int]]:
+    """Number of episodes, of held objects and of those held as shown, for each named task."""
+    rows = {name: result.task == name for name in np.unique(result.task).tolist() if name}
+    return {
+        name: {
+            "count": int(which.sum()),
+            "held": int(result.outcomes.success[which].sum()),
+            "held_as_shown": int(result.outcomes.held_as_shown[which].sum()),
+        }
+        for name, which in rows.items()
+    }
+
+
 def mean_over_objects(result: LiftTestResult) -> dict[str, float]:
     """Rate of success and means, each object counted once."""
     columns = {"success_rate": result.outcomes.success} | {
         name: getattr(result.outcomes, name) for name in MEANS
     }
+    if np.isfinite(result.outcomes.strays).any():
+        columns = {"held_as_shown": result.outcomes.held_as_shown} | columns
     return {name: mean_over_groups(values, result.object_name) for name, values in columns.items()}
 
 
@@ -212,6 +258,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             **summary(result),
             "mean_over_objects": mean_over_objects(result),
             "by_object": {name: summary(result, result.object_name == name) for name in names},
+            "by_task": by_task(result),
             **({} if result.use is None else {"use": use_json(result.use, result.task)}),
             **({} if result.quality is None else {"quality": result.quality.summary()}),
             **({} if not result.conditions else {"robustness": robustness_json(result.conditions)}),
@@ -271,6 +318,12 @@ def _object_table(result: LiftTestResult) -> str:
     rows.append(_row("all", numbers))
     rows.append(_row("mean over objects", numbers["mean_over_objects"]))
     lines = contact_estimate_lines(numbers["contact_estimate"])
+    if numbers["held_as_shown"] is not None and numbers["by_task"]:
+        tasks = (
+            f"{name} {part['held_as_shown']}/{part['held']}/{part['count']}"
+            for name, part in numbers["by_task"].items()
+        )
+        lines.append(f"held as shown / held / all by task: {', '.join(tasks)}")
     lines += attempt_lines(numbers.get("attempts"))
     reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
     lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
@@ -337,13 +390,20 @@ def _side_by_side(first: str, results: Mapping[str, LiftTestResult]) -> str:
     return table([(first, *HEAD), *(_row(name, summary(result)) for name, result in results.items())])
 
 
-def _row(name: str, part: Mapping[str, Any]) -> tuple[str, str, str, str, str, str, str]:
-    low, high = part.get("success_interval", (None, None))
+def _interval(bounds: tuple[float, float] | None) -> str:
+    return "" if bounds is None else f"{bounds[0]:.1%} – {bounds[1]:.1%}"
+
+
+def _row(name: str, part: Mapping[str, Any]) -> tuple[str, ...]:
+    shown, place = part.get("held_as_shown"), part.get("place_error_mm")
     return (
         name,
         str(part.get("count", "")),
+        "–" if shown is None else f"{shown:.1%}",
+        _interval(part.get("held_as_shown_interval")),
         f"{part['success_rate']:.1%}",
-        "" if low is None else f"{low:.1%} – {high:.1%}",
+        _interval(part.get("success_interval")),
+        "–" if place is None else f"{place:.0f}",
         f"{part['contact_ratio']:.2f}",
         f"{part['sim_distance_hand_mm_s']:.1f}",
         f"{1e3 * part['pushed_m']:.0f}",

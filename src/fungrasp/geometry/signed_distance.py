@@ -157,6 +157,27 @@ class SignedDistanceBank:
         return self._copies[key]
 
 
+def project_to_surface(
+    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, iterations: int = 3
+) -> tuple[np.ndarray, np.ndarray]:
+    """Surface points nearest to points, by Newton steps ``p - d(p) n(p)`` down the signed distance.
+
+    Args:
+        grid: index of each row's grid in the bank, shape [N].
+        points: [m], shape [N, P, 3], object frame.
+        iterations: number of steps.
+
+    Returns:
+        surface points [m] and outward unit normals, each shape [N, P, 3].
+    """
+    from fungrasp.geometry.compiling import plain
+    from fungrasp.geometry.distance_queries import nearest_surfaces
+
+    surface, normal = np.empty(points.shape), np.empty(points.shape)
+    nearest_surfaces(bank.arrays, plain(grid, np.int64), plain(points), iterations, surface, normal)
+    return surface, normal
+
+
 def mesh_signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Exact signed distance, negative inside.
 

@@ -54,6 +54,11 @@ class RobotGrasp:
     """Which of the hand's links should touch the object, bool, shape [L]."""
     task: str = ""
     """What the grasp is for; empty if not known."""
+    shown_places: np.ndarray | None = None
+    """Where the person touched with what each finger link stands for (``grasps.as_shown``): surface points,
+    object frame [m], shape [L - 1, 3]; None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surface there, shape [L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Further numbers by name (quality, refined controller settings)."""
     hand_file: str = ""
@@ -118,6 +123,10 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """Which of the hand's links should touch the object, shape [N, L] bool."""
     task: np.ndarray | None = None
     """Given as None it becomes N empty strings."""
+    shown_places: np.ndarray | None = None
+    """Where the persons touched, object frame [m], shape [N, L - 1, 3]; None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surfaces there, shape [N, L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
     hand_file: str = ""
@@ -135,6 +144,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         "keypoints": ArrayField("number", ("N", "K", 3)),
         "link_contacts": ArrayField("flag", ("N", "L")),
         "task": ArrayField("text", ("N",), optional=True),
+        "shown_places": ArrayField("number", ("N", "S", 3), optional=True),
+        "shown_normals": ArrayField("number", ("N", "S", 3), optional=True),
     }
     GRASP: ClassVar = RobotGrasp
 
@@ -148,6 +159,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
                 f"field 'joint_positions' has shape {self.joint_positions.shape}, expected (N, M) with "
                 f"M = {len(self.joint_names)}, the length of joint_names"
             )
+        if (self.shown_places is None) != (self.shown_normals is None):
+            raise FungraspError("of the fields 'shown_places' and 'shown_normals' one is missing")
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")
         if self.task is None:
@@ -211,7 +224,10 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         """
         if self.hand != hand.name:
             raise FungraspError(f"the grasps are of the hand '{self.hand}', not of '{hand.name}'")
-        if self.joint_names != hand.joint_names or self.link_contacts.shape[1] != len(hand.links):
+        links = {self.link_contacts.shape[1]}
+        if self.shown_places is not None:
+            links.add(1 + self.shown_places.shape[1])
+        if self.joint_names != hand.joint_names or links != {len(hand.links)}:
             raise FungraspError(
                 f"the grasps were made for another version of the hand '{hand.name}': retarget again"
             )

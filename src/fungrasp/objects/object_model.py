@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -162,6 +162,25 @@ ALIKE = np.deg2rad(8.0)
 
 BROAD = 0.03
 """Share of a hull's surface from which such faces are broad: the end of a marker has 1 %, its side 20 %."""
+
+
+def nearest_surface_points(
+    objects: Sequence[ObjectModel], grid: np.ndarray, points: np.ndarray, which: np.ndarray
+) -> np.ndarray:
+    """Points of the objects' surfaces that are nearest to some points, the points themselves for the others.
+
+    Args:
+        objects: O of them.
+        grid: index of the object of each grasp, shape [N].
+        points: object frame [m], shape [N, P, 3].
+        which: shape [N, P] bool.
+    """
+    result = points.copy()
+    for number, model in enumerate(objects):
+        chosen = which & (grid == number)[:, None]
+        if chosen.any():
+            result[chosen] = nearest_on_mesh(model.mesh, points[chosen])[0]
+    return result
 
 
 def resting_directions(model: ObjectModel) -> np.ndarray:

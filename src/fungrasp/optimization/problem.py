@@ -10,8 +10,9 @@ import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.compiling import plain
-from fungrasp.geometry.distance_queries import gradient_derivatives, nearest_surfaces
+from fungrasp.geometry.distance_queries import gradient_derivatives
 from fungrasp.geometry.poses import invert, rotate, transform_points
+from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
@@ -128,24 +129,6 @@ class RetargetingProblem(CollisionScene):
             extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
             weight=GRAVITY * grasps.object_mass,
         )
-
-
-def project_to_surface(
-    bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, iterations: int = 3
-) -> tuple[np.ndarray, np.ndarray]:
-    """Surface points nearest to points, by Newton steps ``p - d(p) n(p)`` down the signed distance.
-
-    Args:
-        grid: index of each row's grid in the bank, shape [N].
-        points: [m], shape [N, P, 3], object frame.
-        iterations: number of steps.
-
-    Returns:
-        surface points [m] and outward unit normals, each shape [N, P, 3].
-    """
-    surface, normal = np.empty(points.shape), np.empty(points.shape)
-    nearest_surfaces(bank.arrays, plain(grid, np.int64), plain(points), iterations, surface, normal)
-    return surface, normal
 
 
 def gradient_derivative(

@@ -12,10 +12,10 @@ from fungrasp.geometry.poses import (
     rotate,
     transform_points,
 )
+from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.optimization.problem import project_to_surface
 from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task.use import UseMotion
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis

@@ -38,6 +38,8 @@ class AdaptSettings:
     """Shift of the wrist that counts as one unit [m]."""
     rotation_unit: float = 0.15
     """Turn of the wrist that counts as one unit [rad]."""
+    place_unit: float = 0.007
+    """Distance of a contact from the person's place that counts as one unit [m]."""
     closure_unit: float = 0.06
     """Unbalanced part of contact forces that counts as one unit."""
     closure_friction: float = 0.2
@@ -69,20 +71,24 @@ def adapt_to_settled_object(
     s = settings or AdaptSettings()
     names = grasps.object_name.tolist()
     around = CollisionScene.settled(names, settled_pose, objects)
-    count = len(grasps)
+    count, shared = len(grasps), HandPoints(HandKinematics(hand, 1))
+    surface, normals = np.zeros((2, count, 21, 3))
+    known = grasps.shown_places is not None and grasps.shown_normals is not None
+    if known:
+        surface[:, shared.match.human_far] = grasps.shown_places
+        normals[:, shared.match.human_far] = grasps.shown_normals
     problem = RetargetingProblem(
         **{f.name: getattr(around, f.name) for f in fields(around)},
         joints=np.zeros((count, 21, 3)),
         contacts=grasps.link_contacts,
-        surface=np.zeros((count, 21, 3)),
-        normals=np.zeros((count, 21, 3)),
+        surface=surface,
+        normals=normals,
         center=np.array([objects[name].center_of_mass for name in names]),
         extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
         weight=GRAVITY * grasps.object_mass,
     )
     before = np.concatenate([settled_pose[:, :3], grasps.object_rest_pose[:, 3:]], axis=1)
     unrolled = compose(invert(settled_pose), compose(before, wrist_in_object))
-    shared = HandPoints(HandKinematics(hand, 1))
 
     def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         part = problem.rows(rows)
@@ -105,6 +111,8 @@ def adapt_to_settled_object(
                 partial(terms.contact_gap, unit=0.002),
                 partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
             ]
+            if known:
+                grip.append(partial(terms.contact_position, unit=s.place_unit, inner_weight=1.0))
             solutions.append(
                 minimize(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
             )

@@ -173,6 +173,8 @@ class MotionPlanner:
             grasp_palm_pose=palm,
             grasp_joints=joints,
             path_collision=approach.collision,
+            shown_places=grasps.shown_places,
+            shown_normals=grasps.shown_normals,
             **steps,
         )
 

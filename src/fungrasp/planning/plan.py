@@ -37,6 +37,7 @@ def plan(
     protocol: ProtocolName = "nominal",
     rollouts: bool = True,
     for_use: bool = False,
+    other_places: bool = False,
     seed: int = 0,
     threads: int = 0,
     progress: ShowProgress = None,
@@ -52,6 +53,7 @@ def plan(
         protocol: what rollouts are to expect of the worlds.
         rollouts: whether a planner that chooses among candidates tries them in simulation.
         for_use: whether the use motions of the grasps' tasks count.
+        other_places: whether a plan may hold the object otherwise than the person where none as shown holds.
         seed: of everything that the planner draws.
         threads: 0 means all processors. The plans do not depend on it.
         progress: called with the number of grasps that are planned, fractions included; True, False: a bar,
@@ -64,7 +66,7 @@ def plan(
         FungraspError: no such hand or policy, or one for another hand.
     """
     robot, known, used, _ = as_robot_grasps(grasps, objects, hand, threads)
-    selection = SelectionSettings.for_protocol(protocol, rollouts, for_use)
+    selection = SelectionSettings.for_protocol(protocol, rollouts, for_use, other_places)
     motions = MotionSettings(for_use=for_use)
     planner = make_planner(policy, used, known, selection, threads=threads, motions=motions)
     scene, parts = build_scene(used, known), []

@@ -16,9 +16,11 @@ from fungrasp.core.parallel import in_chunks
 from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, hand_sides
+from fungrasp.grasps.as_shown import shown_places
 from fungrasp.grasps.grasp_arguments import HasGrasps, HumanGrasps, Objects, as_human_grasps, resolve_objects
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
+from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandPoints
@@ -151,6 +153,7 @@ def retarget(
         np.concatenate([part[name] for part in found])
         for name in ("wrist_pose", "joint_positions", "keypoints", "link_contacts")
     )
+    places, normals = shown_places(human, used, correspond(hand))
     robot = RobotGraspSet(
         hand=hand.name,
         hand_file=origin,
@@ -164,6 +167,8 @@ def retarget(
         keypoints=keypoints,
         link_contacts=contacts,
         task=human.task,
+        shown_places=places,
+        shown_normals=normals,
         extra={} if human.object_mass_spread is None else {MASS_SPREAD: human.object_mass_spread},
         objects=used,
     )

@@ -18,13 +18,14 @@ from fungrasp.geometry.poses import (
     rotation_vector,
     transform_points,
 )
+from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.problem import CollisionScene, RetargetingProblem, project_to_surface
+from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 

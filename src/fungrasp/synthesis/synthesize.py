@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
+from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -26,7 +27,7 @@ from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem, project_to_surface
+from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem
 from fungrasp.optimization.terms import Term
 from fungrasp.synthesis.grasp_candidates import (
     HAND,

@@ -12,6 +12,7 @@ import numpy as np
 from fungrasp.geometry.arrays import copied, moved_to, rows_like
 from fungrasp.geometry.poses import array_namespace, compose, relative
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import ShownContacts
 from fungrasp.objects import scaled_name, shifted_mass
 from fungrasp.sim2real import NOMINAL, EpisodeSample, Randomization, draw, shift_on_table
 from fungrasp.simulation import Engine, Scene, make_engine
@@ -99,6 +100,7 @@ class LiftEnvironment:
         index = self._object_index(grasps.object_name, self.sample)
         self._set_parameters(everyone, index, grasps.object_mass, rest)
         self.task.settle(replace(grasps, object_rest_pose=rest.object_pose), rest.table_height)
+        self.task.show(everyone, ShownContacts.of(grasps))
         self.sensors.begin(everyone)
         seen = self.sensors.estimated_object_pose(self.task.settled_pose.copy(), self.sample)
         setpoints = self.task.setpoints
@@ -179,6 +181,7 @@ class LiftEnvironment:
             plans.palm_velocity[rows, step],
             step * plans.control_period,
         )
+        self.task.show(ids, ShownContacts.of(plans))
         self.sensors.begin(ids)
 
     def withdraw(self, ids: np.ndarray, rng: Sequence[np.random.Generator]) -> None:

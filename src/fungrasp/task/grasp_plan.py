@@ -62,8 +62,15 @@ class GraspPlan(BatchRecord):
     """First step of the lift, shape [N] int."""
     path_collision: np.ndarray
     """Deepest intrusion of the planned path into the margins around object and table [m], shape [N]."""
+    shown_places: np.ndarray | None = None
+    """Where the person touched, by finger link (``RobotGraspSet``), object frame [m], shape [N, L - 1, 3];
+    None if not known."""
+    shown_normals: np.ndarray | None = None
+    """Outward unit normals of the surface there, shape [N, L - 1, 3]."""
     expected_success: np.ndarray | None = None
     """Probability of success that the planner expects, shape [N]; None if it did not estimate one."""
+    expected_as_shown: np.ndarray | None = None
+    """Probability that the object is held as shown, shape [N]; None if it was not estimated."""
     rollouts: np.ndarray | None = None
     """Simulated episodes that were spent on planning each grasp, shape [N] int; None for none."""
 

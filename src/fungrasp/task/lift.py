@@ -9,6 +9,7 @@ import numpy as np
 from fungrasp.geometry.arrays import copied, is_numpy, may_be_any, moved_to, rows_like
 from fungrasp.geometry.poses import Array, array_namespace
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge
 from fungrasp.simulation import Engine
 from fungrasp.task.actuation import Actuation
 from fungrasp.task.outcome import LiftMeasurements, Outcomes
@@ -48,7 +49,12 @@ class LiftTask:
         )
         self.actuation = Actuation(count, len(self.scene.hand.actuators), on)
         """What becomes of the setpoints on the way to the joints."""
-        self.measurements = LiftMeasurements(engine, self.protocol)
+        self.measurements = LiftMeasurements(engine, self.protocol, self.setpoints.period)
+        self._judge = ShownJudge(
+            self.scene.hand, dict(zip(self.scene.objects, self.scene.models, strict=True))
+        )
+        self.shown: ShownContacts | None = None
+        """Where the person touched, W rows; None if not known."""
         self.controls = zeros(count, 6 + len(self.scene.hand.actuators))
         """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
         self.time = zeros(count)
@@ -146,6 +152,19 @@ class LiftTask:
         self.lift_time[ids] = self.hold_time[ids] = np.inf
         self.done[ids] = self.withdrawing[ids] = False
 
+    def show(self, ids: np.ndarray, contacts: ShownContacts | None) -> None:
+        """Say where the person touched, in some worlds.
+
+        Args:
+            ids: worlds, shape [I].
+            contacts: I rows; None if not known, which holds for all worlds then.
+        """
+        whole = len(ids) == len(self.engine)
+        if contacts is None or whole:
+            self.shown = contacts if whole else None
+        elif self.shown is not None:
+            self.shown = self.shown.replaced(ids, contacts)
+
     def withdraw(self, ids: np.ndarray) -> None:
         """Go on after an attempt: hands may move, and nothing lifts until the next one. ids: worlds, shape
         [I]."""
@@ -223,8 +242,19 @@ class LiftTask:
         risen = self._isfinite(self.lift_time) & ((apart < 2e-3) | late)
         begins = risen & ~self._isfinite(self.hold_time)
         self.hold_time = self._where(begins, self.time, self.hold_time)
-        self.measurements.watch(self._isfinite(self.hold_time) & ~self.done)
+        self.measurements.watch(self._isfinite(self.hold_time) & ~self.done, self.hold_time)
 
     def outcomes(self) -> Outcomes:
         """The outcomes, once all episodes are done."""
-        return self.measurements.outcomes()
+        return self.measurements.outcomes(self.as_shown())
+
+    def as_shown(self) -> AsShown | None:
+        """How the hands held in the middle of the hold, W rows; None if the person's places are not known."""
+        shown, middle = self.shown, self.measurements.middle
+        if shown is None:
+            return None
+        reached = np.isfinite(middle.palm_pose[:, :1])
+        palm = np.where(reached, middle.palm_pose, PARKED)
+        joints = np.where(reached, middle.joint_positions, 0.0)
+        touching = middle.touching[:, 1:] & reached
+        return self._judge(palm, joints, shown, touching)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.core.records import BatchRecord
-from fungrasp.geometry.arrays import at_least, rows_like
-from fungrasp.geometry.poses import Array, array_namespace, compose, invert, stack
+from fungrasp.geometry.arrays import at_least, may_be_any, rows_like
+from fungrasp.geometry.poses import Array, array_namespace, compose, invert, relative, stack
+from fungrasp.grasps.as_shown import AsShown
 from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
 
@@ -43,6 +44,29 @@ class Outcomes(BatchRecord):
     earlier published code, bool."""
     reason: np.ndarray
     """Why the episode failed, "" on success, str."""
+    held_as_shown: np.ndarray
+    """Whether it succeeded with the object where and how the person held it (``grasps.as_shown``), bool;
+    false where the person's places are not known."""
+    shown_share: np.ndarray
+    """Share of the wanted finger links that are as shown in the middle of the hold; NaN if not known."""
+    place_error_mm: np.ndarray
+    """Mean distance of their places from the person's then [mm]; NaN if not known."""
+    other_side: np.ndarray
+    """Share of them on the other side of the surface then; NaN if not known."""
+    strays: np.ndarray
+    """Number of links that touch far from every place of the person then; NaN if not known."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HoldMiddle(BatchRecord):
+    """What W episodes are judged by: the state in the middle of the hold; NaN before it."""
+
+    palm_pose: np.ndarray
+    """Object frame, shape [W, 7]."""
+    joint_positions: np.ndarray
+    """Of all joints [rad], shape [W, M]."""
+    touching: np.ndarray
+    """Links that touched for more than half of the hold, palm first, shape [W, L] bool."""
 
 
 def lifted_and_held(
@@ -68,7 +92,12 @@ def lifted_and_held(
 class LiftMeasurements:
     """Accumulates what the outcomes of W episodes are made of."""
 
-    def __init__(self, engine: Engine, protocol: LiftProtocol):
+    def __init__(self, engine: Engine, protocol: LiftProtocol, period: float):
+        """
+        Args:
+            period: between two calls of ``watch`` [s].
+        """
+        self._period = period
         count, on = len(engine), engine.object_pose
         self._engine, self._protocol = engine, protocol
         none = rows_like(on, np.zeros(count, dtype=bool))
@@ -81,6 +110,12 @@ class LiftMeasurements:
         # in the palm. There is one interval less than samples: the first sample ends the lift.
         self._sums = rows_like(on, np.zeros((8, count)))
         self._held = rows_like(on, np.zeros(count, dtype=bool))
+        links, joints = len(engine.scene.hand.links), engine.joint_positions.shape[1]
+        # Number of states of the hold, in how many of them each link touched, and the middle one.
+        self._states = rows_like(on, np.zeros(count))
+        self._touched = rows_like(on, np.zeros((count, links)))
+        self._middle_palm = rows_like(on, np.full((count, 7), np.nan))
+        self._middle_joints = rows_like(on, np.full((count, joints), np.nan))
         unknown = np.full((count, 3), np.nan)
         self._previous = rows_like(on, unknown), rows_like(on, unknown)
 
@@ -100,6 +135,8 @@ class LiftMeasurements:
         self._pushed[ids] = 0.0
         self._sums[:, ids] = 0.0
         self._held[ids] = False
+        self._states[ids] = self._touched[ids] = 0.0
+        self._middle_palm[ids] = self._middle_joints[ids] = np.nan
         self._previous[0][ids], self._previous[1][ids] = np.nan, np.nan
 
     def lift_begins(self, which: np.ndarray, settled_pose: np.ndarray) -> None:
@@ -112,11 +149,30 @@ class LiftMeasurements:
         moved = _lengths(self._engine.object_pose[:, :2] - settled_pose[:, :2])
         self._pushed = array_namespace(moved).where(which, moved, self._pushed)
 
-    def watch(self, holding: np.ndarray) -> None:
-        """After each setpoint: height and table. holding: worlds in their hold, shape [W] bool."""
+    def watch(self, holding: np.ndarray, hold_time: np.ndarray) -> None:
+        """After each setpoint: height, table, contacts, and the middle of the hold.
+
+        Args:
+            holding: worlds in their hold, shape [W] bool.
+            hold_time: when it began [s], shape [W].
+        """
+        if not may_be_any(holding):
+            return
+        engine, p = self._engine, self._protocol
         xp = array_namespace(self._lifted)
         self._lifted = xp.where(holding, xp.minimum(self._lifted, self.height), self._lifted)
-        self._touched_table |= holding & self._engine.object_on_table
+        self._touched_table |= holding & engine.object_on_table
+        # A hold ends with the control period in which its time is over.
+        began = xp.where(holding, hold_time, 0.0)
+        end = p.control_period * xp.ceil((began + p.hold_time - 1e-9) / p.control_period)
+        number = xp.round((end - began) / self._period) + 1
+        middle = holding & (self._states == xp.floor(number / 2))
+        self._states = self._states + xp.where(holding, 1.0, 0.0)
+        self._touched = self._touched + xp.where(holding[:, None] & engine.link_contacts, 1.0, 0.0)
+        if may_be_any(middle):
+            palm = relative(engine.object_pose, engine.palm_pose)
+            self._middle_palm = xp.where(middle[:, None], palm, self._middle_palm)
+            self._middle_joints = xp.where(middle[:, None], engine.joint_positions, self._middle_joints)
 
     def sample(self, holding: np.ndarray, target: np.ndarray) -> None:
         """After each control period: contacts and displacement.
@@ -148,8 +204,15 @@ class LiftMeasurements:
         held = self._sums[4] / at_least(self._sums[0], 1)
         return lifted_and_held(self._lifted, held, self._touched_table, self._protocol)
 
-    def outcomes(self) -> Outcomes:
-        """What was measured so far."""
+    @property
+    def middle(self) -> HoldMiddle:
+        """State in the middle of the hold."""
+        touched = self._touched > 0.5 * self._states[:, None]
+        return HoldMiddle(self._middle_palm, self._middle_joints, touched)
+
+    def outcomes(self, shown: AsShown | None = None) -> Outcomes:
+        """What was measured so far. shown: how the hands held, W rows; None if the person's places are not
+        known."""
         number, recall, precision, f1, touching, intervals, travel, slip = self._sums
         number = np.maximum(number, 1)
         high = self._lifted >= self._protocol.success_height
@@ -167,6 +230,7 @@ class LiftMeasurements:
             ],
             "lost before the hold",
         )
+        unknown = np.full(len(success), np.nan)
         per_second = 1e3 / (np.maximum(intervals, 1) * self._protocol.control_period)
         return Outcomes(
             success=success,
@@ -179,6 +243,11 @@ class LiftMeasurements:
             pushed_m=self._pushed,
             legacy_success=~self._touched_table & ~diverged,
             reason=reason,
+            held_as_shown=success & (False if shown is None else shown.holds),
+            shown_share=unknown if shown is None else shown.share,
+            place_error_mm=unknown if shown is None else 1e3 * shown.place_error,
+            other_side=unknown if shown is None else shown.other_side,
+            strays=unknown if shown is None else shown.strays,
         )
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planned_grasps import belief, grasps_and_objects, hand, plan, scene
+from planned_grasps import belief, grasps_and_objects, hand, scene
+from planned_grasps import plan as shown_plan
 
 import fungrasp.planning.selection.rollouts as rollouts
 from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
@@ -24,6 +25,11 @@ HOPED = 3 * 0.9 + 3 * 0.5 + 0.4
 """Rollouts of ``ROUNDS`` that are expected to hold."""
 NOTHING_HELD = PRIOR * 0.9 * PRIOR / (HOPED + PRIOR) / (3 + PRIOR)
 """What is then expected of the best where none does."""
+
+
+def plan() -> GraspPlan:
+    """Plans that don't know where the person touched."""
+    return replace(shown_plan(), shown_places=None, shown_normals=None)
 
 
 def proposals() -> GraspPlan:
@@ -145,9 +151,9 @@ def test_statistics_choose_by_episodes_and_grow():
     statistics = CandidateStatistics.untried(np.array([[0.9], [0.2]]), PRIOR)
     assert statistics.order[:, 0].tolist() == [0, 1]
     success = np.array([False, False, True, True])
-    statistics.add(np.array([[0], [1]]), success, np.zeros(4))
+    statistics.add(np.array([[0], [1]]), success, success, np.zeros(4))
     assert statistics.order[:, 0].tolist() == [0, 1], "3.6 of 6 against 2.8 of 6"
-    statistics.add(np.array([[0], [1]]), success, np.zeros(4))
+    statistics.add(np.array([[0], [1]]), success, success, np.zeros(4))
     assert statistics.order[:, 0].tolist() == [1, 0], "3.6 of 8 against 4.8 of 8"
     more = statistics.select(np.array([[1]]), np.array([0]))
     more = more.join(CandidateStatistics.untried(np.array([[0.7]]), PRIOR))
@@ -155,11 +161,36 @@ def test_statistics_choose_by_episodes_and_grow():
     np.testing.assert_allclose(more.success[:, 0], [0.6, 0.7])
 
 
+def test_success_otherwise_than_shown_counts_only_where_it_is_allowed():
+    """The first candidate holds always and never as shown, the second as shown in one of three."""
+    held, shown = np.array([1.0] * 3 + [1.0, 0.0, 0.0]), np.array([0.0] * 3 + [1.0, 0.0, 0.0])
+    for weight, kept in ((0.0, shown), (0.3, shown), (0.3, np.zeros(6))):
+        statistics = CandidateStatistics.untried(np.full((2, 1), 0.5), 0.1, None, weight)
+        statistics.add(np.array([[0], [1]]), held, kept, np.zeros(6))
+        assert statistics.order[0, 0] == (0 if not kept.any() else 1)
+    np.testing.assert_allclose(statistics.value[0, 0], 0.3 * 3.05 / 3.1, atol=0.01)
+
+
+def test_a_candidate_that_leaves_the_places_loses_to_one_that_keeps_them():
+    """Both hold the objects; the person of the first touched elsewhere."""
+    away = replace(
+        shown_plan(), shown_places=np.asarray(shown_plan().shown_places) + np.array([0.0, 0.0, 0.2])
+    )
+    pool = candidates(GraspPlan.join([away, shown_plan()]), np.full((2, 2), 0.5))
+    tried(pool, ((2, 2),))
+    assert (pool.statistics.held == 2).all() and not pool.statistics.shown[0].any()
+    for grasp in range(2):
+        if pool.statistics.shown[1, grasp]:
+            assert pool.statistics.order[0, grasp] == 1
+    assert pool.statistics.shown[1].any()
+
+
 def test_candidates_that_fail_lower_what_is_expected_of_those_not_tried():
     """Three of four were tried once and lost, each expected to hold in 9 of 10; of another grasp all held."""
     statistics = CandidateStatistics.untried(np.full((4, 2), 0.9), 4.0)
     tried = np.array([[0, 0], [1, 1], [2, 2]])
-    statistics.add(tried, np.tile([False, True], 3), np.zeros(6))
+    held = np.tile([False, True], 3)
+    statistics.add(tried, held, held, np.zeros(6))
     right = 4.0 / (3 * 0.9 + 4.0)
     np.testing.assert_allclose(statistics.success[:, 0], [*3 * [3.6 * right / 5], 0.9 * right])
     np.testing.assert_allclose(statistics.success[:, 1], [*3 * [4.6 / 5], 0.9])
@@ -174,7 +205,7 @@ def drawn(monkeypatch, beliefs) -> EpisodeSample:
 
     def spy(plans, rows, sample, *others):
         seen.append(sample)
-        return rollouts.RolloutResults(*np.zeros((3, len(plans))))
+        return rollouts.RolloutResults(*np.zeros((5, len(plans))))
 
     monkeypatch.setattr(rollouts, "roll_out", spy)
     tried(candidates(GraspPlan.join([plan()]), np.full((1, 2), 0.5), beliefs), ((1, 4000),))

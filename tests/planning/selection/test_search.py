@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planned_grasps import belief, grasps_and_objects, hand, plan
+from planned_grasps import belief, grasps_and_objects, hand
+from planned_grasps import plan as shown_plan
 
 import fungrasp.planning.selection.search as search
 from fungrasp.core.errors import FungraspError
@@ -21,6 +22,11 @@ from fungrasp.sim2real import NOMINAL
 from fungrasp.task import Belief, GraspPlan
 
 SHORT = RolloutSettings(hold_time=0.3)
+
+
+def plan() -> GraspPlan:
+    """Plans that don't know where the person touched."""
+    return replace(shown_plan(), shown_places=None, shown_normals=None)
 
 
 class Liking:

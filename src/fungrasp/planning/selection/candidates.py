@@ -9,12 +9,16 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import ShownContacts, ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.planning.grasp_motion import MotionSettings
 from fungrasp.planning.planner import Planner
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.task import Belief, GraspPlan
+
+NOT_AS_SHOWN = 0.3
+"""TODO"""
 
 
 @dataclass(frozen=True)
@@ -91,53 +95,93 @@ def vary(
     )
 
 
+_ARRAYS = ("expected", "expected_shown", "tried", "held", "shown", "bonus")
+
+
 @dataclass(frozen=True, eq=False)
 class CandidateStatistics:
     """Expected and observed success of K candidates of each of G grasps; all arrays have the shape [K, G]."""
 
     expected: np.ndarray
     """Probability of success that the predictor expects."""
+    expected_shown: np.ndarray
+    """Probability of success as shown, from the predictor and the planned contacts."""
     prior: float
-    """Number of rollouts that the predictor's expectation stands for."""
+    """Number of rollouts that the expectations stand for."""
+    other_places: float
+    """What success otherwise than shown counts (``SelectionSettings.other_places``)."""
     tried: np.ndarray
     """Number of rollouts of each candidate."""
     held: np.ndarray
     """Number of rollouts that succeeded."""
+    shown: np.ndarray
+    """Number of those in which the object was held as shown."""
     bonus: np.ndarray
-    """Sum over the rollouts of the weighted contact ratio less the weighted slip."""
+    """Sum over the rollouts of the weighted shown share and contact ratio less the weighted slip."""
 
     @classmethod
-    def untried(cls, expected: np.ndarray, prior: float) -> CandidateStatistics:
-        """Statistics of candidates before any rollout. expected: shape [K, G]."""
-        return cls(expected, prior, *(np.zeros(expected.shape) for _ in range(3)))
+    def untried(
+        cls,
+        expected: np.ndarray,
+        prior: float,
+        expected_shown: np.ndarray | None = None,
+        other_places: float = 0.0,
+    ) -> CandidateStatistics:
+        """Statistics of candidates before any rollout.
+
+        Args:
+            expected, expected_shown: shape [K, G]; the second is as the first if None.
+        """
+        expected_shown = expected.copy() if expected_shown is None else expected_shown
+        none = (np.zeros(expected.shape) for _ in range(4))
+        return cls(expected, expected_shown, prior, other_places, *none)
 
     @property
     def success(self) -> np.ndarray:
-        """Success expected after the rollouts: their mean with the prior's rollouts added. Where the grasp's
-        candidates together hold less often than was expected of them, so much less is expected of each: what
-        the predictor does not see of an object fails them all."""
-        hoped = (self.tried * self.expected).sum(axis=0)
-        right = np.minimum((self.held.sum(axis=0) + self.prior) / (hoped + self.prior), 1.0)
-        return (self.held + self.prior * right * self.expected) / (self.tried + self.prior)
+        """Success expected after the rollouts (``_after_rollouts``)."""
+        return self._after_rollouts(self.held, self.expected)
+
+    @property
+    def as_shown(self) -> np.ndarray:
+        """Success as shown that is expected after the rollouts."""
+        return self._after_rollouts(self.shown, self.expected_shown)
+
+    @property
+    def value(self) -> np.ndarray:
+        """What candidates are compared with a threshold by: success as shown, and the share that counts of
+        the other successes."""
+        shown = self.as_shown
+        return shown + self.other_places * np.maximum(self.success - shown, 0.0)
+
+    def _after_rollouts(self, counted: np.ndarray, expected: np.ndarray) -> np.ndarray:
+        """Mean of the rollouts with the prior's added. Where the grasp's candidates together succeed less
+        often than was expected of them, so much less is expected of each: what the predictor does not see of
+        an object fails them all."""
+        hoped = (self.tried * expected).sum(axis=0)
+        right = np.minimum((counted.sum(axis=0) + self.prior) / (hoped + self.prior), 1.0)
+        return (counted + self.prior * right * expected) / (self.tried + self.prior)
 
     @property
     def order(self) -> np.ndarray:
         """Candidates of each grasp, the best first."""
-        score = self.success + self.bonus / np.maximum(self.tried, 1)
+        score = self.value + self.bonus / np.maximum(self.tried, 1)
         return np.argsort(-score, axis=0, kind="stable")
 
-    def add(self, candidates: np.ndarray, success: np.ndarray, bonus: np.ndarray) -> None:
+    def add(
+        self, candidates: np.ndarray, success: np.ndarray, as_shown: np.ndarray, bonus: np.ndarray
+    ) -> None:
         """Count rollouts.
 
         Args:
             candidates: of each grasp, shape [P, G].
             success: of as many rollouts of each, P G candidates in turn.
-            bonus: weighted contact ratio less weighted slip of the same rollouts.
+            as_shown: success as shown of the same rollouts.
+            bonus: of the same rollouts.
         """
         grasps = np.arange(candidates.shape[1])
         self.tried[candidates, grasps] += len(bonus) // candidates.size
-        self.held[candidates, grasps] += success.reshape(*candidates.shape, -1).sum(axis=2)
-        self.bonus[candidates, grasps] += bonus.reshape(*candidates.shape, -1).sum(axis=2)
+        for total, values in ((self.held, success), (self.shown, as_shown), (self.bonus, bonus)):
+            total[candidates, grasps] += values.reshape(*candidates.shape, -1).sum(axis=2)
 
     def select(self, candidates: np.ndarray, grasps: np.ndarray) -> CandidateStatistics:
         """Statistics of candidates, shape [P, S], of some grasps, shape [S]."""
@@ -149,7 +193,7 @@ class CandidateStatistics:
 
     def _each(self, values: Callable[[str], np.ndarray]) -> CandidateStatistics:
         """A copy with another array in the place of each."""
-        return replace(self, **{name: values(name) for name in ("expected", "tried", "held", "bonus")})
+        return replace(self, **{name: values(name) for name in _ARRAYS})
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +211,16 @@ class Candidates:
     """Expected and observed success of the candidates, arrays of shape [K, G]."""
 
     def best(self) -> tuple[GraspPlan, np.ndarray]:
-        """The best plan of each grasp, and the success expected of it, shape [G]."""
-        count = self.statistics.expected.shape[1]
-        best, grasps = self.statistics.order[0], np.arange(count)
-        return self.plans.select(best * count + grasps), self.statistics.success[best, grasps]
+        """The best plan of each grasp, with what is expected of it, and its value, shape [G]."""
+        statistics = self.statistics
+        count = statistics.expected.shape[1]
+        best, grasps = statistics.order[0], np.arange(count)
+        plans = replace(
+            self.plans.select(best * count + grasps),
+            expected_success=statistics.success[best, grasps],
+            expected_as_shown=statistics.as_shown[best, grasps],
+        )
+        return plans, statistics.value[best, grasps]
 
     def among_best(self, number: int, grasps: np.ndarray) -> Candidates:
         """The best so many candidates of some grasps."""
@@ -205,6 +255,8 @@ def propose(
     search: int,
     prior: float,
     chunk: int,
+    judge: ShownJudge,
+    other_places: float,
     chance: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
 ) -> Candidates:
     """Plan variations of grasps.
@@ -222,12 +274,28 @@ def propose(
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
     varied = vary(grasps, hand, np.full(len(grasps), search), attempts, seed, spread)
-    plans, expected = [], []
+    plans, expected, expected_shown = [], [], []
     for first in range(0, len(grasps), chunk):
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
         expected.append(predictor(plans[-1]))
         if chance is not None and varied.task is not None:
             expected[-1] = expected[-1] * chance(plans[-1], varied.task[rows])
-    statistics = CandidateStatistics.untried(np.concatenate(expected).reshape(-1, count), prior)
+        expected_shown.append(expected[-1] * _chance_as_shown(plans[-1], hand, judge))
+    statistics = CandidateStatistics.untried(
+        np.concatenate(expected).reshape(-1, count),
+        prior,
+        np.concatenate(expected_shown).reshape(-1, count),
+        other_places,
+    )
     return Candidates(varied, GraspPlan.join(plans), beliefs, statistics)
+
+
+def _chance_as_shown(plans: GraspPlan, hand: Hand, judge: ShownJudge) -> np.ndarray:
+    """How likely plans that hold hold as shown, by their planned contacts, shape [N]; one where the person's
+    places are not known."""
+    contacts = ShownContacts.of(plans)
+    if contacts is None:
+        return np.ones(len(plans))
+    shown = judge(plans.grasp_palm_pose, hand.all_joints(plans.grasp_joints), contacts)
+    return np.where(shown.holds, 1.0, NOT_AS_SHOWN)

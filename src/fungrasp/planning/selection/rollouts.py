@@ -52,6 +52,8 @@ class RolloutSettings:
     early: int = 4
     """Control steps before the fingers close at which rollouts begin; where the approach is not free
     (``BLOCKED``), they begin where it begins."""
+    share: float = 0.2
+    """Weight of the share of links that are as shown against success."""
     contact: float = 0.1
     """Weight of the contact ratio against success."""
     slip: float = 0.01
@@ -73,6 +75,12 @@ class RolloutResults(BatchRecord):
 
     success: np.ndarray
     """Whether the object was held, or the share that counts, shape [R]."""
+    as_shown: np.ndarray
+    """The same where the object was held as shown, zero elsewhere, shape [R]; as success where the person's
+    places are not known."""
+    shown_share: np.ndarray
+    """Share of the wanted links that are as shown; zero for lost objects, and where the person's places are
+    not known, shape [R]."""
     contact_ratio: np.ndarray
     """Share of the target links in contact during the hold; zero for lost objects, shape [R]."""
     slip: np.ndarray
@@ -88,7 +96,6 @@ def try_candidates(
     settings: RolloutSettings,
     seed: Sequence[int],
     threads: int = 0,
-    parts: Sequence[frozenset[str]] | None = None,
 ) -> None:
     """Try the most promising candidates of each grasp, and count how they did.
 
@@ -98,7 +105,6 @@ def try_candidates(
         candidates: K of each of G grasps; their statistics are updated.
         rounds: of the rollouts, at least one.
         threads: 0 means all processors.
-        parts: of the objects that should be touched in use, G sets; any if None.
     """
     s, plans, statistics = settings, candidates.plans, candidates.statistics
     count = statistics.expected.shape[1]
@@ -117,10 +123,10 @@ def try_candidates(
         beliefs = candidates.beliefs.select(rows % count)
         drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws], mass_errors[draws])
         tasks = candidates.grasps.select(rows).task if s.for_use else None
-        held = None if parts is None else [parts[row] for row in rows % count]
-        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks, held)
+        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks)
         slip = np.minimum(found.slip, LARGEST_SLIP)
-        statistics.add(best, found.success, s.contact * found.contact_ratio - s.slip * slip)
+        bonus = s.share * found.shown_share + s.contact * found.contact_ratio - s.slip * slip
+        statistics.add(best, found.success, found.as_shown, bonus)
         done += each
 
 
@@ -133,7 +139,6 @@ def roll_out(
     settings: RolloutSettings,
     threads: int = 0,
     tasks: np.ndarray | None = None,
-    parts: Sequence[frozenset[str]] | None = None,
 ) -> RolloutResults:
     """Try R plans once each.
 
@@ -144,7 +149,6 @@ def roll_out(
         scene: with the plans' objects.
         threads: 0 means all processors.
         tasks: what the grasps are for, shape [R] str, whose use motions follow; none if None.
-        parts: of the objects that should be touched then, R sets; any if None.
     """
     s = settings
     protocol = replace(LiftProtocol(), hold_time=s.hold_time)
@@ -160,11 +164,13 @@ def roll_out(
         environment.begin(ids, some, step, sample.select(rows), beliefs.select(rows))
         outcomes = play(environment, policy, some, end_lost=True)
         lost = outcomes.reason == "lost before the hold"
-        measured = outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
         success = outcomes.success.astype(float)
         if tasks is not None:
-            some_parts = [frozenset[str]()] * len(ids) if parts is None else parts[rows]
-            success *= _withstood(environment, tasks[rows], outcomes.success, some_parts)
+            success *= _withstood(environment, tasks[rows], outcomes.success)
+        known = some.shown_places is not None
+        as_shown = success * (outcomes.held_as_shown if known else 1.0)
+        share = outcomes.success * outcomes.shown_share
+        measured = as_shown, share, outcomes.contact_ratio, outcomes.sim_distance_hand_mm_s
         unstable += int(environment.engine.diverged.sum())
         results.append(RolloutResults(success, *(np.where(lost, 0.0, np.nan_to_num(m)) for m in measured)))
     if unstable:
@@ -174,16 +180,12 @@ def roll_out(
     return RolloutResults.join(results)
 
 
-def _withstood(
-    environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray, parts: Sequence[frozenset[str]]
-) -> np.ndarray:
+def _withstood(environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray) -> np.ndarray:
     """How well W objects withstand their use motions, shape [W]: 1 for those that have none, otherwise a half
-    for what is lost, more for what nearly passes the use test, and ``WITHSTOOD`` to 1 for what passes it. Any
-    of ``parts`` may be touched by any link: which finger held which is not known."""
+    for what is lost, more for what nearly passes the use test, and ``WITHSTOOD`` to 1 for what passes it."""
     known = load_use_motions().values()
     motions = [motion_of(task, known) for task in tasks.tolist()]
-    links = len(environment.scene.hand.links)
-    use = play_use(environment, motions, held, [(some,) * links for some in parts])
+    use = play_use(environment, motions, held)
     moved = np.maximum(use.shift_m / LARGEST_SHIFT, use.turn_rad / LARGEST_TURN)
     wanted = np.array([m.trigger.force if m is not None and m.trigger is not None else 0.0 for m in motions])
     pressed = np.where(wanted > 0, use.trigger_force_n / np.maximum(wanted, 1e-9), 1.0)

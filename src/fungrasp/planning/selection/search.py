@@ -3,7 +3,7 @@ rollouts decide between them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -11,14 +11,15 @@ import numpy as np
 
 from fungrasp.core.files import digest
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
 from fungrasp.planning.selection.candidates import Candidates, VariationSpread, propose, with_settings
-from fungrasp.planning.selection.regrasp_candidates import chance_of_use, parts_to_hold, regrasp_candidates
 from fungrasp.planning.selection.rollouts import try_candidates
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
+from fungrasp.planning.selection.use_strength import chance_of_use
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
 Feasible = Callable[[GraspPlan], np.ndarray]
@@ -127,22 +128,17 @@ class SearchPlanner:
             seed=seed,
             prior=s.prior,
             chunk=s.chunk,
+            judge=ShownJudge(self._hand, self._objects),
+            other_places=s.other_places,
             chance=chance,
         )
         first = with_settings(grasps).select(np.tile(everyone, s.candidates))
         numbers = np.repeat(np.arange(s.candidates), len(grasps))
-        if s.for_use and s.grips_kept and grasps.task is not None:
-            grips = regrasp_candidates(
-                with_settings(grasps), beliefs, self._hand, self._objects, *s.grips, s.grips_kept, seed
-            )
-            first = RobotGraspSet.concatenate([first, grips])
-            numbers = np.concatenate([numbers, np.zeros(len(grips), dtype=int)])
         pool = _only(make(beliefs, first, numbers, VariationSpread(), search=0), feasible)
         spent = np.zeros(len(grasps), dtype=int)
         hopeless = feasible is not None and not pool.statistics.expected.any()
         if s.rollouts is None or hopeless:
-            chosen, expected = pool.best()
-            return replace(chosen, expected_success=expected, rollouts=spent)
+            return replace(pool.best()[0], rollouts=spent)
         roll = partial(
             try_candidates,
             objects=self._objects,
@@ -152,13 +148,12 @@ class SearchPlanner:
             threads=self._threads,
         )
         most = s.rollouts_per_grasp[1] * len(grasps)
-        parts = parts_to_hold(grasps, self._hand, self._objects) if s.for_use else None
-        roll(pool, s.first_rounds, seed=(seed, 0), parts=parts)
-        pool = self._tried_on(pool, roll, seed, parts)
+        roll(pool, s.first_rounds, seed=(seed, 0))
+        pool = self._tried_on(pool, roll, seed)
         spent += pool.statistics.tried.sum(axis=0).astype(int)
         progress(spent.sum() / most)
-        chosen, expected = pool.best()
-        left, value = everyone, expected
+        chosen, value = pool.best()
+        left = everyone
         for search in range(1, s.search.most + 1):
             hard = np.flatnonzero(value < s.search.enough)
             if not len(hard):
@@ -172,22 +167,20 @@ class SearchPlanner:
             )
             before = parents.statistics.tried.sum(axis=0)
             pool = parents.join(_only(children, feasible))
-            roll(pool, s.search.rounds, seed=(seed, search), parts=_of(parts, left))
+            roll(pool, s.search.rounds, seed=(seed, search))
             spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
             progress(spent.sum() / most)
             found, value = pool.best()
             place = everyone.copy()
             place[left] = len(everyone) + np.arange(len(left))
             chosen = GraspPlan.join([chosen, found]).select(place)
-            expected[left] = value
-        return replace(chosen, expected_success=expected, rollouts=spent)
+        return replace(chosen, rollouts=spent)
 
     def _tried_on(
         self,
         pool: Candidates,
         roll: Callable[..., None],
         seed: int,
-        parts: Sequence[frozenset[str]] | None,
     ) -> Candidates:
         """The candidates after more rollouts of those grasps of which none is sure."""
         statistics, all_of_them = pool.statistics, len(pool.statistics.expected)
@@ -195,8 +188,8 @@ class SearchPlanner:
         if len(unsure):
             order = statistics.order[:, unsure]
             some = pool.among_best(all_of_them, unsure)
-            roll(some, self.settings.rounds, seed=(seed, 0, 1), parts=_of(parts, unsure))
-            for name in ("tried", "held", "bonus"):
+            roll(some, self.settings.rounds, seed=(seed, 0, 1))
+            for name in ("tried", "held", "shown", "bonus"):
                 getattr(statistics, name)[order, unsure] = getattr(some.statistics, name)
         return pool
 
@@ -213,16 +206,12 @@ class SearchPlanner:
         )
 
 
-def _of(parts: Sequence[frozenset[str]] | None, grasps: np.ndarray) -> list[frozenset[str]] | None:
-    """The parts of some grasps, if any are known."""
-    return None if parts is None else [parts[i] for i in grasps]
-
-
 def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
     """The candidates, where of those that can't be carried out nothing is expected: they come last."""
     if feasible is not None:
         statistics = candidates.statistics
-        statistics.expected[~feasible(candidates.plans).reshape(statistics.expected.shape)] = 0.0
+        impossible = ~feasible(candidates.plans).reshape(statistics.expected.shape)
+        statistics.expected[impossible] = statistics.expected_shown[impossible] = 0.0
     return candidates
 
 

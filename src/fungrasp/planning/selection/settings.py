@@ -13,6 +13,9 @@ from fungrasp.simulation import BufferSizes, Device
 WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
 
 
+OTHER_PLACES = 0.3
+"""What is as shown in one rollout of three is preferred to what never is and always holds."""
+
 GPU_CHUNK = 8192
 """Rollouts that a GPU makes together: about 1 GB of its memory."""
 
@@ -55,10 +58,9 @@ class SelectionSettings:
     for_use: bool = False
     """Whether the use motions of the grasps' tasks count: the share of their loads that contacts can take in
     what is expected, and whether they are withstood in rollouts."""
-    grips: tuple[int, int] = (64, 3)
-    """For use, other grips of each grasp that are solved in a round, and rounds (``regrasp_candidates``)."""
-    grips_kept: int = 12
-    """How many of these, the strongest, are candidates too."""
+    other_places: float = 0.0
+    """What a plan that holds the object otherwise than shown counts, where one that is as shown counts one;
+    ``OTHER_PLACES`` where such plans are allowed."""
     chunk: int = 512
     """Plans made together."""
 
@@ -75,7 +77,11 @@ class SelectionSettings:
 
     @classmethod
     def for_protocol(
-        cls, protocol: ProtocolName, rollouts: bool = True, for_use: bool = False
+        cls,
+        protocol: ProtocolName,
+        rollouts: bool = True,
+        for_use: bool = False,
+        other_places: bool = False,
     ) -> SelectionSettings:
         """Rollouts that know how far worlds may be from what is believed, and nothing of what was drawn.
 
@@ -83,15 +89,17 @@ class SelectionSettings:
             protocol: of the evaluation; that of robustness tries what was not expected.
             rollouts: whether there are any.
             for_use: whether they go on with the use motions of the grasps' tasks.
+            other_places: whether a plan may hold the object otherwise than shown where none as shown holds.
         """
+        other = OTHER_PLACES if other_places else 0.0
         if not rollouts:
-            return cls(rollouts=None, for_use=for_use)
+            return cls(rollouts=None, for_use=for_use, other_places=other)
         drawn = REALITY_ROLLOUTS if protocol == "reality" else MODERATE
         if not for_use:
-            return cls(rollouts=RolloutSettings(drawn))
+            return cls(rollouts=RolloutSettings(drawn), other_places=other)
         # What holds, but withstands nothing, counts half; the search is to go on after it, although the
         # predictor, which knows lifts alone, expects much of it.
-        # Grips are looked for before any rollout, so that fewer are needed; the use goes on with the hold.
+        # The use goes on with the hold.
         return cls(
             rollouts=RolloutSettings(drawn, for_use=True, hold_time=0.8),
             prior=2.0,
@@ -99,6 +107,7 @@ class SelectionSettings:
             rounds=((10, 1), (3, 3)),
             search=FurtherSearch(most=1, enough=0.8, rounds=((16, 1), (5, 2), (2, 2))),
             for_use=True,
+            other_places=other,
         )
 
     def on(self, device: Device, buffers: BufferSizes | None = None) -> SelectionSettings:

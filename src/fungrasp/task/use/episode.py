@@ -12,6 +12,7 @@ from fungrasp.geometry.poses import (
     inverse_transform_points,
     invert,
 )
+from fungrasp.grasps.as_shown import AsShown
 from fungrasp.hands import Hand
 from fungrasp.task.environment import LiftEnvironment
 from fungrasp.task.outcome import DIVERGED
@@ -62,7 +63,6 @@ def play_use(
     environment: LiftEnvironment,
     motions: Sequence[UseMotion | None],
     held: np.ndarray,
-    held_parts: Sequence[Sequence[frozenset[str]]],
     watch: Callable[[np.ndarray], None] = lambda controls: None,
 ) -> UseOutcomes:
     """Let the wrist play the motions of W grasps' tasks after the hold, while the fingers hold on
@@ -71,12 +71,12 @@ def play_use(
     Args:
         motions: of each world; None where the task has none.
         held: worlds that passed the lift test, shape [W] bool; the others are not tested.
-        held_parts: of each world and contact link, the parts that the person held there, W x L.
         watch: called after each setpoint with what the servos were told, to record
             (``fungrasp.evaluation.UseRecorder``).
     """
     engine, task, hand = environment.engine, environment.task, environment.scene.hand
-    contact, touched = functional_contact(environment, held_parts)
+    shown = task.as_shown()
+    contact, touched = functional_contact(environment)
     outcomes = UseOutcomes(
         motion=np.array(
             [m.name if m is not None and h else "" for m, h in zip(motions, held, strict=True)], dtype=str
@@ -138,7 +138,7 @@ def play_use(
         turn = np.where(holding, np.maximum(turn, turned), turn)
     engine.push_object(np.zeros_like(force), np.zeros_like(torque))
     outcomes.shift_m[worlds], outcomes.turn_rad[worlds] = shift, turn
-    _judge(environment, tested, outcomes, touched)
+    _judge(environment, tested, outcomes, touched, shown)
     return _with_texts(outcomes)
 
 
@@ -155,21 +155,29 @@ def _judge(
     uses: Sequence[tuple[int, UseMotion]],
     outcomes: UseOutcomes,
     parts: np.ndarray,
+    shown: AsShown | None,
 ) -> None:
     """Fill in success and reason.
 
     Args:
         outcomes: of W worlds.
         parts: that each link touches, shape [W, L] str.
+        shown: how the hands held, W rows; None if the person's places are not known.
     """
     engine, hand = environment.engine, environment.scene.hand
     contacts, forces, diverged = engine.link_contacts, engine.link_forces, engine.diverged
     for w, motion in uses:
         trigger = motion.trigger
         reason = DIVERGED if diverged[w] else moved_too_far(outcomes.shift_m[w], outcomes.turn_rad[w])
+        if not reason and shown is not None and not shown.holds[w]:
+            reason = "not held as shown"
         if not reason and trigger is not None:
             links = [i for i, name in enumerate(hand.link_names) if name.startswith(trigger.finger)]
-            on_part = [i for i in links if contacts[w, i] and trigger.part in ("", parts[w, i])]
+            # Where the person's places are known, the finger presses at its own.
+            there = contacts[w].copy()
+            if shown is not None:
+                there[1:] &= shown.shown[w]
+            on_part = [i for i in links if there[i] and trigger.part in ("", parts[w, i])]
             outcomes.trigger_force_n[w] = forces[w, on_part].sum() if on_part else 0.0
             if not links:
                 reason = f"the hand has no {trigger.finger} finger"

@@ -68,33 +68,28 @@ def moved_too_far(shift: float, turn: float) -> str:
     return ""
 
 
-def functional_contact(
-    environment: LiftEnvironment, held_parts: Sequence[Sequence[frozenset[str]]]
-) -> tuple[np.ndarray, np.ndarray]:
+def functional_contact(environment: LiftEnvironment) -> tuple[np.ndarray, np.ndarray]:
     """Where hands touch the objects now.
 
-    Args:
-        held_parts: of each world and contact link, the parts that the person held there, W x L; any part of
-            an object counts for an empty set.
-
     Returns:
-        share of the links that should touch that touch such a part, shape [W]; name of the part that each
-        link touches or would touch first, shape [W, L] str.
+        Share of the links that should touch that touch the part on which the person's place lies (any part
+        for the palm, and where the place is not known), shape [W]; name of the part that each link touches or
+        would touch first, shape [W, L] str.
     """
-    engine, scene = environment.engine, environment.scene
+    engine, scene, shown = environment.engine, environment.scene, environment.task.shown
+    models = [scene.models[i] for i in engine.object_index]
     parts = touched_parts(
         scene.hand,
-        [scene.models[i] for i in engine.object_index],
+        models,
         relative(engine.object_pose, engine.palm_pose),
         scene.hand.independent(engine.joint_positions),
     )
     wanted, actual = environment.task.target_contacts, engine.link_contacts
-    right = np.array(
-        [
-            [not allowed or part in allowed for allowed, part in zip(row, names, strict=True)]
-            for row, names in zip(held_parts, parts, strict=True)
-        ]
-    ).reshape(wanted.shape)
+    right = np.ones_like(wanted)
+    if shown is not None:
+        for world, model in enumerate(models):
+            if model.parts:
+                right[world, 1:] = parts[world, 1:] == nearest_parts(model, shown.places[world])
     share = (wanted & actual & right).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
     return share, parts
 
