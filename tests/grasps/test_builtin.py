@@ -8,7 +8,7 @@ import pytest
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import BONES, HUMAN_LINKS, bone_lengths, builtin_grasps
-from fungrasp.grasps.diagnosis import check_anatomy
+from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.objects import load_object, object_names
 from fungrasp.synthesis.builtin_specifications import BUILTIN_SPECIFICATIONS

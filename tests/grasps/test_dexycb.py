@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
+from fungrasp.grasps.contacts import link_contacts, surface_contacts
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.grasps.importers import DexYCBOptions, import_dexycb
-from fungrasp.grasps.importers.contacts import link_contacts, surface_contacts
 from fungrasp.grasps.importers.dexycb import TO_OUR_JOINTS, write_mirrored_meshes
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")

@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_human_grasps, save_human_grasps
-from fungrasp.grasps.conversion import converted, mend_below_table
-from fungrasp.grasps.diagnosis import grouped, hand_remarks, rows_in_words
+from fungrasp.geometry.poses import (
+    inverse_transform_points,
+    invert,
+    quaternion_multiply,
+    rotate,
+    rotation_matrix,
+)
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_human_grasps, load_objects, save_human_grasps
+from fungrasp.grasps.anatomy import grouped
+from fungrasp.grasps.conversion import Convention, converted, mend_below_table
+from fungrasp.grasps.diagnosis import checked_grasps, diagnosis
 from fungrasp.grasps.human_hand import ORDERS
+from fungrasp.grasps.scene_checks import rows_in_words
+
+HALF = np.sqrt(0.5)
 
 FORTH = [0, 1, 2, 4, 5, 6, 3]
 """A wxyz pose written as xyzw."""
@@ -34,15 +47,102 @@ def foreign(kind: str) -> dict[str, np.ndarray]:
             arrays[name] = arrays[name] * ([scale] * 3 + [1.0] * 4)
     if kind == "left":
         arrays["hand_joints"] = arrays["hand_joints"] * [1, -1, 1]
+    poses = ("object_pose", "object_rest_pose")
     if kind == "xyzw":
-        arrays |= {name: arrays[name][:, FORTH] for name in ("object_pose", "object_rest_pose")}
+        arrays |= {name: arrays[name][:, FORTH] for name in poses}
+    if kind == "transposed":
+        arrays |= {name: arrays[name] * [1, 1, 1, 1, -1, -1, -1] for name in poses}
+    if kind == "inverted":
+        arrays |= {name: invert(arrays[name]) for name in poses}
+    if kind == "object in mm":
+        arrays |= {name: arrays[name] * ([1000.0] * 3 + [1.0] * 4) for name in poses}
+    if kind == "joints in object":
+        arrays["hand_joints"] = inverse_transform_points(arrays["object_pose"], arrays["hand_joints"])
+    if kind == "y up":
+        turn = np.array([HALF, -HALF, 0, 0])
+        arrays["hand_joints"] = rotate(turn, arrays["hand_joints"])
+        for name in poses:
+            turned = quaternion_multiply(turn, arrays[name][:, 3:])
+            arrays[name] = np.concatenate([rotate(turn, arrays[name][:, :3]), turned], axis=1)
+    if kind == "high table":
+        up = np.array([0.0, 0.0, 0.7])
+        arrays["hand_joints"] = arrays["hand_joints"] + up
+        arrays |= {name: arrays[name] + [0, 0, 0.7, 0, 0, 0, 0] for name in poses}
+    if kind == "wrist relative":
+        arrays["hand_joints"] = arrays["hand_joints"] - arrays["hand_joints"][:, :1]
+    if kind == "shuffled":
+        arrays["hand_joints"] = arrays["hand_joints"][:, np.random.default_rng(0).permutation(21)]
     return arrays
 
 
-def run(capsys, *arguments: object) -> tuple[int, str]:
-    status = main(["grasps", *map(str, arguments)])
+def turned(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The same scenes, each turned by another angle about the vertical: what turns stand for shows."""
+    angle = np.linspace(0.6, 2.4, len(arrays["object_name"]))
+    turn = np.stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)], axis=1)
+    result = dict(arrays) | {"hand_joints": rotate(turn[:, None], arrays["hand_joints"])}
+    for name in ("object_pose", "object_rest_pose"):
+        rotation = quaternion_multiply(turn, arrays[name][:, 3:])
+        result[name] = np.concatenate([rotate(turn, arrays[name][:, :3]), rotation], axis=1)
+    result.pop("hand_qpos", None)
+    return result
+
+
+@pytest.mark.parametrize("count", [120, 20])
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("transposed", "--rotation transposed"),
+        ("inverted", "--pose world-in-object"),
+        ("object in mm", "--object-unit mm"),
+        ("joints in object", "--joints-frame object"),
+        ("y up", "--up y"),
+        ("high table", "--table-height 0.7"),
+        ("xyzw", "--quaternion xyzw"),
+    ],
+)
+def test_what_fingers_and_table_tell_has_a_remedy_that_works(
+    tmp_path, capsys, monkeypatch, kind, options, count
+):
+    right = turned(fields(builtin_grasps().select(np.arange(0, 120, 120 // count)[:count])))
+    monkeypatch.setitem(globals(), "builtin_grasps", lambda: HumanGraspSet(**right))
+    arrays = foreign(kind)
+    np.savez(tmp_path / "x.npz", **arrays)
+    _, out = run(capsys, "check", tmp_path / "x.npz")
+    assert f"fungrasp grasps convert {tmp_path / 'x.npz'} {options} --out" in out
+    run(capsys, "convert", tmp_path / "x.npz", *options.split(), "--out", tmp_path / "y.npz")
+    found = load_human_grasps(tmp_path / "y.npz")
+    np.testing.assert_allclose(found.hand_joints, right["hand_joints"], atol=1e-6)
+    np.testing.assert_allclose(
+        rotation_matrix(found.object_pose[:, 3:]), rotation_matrix(right["object_pose"][:, 3:]), atol=1e-6
+    )
+    np.testing.assert_allclose(found.object_pose[:, :3], right["object_pose"][:, :3], atol=1e-6)
+    with pytest.raises(FungraspError, match=r"fit only if .*Convention\("):
+        checked_grasps(arrays, load_objects(found), read=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("wrist relative", "relative to the wrist: where the wrist is in the world is missing"),
+        ("shuffled", "in no known order"),
+    ],
+)
+def test_what_has_no_remedy_is_refused_with_its_reason(tmp_path, capsys, kind, reason):
+    np.savez(tmp_path / "x.npz", **foreign(kind))
+    out = run(capsys, "check", tmp_path / "x.npz")[1]
+    assert reason in out and "to convert" not in out and "--mirror" not in out
+    with pytest.raises(FungraspError, match=reason):
+        load_human_grasps(tmp_path / "x.npz")
+
+
+def run_command(capsys, *arguments: object) -> tuple[int, str]:
+    status = main([*map(str, arguments)])
     captured = capsys.readouterr()
     return status, captured.out + captured.err
+
+
+def run(capsys, *arguments: object) -> tuple[int, str]:
+    return run_command(capsys, "grasps", *arguments)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +174,7 @@ def test_quaternions_in_another_order_are_seen_by_what_the_fingers_touch(tmp_pat
     np.savez(tmp_path / "x.npz", **foreign("xyzw"))
     _, out = run(capsys, "check", tmp_path / "x.npz")
     assert "only if quaternions are xyzw" in out and "--quaternion xyzw" in out
-    back = converted(foreign("xyzw"), quaternion="xyzw")
+    back = converted(foreign("xyzw"), Convention(quaternion="xyzw"))
     np.testing.assert_allclose(back["object_pose"], builtin_grasps().object_pose)
 
 
@@ -120,7 +220,7 @@ def test_repeated_findings_are_one_line():
         "grasp 2 (can): thumb_ip is bent 99 degrees, not 80",
     ]
     assert rows_in_words(np.array([3])) == "grasp 3"
-    assert hand_remarks(np.zeros((0, 21, 3))) == []
+    assert diagnosis({"hand_joints": np.zeros((0, 21, 3))}, {}).remarks == ()
 
 
 def test_selecting_grasps(tmp_path, capsys, robot_grasps):
@@ -145,3 +245,84 @@ def test_selecting_grasps(tmp_path, capsys, robot_grasps):
         assert "--rows" in run(capsys, "select", "builtin", "--rows", rows, "--out", tmp_path / "s")[1]
     other = ("--objects", "drill", "--tasks", "drink")
     assert "none of" in run(capsys, "select", "builtin", *other, "--out", tmp_path / "s")[1]
+
+
+def test_what_could_not_be_tested_is_said(tmp_path, capsys):
+    arrays = foreign("inverted")
+    arrays["object_name"] = np.full(120, "my_cup")
+    np.savez(tmp_path / "x.npz", **arrays)
+    _, out = run(capsys, "check", tmp_path / "x.npz", "--json")
+    answer = json.loads(out)
+    assert not answer["usable"] and "my_cup" in answer["untested"][0]
+    assert "not tested" in run(capsys, "check", tmp_path / "x.npz")[1]
+
+
+def test_one_wrong_row_is_no_remedy_for_all():
+    arrays = foreign("fungrasp")
+    arrays["object_pose"] = arrays["object_pose"].copy()
+    arrays["object_pose"][7, 3:] = [0, 1, 0, 0]
+    found = diagnosis(arrays, load_objects(builtin_grasps()))
+    assert found.fatal is None and not found.convention.changes
+
+
+@pytest.mark.parametrize("given", ["all false", "no field"])
+def test_missing_contacts_and_rest_poses_are_computed(tmp_path, caplog, given):
+    arrays = foreign("fungrasp")
+    wanted = arrays.pop("link_contacts")
+    rest = arrays.pop("object_rest_pose")
+    if given == "all false":
+        arrays["link_contacts"] = np.zeros_like(wanted)
+    np.savez(tmp_path / "x.npz", **arrays)
+    found = load_human_grasps(tmp_path / "x.npz")
+    assert found.link_contacts.any(axis=1).all()
+    assert (found.link_contacts == wanted).mean() > 0.85
+    np.testing.assert_allclose(found.object_rest_pose[:, 2], rest[:, 2], atol=2e-3)
+    arrays["object_name"] = np.full(120, "my_cup")
+    np.savez(tmp_path / "x.npz", **arrays)
+    with pytest.raises(FungraspError, match=r"'object_rest_pose' is missing .*convert --objects"):
+        load_human_grasps(tmp_path / "x.npz")
+
+
+FOREIGN = Path(__file__).parents[3] / "shared" / "data" / "foreign" / "files"
+
+TABLE = {
+    "joints_in_object_frame": "--joints-frame object",
+    "joints_normalised": "relative to the wrist, and in no unit",
+    "left_hand_plain": "--side left",
+    "no_contacts": "can be used",
+    "object_in_mm": "--object-unit mm",
+    "order_frankmocap": "--joint-order frankmocap",
+    "order_interhand": "--joint-order interhand",
+    "order_mano_fingers": "--joint-order mano-fingers",
+    "order_openpose": "--joint-order openpose",
+    "order_tip_to_base": "--joint-order tip-first",
+    "pose_inverted": "--pose world-in-object",
+    "rest_is_held": "--table-height 0.25",
+    "rotation_transposed": "--rotation transposed",
+    "turned_right": "can be used",
+    "unit_dm": "--unit dm",
+    "unknown_object": "not tested: whether fingers touch",
+    "world_camera": "--up -y --table-height",
+    "world_opengl": "--up y --table-height",
+    "world_y_up": "--up y",
+    "wrist_relative": "relative to the wrist",
+}
+"""What ``check`` says of each grasp file of others."""
+
+
+@pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the files of others in ../shared/data/foreign")
+@pytest.mark.parametrize("name", TABLE)
+def test_grasp_files_of_others(tmp_path, capsys, name):
+    path = FOREIGN / name / "grasps.npz"
+    _, out = run(capsys, "check", path)
+    assert TABLE[name] in out
+    if "to convert: " not in out:
+        return
+    options = out.split(f"convert {path} ")[1].split(" --out")[0].split()
+    run(capsys, "convert", path, *options, "--out", tmp_path / "y.npz")
+    assert "can be used" in run(capsys, "check", tmp_path / "y.npz")[1]
+    if name != "left_hand_plain":  # Retargeting takes some of a second.
+        assert (
+            run_command(capsys, "retarget", "--grasps", tmp_path / "y.npz", "--out", tmp_path / "r.npz")[0]
+            == 0
+        )

@@ -19,7 +19,7 @@ from fungrasp.grasps import (
     finger_link_directions,
     load_human_grasps,
 )
-from fungrasp.grasps.diagnosis import check_anatomy
+from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.grasps.human_hand import hand_sides, joint_bends, mirror_points, mirror_pose
 
 DEXYCB = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "dexycb_train.npz"

@@ -20,7 +20,7 @@ from fungrasp.grasps import (
     mirrored_grasps,
     save_human_grasps,
 )
-from fungrasp.grasps.diagnosis import check_anatomy
+from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import FINGERS, Hand, hand_files, load_hand
 from fungrasp.objects import mirrored_object
 from fungrasp.retargeting import retarget

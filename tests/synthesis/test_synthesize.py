@@ -10,7 +10,7 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import rotate, transform_points
 from fungrasp.grasps import HUMAN_LINKS, bone_lengths, load_human_grasps
-from fungrasp.grasps.diagnosis import check_anatomy
+from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object

@@ -106,7 +106,8 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
         FungraspError: it can't be written.
     """
     from fungrasp.grasps import save_human_grasps
-    from fungrasp.grasps.diagnosis import check_anatomy, grouped, table_remarks
+    from fungrasp.grasps.anatomy import check_anatomy, grouped
+    from fungrasp.grasps.diagnosis import table_remarks
 
     save_human_grasps(path, grasps)
     objects, unusual = sorted(set(grasps.object_name.tolist())), grouped(check_anatomy(grasps))

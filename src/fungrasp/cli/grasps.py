@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +13,7 @@ import tyro
 from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, write_human_grasps
 from fungrasp.cli.options import on_cluster, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.grasps.conversion import Convention
 
 if TYPE_CHECKING:
     import numpy as np
@@ -177,7 +178,7 @@ class ImportGrasps:
 
 @dataclass(frozen=True)
 class CheckGrasps(Answering):
-    """Say what is probably wrong with human grasps: units, order of joints, side, quaternions, table."""
+    """Say what is probably wrong with human grasps: units, order of joints, side, frames, table."""
 
     file: GraspFile
     """A file of human grasps."""
@@ -185,72 +186,70 @@ class CheckGrasps(Answering):
     """Folder of meshes <name>.obj; built-in objects need none."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.diagnosis import (
-            check_anatomy,
-            grouped,
-            hand_remarks,
-            pose_remarks,
-            table_remarks,
-        )
-        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
+        from fungrasp.grasps.anatomy import check_anatomy, grouped
+        from fungrasp.grasps.diagnosis import completed, diagnosis
+        from fungrasp.grasps.grasp_files import human_grasps, read_grasp_fields
 
         fields = read_grasp_fields(self.file)
-        joints = fields.get("hand_joints")
-        if joints is None or joints.dtype.kind != "f" or joints.ndim != 3 or joints.shape[1:] != (21, 3):
-            human_grasps_from_fields(fields, self.file)
-            raise FungraspError(f"{self.file} holds no human grasps")
-        remarks = hand_remarks(joints.astype(float), fields.get("object_name"))
-        options = " ".join(dict.fromkeys(remark.remedy for remark in remarks if remark.remedy))
-        if not remarks:
-            remarks += table_remarks(joints.astype(float))
-            remarks += pose_remarks(fields, _known_objects(fields, self.objects))
-            options = " ".join(dict.fromkeys(remark.remedy for remark in remarks if remark.remedy))
+        objects = _known_objects(fields, self.objects)
+        found = diagnosis(fields, objects)
+        options = found.convention.as_options() if found.fatal else ""
         value = {
-            "findings": [{"grasps": r.rows, "what": r.words, "convert_with": r.remedy} for r in remarks],
-            "usable": not options,
+            "findings": [{"grasps": r.rows, "what": r.words} for r in found.remarks],
+            "convert_with": options,
+            "untested": list(found.untested),
+            "usable": not found.fatal and not found.untested,
         }
-        lines = [str(remark) for remark in remarks]
-        if options:
+        lines = [str(remark) for remark in found.remarks] + [
+            f"not tested: {words}" for words in found.untested
+        ]
+        if found.fatal:
+            if self.objects is not None and options:
+                options = f"{options} --objects {self.objects}"
             lines.append(
                 f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check that"
+                if options
+                else f"{self.file}: most of these grasps can't be used"
             )
             return CommandResult(value, "\n".join(lines))
-        grasps = human_grasps_from_fields(fields, self.file)
+        grasps = human_grasps(self.file, completed(fields, objects))
         unusual = grouped(check_anatomy(grasps))
         lines += [f"unusual anatomy: {finding}" for finding in unusual]
-        lines.append(f"{self.file}: {len(grasps)} grasps that can be used")
+        lines.append(
+            f"{self.file}: {len(grasps)} grasps whose hands can be used; give their meshes to test the rest"
+            if found.untested
+            else f"{self.file}: {len(grasps)} grasps that can be used"
+        )
         return CommandResult({**value, "unusual_anatomy": unusual}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
 class ConvertGrasps(Answering):
-    """Bring a file of human grasps from other conventions into ours."""
+    """Bring a file of human grasps from other conventions into ours, and compute missing contacts."""
 
     file: GraspFile
     """A file with the fields of human grasps."""
     out: Path
     """Grasp file to write (.npz)."""
-    joint_order: str = "fungrasp"
-    """Order of its joints: openpose (wrist, thumb, index, ...), mano or fungrasp."""
-    quaternion: Literal["wxyz", "xyzw"] = "wxyz"
-    """Order of the numbers of its quaternions."""
-    unit: Literal["m", "cm", "mm"] = "m"
-    """Unit of its positions."""
-    side: Literal["right", "left"] = "right"
-    """Left hands are mirrored with their objects, whose names then end in "_mirrored"."""
+    convention: Annotated[Convention, tyro.conf.arg(name="")] = field(default_factory=Convention)
+    """How the file is written."""
+    objects: Path | None = None
+    """Folder of meshes <name>.obj, for what is computed from them; built-in objects need none."""
     below_table: Literal["keep", "lift", "drop"] = "keep"
     """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps.conversion import converted, mend_below_table
-        from fungrasp.grasps.grasp_files import human_grasps_from_fields, read_grasp_fields
+        from fungrasp.grasps.diagnosis import completed
+        from fungrasp.grasps.grasp_files import human_grasps, read_grasp_fields
 
         fields = read_grasp_fields(self.file)
         if "hand_joints" not in fields:
-            human_grasps_from_fields(fields, self.file)
-        fields = converted(fields, self.joint_order, self.quaternion, self.unit, self.side)
+            human_grasps(self.file, fields)
+        fields = converted(fields, self.convention)
+        fields = completed(fields, _known_objects(fields, self.objects))
         return write_human_grasps(
-            self.out, mend_below_table(human_grasps_from_fields(fields, self.file), self.below_table)
+            self.out, mend_below_table(human_grasps(self.file, fields), self.below_table)
         )
 
 
@@ -420,9 +419,12 @@ def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
 def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, ObjectModel]:
     """The objects of a file's grasps that can be found, by name; their mass does not matter here."""
     from fungrasp.objects import load_object, mesh_files, object_names
+    from fungrasp.objects.object_variants import MIRRORED
 
     known = {*object_names(), *mesh_files(folder)}
-    return {name: load_object(name, 1.0, folder) for name in set(fields["object_name"].tolist()) & known}
+    names = fields.get("object_name", ())
+    wanted = {str(name) for name in names if str(name).removesuffix(MIRRORED) in known}
+    return {name: load_object(name, 1.0, folder) for name in wanted}
 
 
 def _description(grasp: HumanGrasp | RobotGrasp) -> str:

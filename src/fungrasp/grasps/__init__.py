@@ -1,6 +1,8 @@
 """Human and robot grasps: the types, the files they are exchanged in, and importers of data sets."""
 
-from fungrasp.grasps.conversion import mirrored_grasps
+from fungrasp.grasps.contacts import link_contacts
+from fungrasp.grasps.conversion import Convention, converted, mirrored_grasps
+from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.grasp_files import (
     builtin_grasps,
     load_grasps,
@@ -26,6 +28,7 @@ __all__ = [
     "BONES",
     "HUMAN_JOINTS",
     "HUMAN_LINKS",
+    "Convention",
     "GraspSet",
     "HumanGrasp",
     "HumanGraspSet",
@@ -33,8 +36,11 @@ __all__ = [
     "RobotGraspSet",
     "bone_lengths",
     "builtin_grasps",
+    "checked_grasps",
+    "converted",
     "finger_link_directions",
     "hand_sides",
+    "link_contacts",
     "load_grasps",
     "load_human_grasps",
     "load_objects",

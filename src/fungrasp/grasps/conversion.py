@@ -1,49 +1,174 @@
-"""Human grasps in other conventions made ours, hands below the table mended, and grasps in a mirror."""
+"""Human grasps of other conventions brought into ours, hands below the table mended, mirrored grasps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
 
-from fungrasp.grasps.diagnosis import BELOW_TABLE, UNITS
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.poses import (
+    invert,
+    quaternion_conjugate,
+    quaternion_from_rotation_vector,
+    quaternion_multiply,
+    rotate,
+    transform_points,
+)
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import joint_order, mirror_points, mirror_pose
-from fungrasp.objects.object_variants import MIRRORED, mirrored_name
+from fungrasp.objects import ObjectModel
+from fungrasp.objects.object_model import settled_up
+from fungrasp.objects.object_variants import mirrored_name
+
+Unit = Literal["m", "dm", "inch", "cm", "mm"]
 
 POSES = ("object_pose", "object_rest_pose")
 
+UNITS: dict[Unit, float] = {"m": 1.0, "dm": 0.1, "inch": 0.0254, "cm": 0.01, "mm": 0.001}
+"""Meters per unit."""
 
-def converted(
-    arrays: Mapping[str, np.ndarray],
-    order: str = "fungrasp",
-    quaternion: Literal["wxyz", "xyzw"] = "wxyz",
-    unit: Literal["m", "cm", "mm"] = "m",
-    side: Literal["right", "left"] = "right",
-) -> dict[str, np.ndarray]:
-    """The fields of a file of human grasps in our conventions.
+_HALF = np.sqrt(0.5)
+UP = {
+    "z": (1.0, 0.0, 0.0, 0.0),
+    "y": (_HALF, _HALF, 0.0, 0.0),
+    "-y": (_HALF, -_HALF, 0.0, 0.0),
+    "x": (_HALF, 0.0, -_HALF, 0.0),
+    "-x": (_HALF, 0.0, _HALF, 0.0),
+    "-z": (0.0, 1.0, 0.0, 0.0),
+}
+"""The rotation (wxyz) that turns each axis up."""
+
+BELOW_TABLE = -0.01
+"""A joint further below the table top is an error of measurement [m]."""
+
+
+@dataclass(frozen=True)
+class Convention:
+    """How a file or a program writes human grasps. The defaults are ours."""
+
+    joint_order: str = "fungrasp"
+    """Order of the joints, one of ``ORDERS``."""
+    unit: Unit = "m"
+    """Unit of the joints, and of the objects' positions unless ``object_unit`` says otherwise."""
+    object_unit: Literal["same", "m", "dm", "inch", "cm", "mm"] = "same"
+    """Unit of the objects' positions."""
+    quaternion: Literal["wxyz", "xyzw"] = "wxyz"
+    """Order of the numbers of quaternions."""
+    rotation: Literal["as-is", "transposed"] = "as-is"
+    """Transposed: rotations are applied to row vectors, v R, and so are the inverses of ours."""
+    pose: Literal["object-in-world", "world-in-object"] = "object-in-world"
+    """Which frame a pose describes in which."""
+    joints_frame: Literal["world", "object"] = "world"
+    """Frame of the joints."""
+    up: Literal["z", "y", "-y", "x", "-x", "-z"] = "z"
+    """Axis of the world that points up."""
+    table_height: float = 0.0
+    """Height of the table top along that axis [m]."""
+    side: Literal["right", "left"] = "right"
+    """Left hands are mirrored in the plane y = 0 with their objects, whose names then end in "_mirrored"."""
+    rest_pose: Literal["given", "settled"] = "given"
+    """Settled: rest poses are left out, to be computed from the held ones (``settled_pose``)."""
+
+    @property
+    def changes(self) -> dict[str, str | float]:
+        """The values that differ from ours, by name."""
+        return {f.name: v for f in fields(self) if (v := getattr(self, f.name)) != f.default}
+
+    def as_options(self) -> str:
+        """The options of ``fungrasp grasps convert`` that convert from it."""
+        return " ".join(f"--{name.replace('_', '-')} {_text(v)}" for name, v in self.changes.items())
+
+    def as_arguments(self) -> str:
+        """The arguments of ``Convention`` that make it."""
+        return ", ".join(
+            f'{name}="{v}"' if isinstance(v, str) else f"{name}={_text(v)}"
+            for name, v in self.changes.items()
+        )
+
+
+def _text(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
+def converted(arrays: Mapping[str, np.ndarray], convention: Convention) -> dict[str, np.ndarray]:
+    """The fields of human grasps in our conventions. A field that is missing stays so; joint rotations are
+    left out where they would have to change.
 
     Args:
-        arrays: by name, as the file has them.
-        order: of the joints, one of ``ORDERS``; joint rotations are left out if it is not ours.
-        quaternion: order of the numbers of quaternions.
-        side: of the hands; the scene of left ones is mirrored in the plane y = 0.
+        arrays: by name, as ``HumanGraspSet`` or a file has them.
+
+    Raises:
+        FungraspError: a field of wrong shape or type, or no such order of joints, unit, axis, or height.
     """
+    for kind, name, known in (("unit", convention.unit, UNITS), ("axis", convention.up, UP)):
+        if name not in known:
+            raise UnknownNameError(kind, name, known)
+    if not np.isfinite(convention.table_height):
+        raise FungraspError(f"the height of the table must be a number, not {convention.table_height}")
+    for name, shape in {"hand_joints": (21, 3), **dict.fromkeys(POSES, (7,))}.items():
+        array = arrays.get(name)
+        if array is not None and (array.shape[1:] != shape or array.dtype.kind not in "fiu"):
+            sizes = ", ".join(map(str, shape))
+            found = f"{array.dtype} of shape {array.shape}"
+            raise FungraspError(f"field '{name}' holds {found}, expected numbers of shape (N, {sizes})")
     result = dict(arrays)
-    result["hand_joints"] = result["hand_joints"][:, joint_order(order)] * UNITS[unit]
-    for name in POSES:
-        pose = result[name].astype(float)
-        pose[:, :3] *= UNITS[unit]
-        result[name] = pose[:, [0, 1, 2, 6, 3, 4, 5]] if quaternion == "xyzw" else pose
-    if side == "left":
-        result["hand_joints"] = mirror_points(result["hand_joints"])
-        result |= {name: mirror_pose(result[name]) for name in POSES}
-        result["object_name"] = np.char.add(result["object_name"].astype(str), MIRRORED)
-    if order != "fungrasp" or unit != "m" or side == "left":
+    scale = UNITS[convention.unit]
+    object_scale = scale if convention.object_unit == "same" else UNITS[convention.object_unit]
+    joints = arrays["hand_joints"][:, joint_order(convention.joint_order)] * scale
+    turn = np.array(UP[convention.up])
+    down = np.array([0.0, 0.0, convention.table_height])
+    poses = {name: _our_pose(arrays[name], convention, object_scale) for name in POSES if name in arrays}
+    if convention.joints_frame == "object":
+        joints = transform_points(poses["object_pose"], joints)
+    joints = rotate(turn, joints) - down
+    for name, pose in poses.items():
+        turned = quaternion_multiply(turn, pose[:, 3:])
+        result[name] = np.concatenate([rotate(turn, pose[:, :3]) - down, turned], axis=1)
+    if convention.side == "left":
+        joints = mirror_points(joints)
+        result |= {name: mirror_pose(result[name]) for name in poses}
+        names = arrays["object_name"].astype(str)
+        result["object_name"] = np.array([mirrored_name(str(name)) for name in names])
+    result["hand_joints"] = joints
+    if convention.rest_pose == "settled":
+        result.pop("object_rest_pose", None)
+    if set(convention.changes) - {"quaternion", "rotation", "pose", "object_unit", "rest_pose"}:
         result.pop("hand_qpos", None)
     return result
+
+
+def _our_pose(pose: np.ndarray, convention: Convention, scale: float) -> np.ndarray:
+    pose = pose.astype(float)
+    pose = np.concatenate([pose[:, :3] * scale, pose[:, 3:]], axis=1)
+    if convention.quaternion == "xyzw":
+        pose = pose[:, [0, 1, 2, 6, 3, 4, 5]]
+    if convention.rotation == "transposed":
+        pose = pose * [1, 1, 1, 1, -1, -1, -1]
+    if convention.pose == "world-in-object":
+        pose = invert(pose)
+    return pose
+
+
+def settled_pose(pose: np.ndarray, model: ObjectModel) -> np.ndarray:
+    """Where an object stands on the table after it is put down from a pose: on the stable face that is
+    nearest to pointing down, straight below.
+
+    Args:
+        pose: world frame, shape [7].
+
+    Returns:
+        World frame, shape [7].
+    """
+    up = rotate(quaternion_conjugate(pose[3:]), np.array([0.0, 0.0, 1.0]))
+    tilt = np.cross(settled_up(model, up), up)
+    angle = np.arcsin(min(np.linalg.norm(tilt), 1.0))
+    axis = tilt / max(np.linalg.norm(tilt), 1e-12)
+    turn = quaternion_multiply(pose[3:], quaternion_from_rotation_vector(axis * angle))
+    lowest = rotate(turn, model.hull.reshape(-1, 3))[:, 2].min()
+    return np.concatenate([pose[:2], [-lowest], turn])
 
 
 def mend_below_table(grasps: HumanGraspSet, how: Literal["keep", "lift", "drop"]) -> HumanGraspSet:

@@ -1,139 +1,248 @@
-"""What is probably wrong with the numbers of human grasps: units, joint order, side, quaternions, table.
+"""The gate for human grasps: in which convention they are written, and what is wrong with them.
 
-The joints of a hand tell most of it, as bones have known lengths and fingers bend one way; that an object at
-rest stands on the table tells the rest.
+The joints of a hand tell most of it, as bones have known lengths and fingers bend one way. That fingertips
+touch what they hold, and that an object at rest stands on the table, tells the rest (``scene_checks``).
 """
 
 from __future__ import annotations
 
-import re
+import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.geometry.poses import inverse_transform_points, transform_points
+from fungrasp.grasps.contacts import link_contacts
+from fungrasp.grasps.conversion import BELOW_TABLE, UNITS, Convention, Unit, settled_pose
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.human_hand import (
-    ADULT_BONES,
-    BONE_VARIATION,
-    BONES,
-    DEVIATION_LIMIT,
-    FLEXION_RANGE,
-    HUMAN_JOINTS,
-    JOINT_RANGE_SLACK,
-    ORDERS,
-    bone_lengths,
-    hand_sides,
-    joint_bends,
-    mirror_points,
-)
+from fungrasp.grasps.human_hand import HUMAN_LINKS, ORDERS, bone_ratios, joint_bends, order_misfit
+from fungrasp.grasps.scene_checks import GraspScene, Remark, scene_is_sound
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_variants import MIRRORED
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Metres per unit."""
+ORDER_MISFIT = 0.35
+"""``order_misfit`` of a hand whose joints are in the right order: 0.16 as tracked in DexYCB, 0.3 with
+errors of 5 mm at each joint."""
 
-SPAN = (0.08, 0.28)
-"""Distance between the two joints of a hand that are furthest apart [m]."""
+CLEARLY = 0.75
+"""Another order of joints is recognized if its misfit is less than this share of that in ours."""
 
-BONE_MISFIT = 0.3
-"""A hand's bones differ from an adult's by no more than this share of their length, root mean square."""
-
-CLEARLY = 0.6
-"""Another order of joints is recognised if the misfit is less than this share of that in ours."""
+HAND_SIZES = (0.5, 1.6)
+"""Size of a hand, as a part of an adult's: of children, and as trackers err."""
 
 BENT = 0.6
 """Sum of the bends of a hand's four fingers that tells its side [rad]."""
 
-BELOW_TABLE = -0.01
-"""A joint further below the table top is an error of measurement [m]."""
-
-REST_ERROR = 0.02
-"""An object at rest is no further above or below the table [m]."""
-
-TIPS = [4, 8, 20]
-"""Tips of index, middle finger and thumb in ``HUMAN_JOINTS``."""
-
-HELD, GAP_ERROR = 0.05, 0.015
-"""Fingertips are on average no further from what they hold, and a wrong pose moves them by more [m]."""
-
-XYZW = [0, 1, 2, 6, 3, 4, 5]
-"""A pose read as if its quaternion were written xyzw."""
-
-SURFACE_SAMPLES = 3000
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Remark:
-    """Something wrong with some of the grasps."""
+class GraspDiagnosis:
+    """What is known of some human grasps."""
 
-    words: str
-    """What is wrong."""
-    rows: np.ndarray
-    """Grasps that it is said of, shape [R]."""
-    fatal: bool
-    """Whether results would mean nothing."""
-    remedy: str = ""
-    """Options of ``fungrasp grasps convert`` that mend it."""
+    count: int
+    """Number of grasps."""
+    remarks: tuple[Remark, ...]
+    """What is wrong with them."""
+    convention: Convention
+    """The convention in which most of them are written."""
+    untested: tuple[str, ...] = ()
+    """What could not be tested, and why."""
 
-    def __str__(self) -> str:
-        return f"{rows_in_words(self.rows)}: {self.words}"
+    @property
+    def fatal(self) -> Remark | None:
+        """The first remark because of which more than half of the grasps can't be used."""
+        return next((r for r in self.remarks if r.fatal and 2 * len(r.rows) > self.count), None)
+
+    def require_usable(self, where: str, file: bool) -> None:
+        """
+        Args:
+            where: begins the message.
+            file: whether that is a file, to which ``fungrasp grasps convert`` can be applied.
+
+        Raises:
+            FungraspError: most of the grasps can't be used; it names the remedy where there is one.
+        """
+        if self.fatal is None:
+            return
+        remedy = ""
+        if self.convention.changes and file:
+            remedy = (
+                f"; 'fungrasp grasps convert {where} {self.convention.as_options()} --out NEW.npz' mends it"
+            )
+        elif self.convention.changes:
+            remedy = f"; converted(fields, Convention({self.convention.as_arguments()})) mends it"
+        raise FungraspError(f"{where}: {self.fatal}{remedy}")
 
 
-def rows_in_words(rows: np.ndarray, most: int = 6) -> str:
-    """ "grasp 3" or "grasps 1, 4, 5 and 20 more"."""
-    if len(rows) == 1:
-        return f"grasp {rows[0]}"
-    shown = ", ".join(str(row) for row in rows[:most])
-    return f"grasps {shown}" + (f" and {len(rows) - most} more" if len(rows) > most else "")
+def checked_grasps(
+    arrays: Mapping[str, np.ndarray],
+    objects: Mapping[str, ObjectModel],
+    where: str = "the grasps",
+    *,
+    file: bool = False,
+    read: bool = False,
+) -> HumanGraspSet:
+    """Human grasps from their fields, after the checks that every reader and ``retarget`` make.
 
-
-def hand_remarks(hand_joints: np.ndarray, object_name: np.ndarray | None = None) -> list[Remark]:
-    """Wrong units, another order of joints, left hands.
+    Contacts that are missing, or that a grasp has none of, are computed from the distance of hand and object;
+    a rest pose that is missing is where the object stands after it is put down.
 
     Args:
-        hand_joints: as a file has them, finite, shape [N, 21, 3].
-        object_name: shape [N]; left hands on objects that are mirror images are meant to be. None: no object
-            is one.
+        arrays: by name, as ``HumanGraspSet`` has them; "link_contacts" and "object_rest_pose" may be missing.
+        objects: the objects that are known, by name.
+        where: begins the messages.
+        file: whether that is a file.
+        read: whether the grasps went through these checks before their objects were known: what joints alone
+            tell is not said again, and left hands are meant to be.
+
+    Raises:
+        FungraspError: bad content, most of the grasps can't be used as they are, or something is missing that
+            can't be computed without the object's mesh.
     """
-    if not len(hand_joints):
-        return []
+    found = diagnosis(arrays, objects, sides=not read)
+    found.require_usable(where, file)
+    for remark in found.remarks:
+        if remark.scene or not read:
+            _log.warning("%s: %s", where, remark)
+    complete = completed(arrays, objects)
+    missing = [n for n, f in HumanGraspSet.FIELDS.items() if n not in complete and not f.optional]
+    if missing:
+        given = ", ".join(sorted(arrays)) or "nothing"
+        mesh = " ('grasps convert --objects FOLDER' computes it)" if missing[0] == "object_rest_pose" else ""
+        raise FungraspError(f"{where}: field '{missing[0]}' is missing{mesh}; found: {given}")
+    try:
+        return HumanGraspSet(**{n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS})
+    except FungraspError as error:
+        raise FungraspError(f"{where}: {error}") from error
+
+
+def completed(arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> dict[str, np.ndarray]:
+    """The fields with contacts and rest poses computed where they are missing and the object is known.
+    Contacts of unknown objects are all false."""
+    result = dict(arrays)
+    if not scene_is_sound(arrays):
+        return result
+    names, poses = arrays["object_name"].astype(str), arrays["object_pose"].astype(float)
+    given = arrays.get("link_contacts", np.zeros((len(names), len(HUMAN_LINKS)), dtype=bool))
+    if given.dtype == bool and given.shape == (len(names), len(HUMAN_LINKS)):
+        contacts = given.copy()
+        for name in set(names[~given.any(axis=1)].tolist()) & set(objects):
+            rows = np.flatnonzero((names == name) & ~given.any(axis=1))
+            mesh = objects[name]
+            joints = arrays["hand_joints"][rows].astype(float)
+            contacts[rows] = link_contacts(joints, poses[rows], mesh.vertices, mesh.faces)
+        result["link_contacts"] = contacts
+    if "object_rest_pose" not in arrays and set(names.tolist()) <= set(objects):
+        settled = [settled_pose(p, objects[n]) for n, p in zip(names.tolist(), poses, strict=True)]
+        result["object_rest_pose"] = np.array(settled)
+    return result
+
+
+def diagnosis(
+    arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel], sides: bool = True
+) -> GraspDiagnosis:
+    """In which convention grasps are written, and what is wrong with them.
+
+    Args:
+        arrays: by name, as ``HumanGraspSet`` has them. What is of a wrong shape or type, or not finite, is
+            left to the set's own checks.
+        objects: those that are known, by name.
+        sides: whether left hands are errors, unless the objects are mirror images too.
+    """
+    joints = arrays.get("hand_joints", np.zeros(0))
+    if not (joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind in "fiu" and len(joints)):
+        return GraspDiagnosis(0, (), Convention())
+    if not np.isfinite(joints).all():
+        return GraspDiagnosis(len(joints), (), Convention())
+    joints = joints.astype(float)
+    remarks, convention = _hand_remarks(joints, len(joints) > 1)
+    if any(r.fatal and 2 * len(r.rows) > len(joints) for r in remarks) and not convention.changes:
+        return GraspDiagnosis(len(joints), tuple(remarks), convention)
+    untested: list[str] = []
+    if scene_is_sound(arrays):
+        scene = GraspScene.of(arrays, objects)
+        untested += scene.untested()
+        if len(scene.rows):
+            convention, found = scene.convention(convention)
+            remarks += found
+    if sides:
+        remarks += _side_remarks(joints[:, ORDERS[convention.joint_order]], arrays.get("object_name"))
+        if remarks and remarks[-1].words is LEFT and 2 * len(remarks[-1].rows) > len(joints):
+            convention = replace(convention, side="left")
+    if set(convention.changes) <= {"side"}:
+        remarks += table_remarks(joints)
+    return GraspDiagnosis(len(joints), tuple(remarks), convention, tuple(untested))
+
+
+LEFT = "the fingers bend backwards: a left hand, or a mirrored frame"
+
+
+def _hand_remarks(joints: np.ndarray, several: bool) -> tuple[list[Remark], Convention]:
+    """What the joints alone tell of order and unit, and the convention that most hands follow.
+
+    Args:
+        joints: shape [N, 21, 3], in any unit.
+        several: whether more than one grasp is there.
+    """
     remarks = []
-    unit = likely_unit(hand_joints)
-    joints = hand_joints * UNITS[unit]
-    if unit != "m":
-        remarks.append(
-            Remark(f"the joints are in {unit}, not m", np.arange(len(joints)), True, f"--unit {unit}")
+    misfit = np.stack([order_misfit(joints[:, order]) for order in ORDERS.values()])
+    names = list(ORDERS)
+    ours, least = misfit[names.index("fungrasp")], misfit.min(axis=0)
+    best = np.where(least < CLEARLY * ours, misfit.argmin(axis=0), names.index("fungrasp"))
+    unknown = np.flatnonzero(least >= ORDER_MISFIT)
+    best[unknown] = names.index("fungrasp")
+    if len(unknown):
+        words = (
+            "the joints are in no known order, or no hand: whatever the order, bones and knuckles differ by "
+            f"{100 * np.median(least[unknown]):.0f} % from an adult's; known orders: {', '.join(names)}"
         )
-    misfit = np.stack([_bone_misfit(joints[:, order]) for order in ORDERS.values()])
-    ours = misfit[list(ORDERS).index("fungrasp")]
-    clear = (misfit.min(axis=0) < BONE_MISFIT) & (misfit.min(axis=0) < CLEARLY * ours)
-    best = np.where(clear, misfit.argmin(axis=0), -1)
-    for index, (name, order) in enumerate(ORDERS.items()):
-        rows = np.flatnonzero(best == index)
-        if len(rows):
-            joints[rows] = joints[rows][:, order]
-            words = f"the joints are in the order of {name} (by the lengths of the bones)"
-            remarks.append(Remark(words, rows, True, f"--joint-order {name}"))
-    known = np.flatnonzero(misfit.min(axis=0) < BONE_MISFIT)
-    bends = joint_bends(joints[known])[0][:, :4].sum(axis=(1, 2))
-    left = known[bends < -BENT]
+        remarks.append(Remark(words, unknown, True))
+    order = names[np.bincount(best).argmax()]
+    for index in set(best.tolist()) - {names.index("fungrasp")}:
+        words = f"the joints are in the order of {names[index]} (by the lengths of bones)"
+        remarks.append(Remark(words, np.flatnonzero(best == index), True))
+    if 2 * len(unknown) > len(joints):
+        return remarks, Convention()
+    at_zero = np.flatnonzero(np.abs(joints[:, ORDERS[order][0]]).max(axis=1) < 1e-9)
+    size = np.median(bone_ratios(joints[:, ORDERS[order]]), axis=1)
+    unit = _unit(float(np.median(size)))
+    if several and len(at_zero) == len(joints):
+        scaled = "" if unit == "m" else ", and in no unit of length"
+        words = f"the joints are relative to the wrist{scaled}: where the wrist is in the world is missing"
+        return [*remarks, Remark(words, at_zero, True)], Convention()
+    if unit is None:
+        words = f"the hands are {np.median(size):.3g} times as large as an adult's, in no known unit"
+        return [*remarks, Remark(words, np.arange(len(joints)), True)], Convention()
+    if unit != "m":
+        remarks.append(Remark(f"the joints are in {unit}, not m", np.arange(len(joints)), True))
+    odd = np.flatnonzero([_unit(float(s)) != unit for s in size])
+    if len(odd):
+        words = f"the hand is {np.median(size[odd]) * UNITS[unit]:.2g} times as large as an adult's"
+        remarks.append(Remark(words, odd, True))
+    return remarks, Convention(joint_order=order, unit=unit)
+
+
+def _unit(size: float) -> Unit | None:
+    """The unit in which a hand is of a person's size, None if in none.
+
+    size: as a part of an adult's hand, if the joints were in meters.
+    """
+    if HAND_SIZES[0] <= size <= HAND_SIZES[1]:
+        return "m"
+    unit = min(UNITS, key=lambda name: abs(np.log(max(size, 1e-9) * UNITS[name])))
+    return unit if HAND_SIZES[0] <= size * UNITS[unit] <= HAND_SIZES[1] else None
+
+
+def _side_remarks(joints: np.ndarray, object_name: np.ndarray | None) -> list[Remark]:
+    """Left hands whose objects are no mirror images. joints: in our order, shape [N, 21, 3]."""
+    left = joint_bends(joints)[0][:, :4].sum(axis=(1, 2)) < -BENT
+    left &= order_misfit(joints) < ORDER_MISFIT
     if object_name is not None and object_name.shape == (len(joints),) and object_name.dtype.kind == "U":
-        left = left[~np.char.endswith(object_name[left], MIRRORED)]
-    if len(left):
-        words = "the fingers bend backwards: a left hand, or a mirrored frame"
-        remarks.append(Remark(words, left, True, "--side left"))
-    return remarks
-
-
-def likely_unit(hand_joints: np.ndarray) -> str:
-    """The unit in which hands have a hand's size, "m" if none; hand_joints: shape [N, 21, 3]."""
-    apart = np.linalg.norm(hand_joints[:, :, None] - hand_joints[:, None], axis=-1).max(axis=(1, 2))
-    span = float(np.median(apart))
-    return next((unit for unit, size in UNITS.items() if SPAN[0] <= span * size <= SPAN[1]), "m")
+        left &= ~np.char.endswith(object_name, MIRRORED)
+    rows = np.flatnonzero(left)
+    return [Remark(LEFT, rows, True)] if len(rows) else []
 
 
 def table_remarks(hand_joints: np.ndarray) -> list[Remark]:
@@ -142,147 +251,4 @@ def table_remarks(hand_joints: np.ndarray) -> list[Remark]:
     rows = np.flatnonzero(depth < BELOW_TABLE)
     if not len(rows):
         return []
-    return [Remark(f"the hand reaches {-1000 * depth[rows].min():.0f} mm below the table", rows, False)]
-
-
-def pose_remarks(fields: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> list[Remark]:
-    """Objects that are not where the fingers are, or don't stand on the table at rest, and whether another
-    order of quaternions explains it.
-
-    Args:
-        fields: "object_name", "object_pose", "object_rest_pose" and "hand_joints" of N grasps.
-        objects: those that are known, by name.
-    """
-    rows = np.flatnonzero(np.isin(fields["object_name"], list(objects)))
-    name, joints = fields["object_name"][rows], fields["hand_joints"][rows]
-    pose, rest = fields["object_pose"][rows], fields["object_rest_pose"][rows]
-    gap, swapped_gap = (tip_gaps(name, joints, p, objects) for p in (pose, pose[:, XYZW]))
-    height, swapped_height = (np.abs(rest_heights(name, p, objects)) for p in (rest, rest[:, XYZW]))
-    swapped = (gap > swapped_gap + GAP_ERROR) | (height > swapped_height + REST_ERROR)
-    apart = ~swapped & (gap > HELD)
-    standing = swapped | (height <= REST_ERROR)
-    remarks = []
-    if swapped.any():
-        words = "fingers and table meet the object only if quaternions are xyzw, not wxyz"
-        remarks.append(Remark(words, rows[swapped], True, "--quaternion xyzw"))
-    if apart.any():
-        words = (
-            f"the fingertips are on average {1000 * gap[apart].max():.0f} mm from the object that they hold"
-        )
-        remarks.append(Remark(words, rows[apart], False))
-    if not standing.all():
-        words = (
-            f"at rest the object is up to {1000 * height[~standing].max():.0f} mm off the table: is z up, "
-            "the table top z = 0, and the mesh the one that was held?"
-        )
-        remarks.append(Remark(words, rows[~standing], False))
-    return remarks
-
-
-def tip_gaps(
-    object_name: np.ndarray,
-    hand_joints: np.ndarray,
-    object_pose: np.ndarray,
-    objects: Mapping[str, ObjectModel],
-) -> np.ndarray:
-    """Mean distance of thumb, index and middle finger's tips from the object's surface [m], shape [N]."""
-    import trimesh
-
-    gaps = np.zeros(len(object_name))
-    for name in np.unique(object_name):
-        rows = np.flatnonzero(object_name == name)
-        mesh = objects[str(name)].mesh
-        tree = KDTree(trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)[0])
-        local = inverse_transform_points(
-            _with_unit_quaternions(object_pose[rows]), hand_joints[rows][:, TIPS]
-        )
-        gaps[rows] = tree.query(local)[0].mean(axis=1)
-    return gaps
-
-
-def rest_heights(
-    object_name: np.ndarray, object_rest_pose: np.ndarray, objects: Mapping[str, ObjectModel]
-) -> np.ndarray:
-    """Height of each object's lowest point above the table [m], shape [N]."""
-    heights = np.zeros(len(object_name))
-    for row, (name, pose) in enumerate(zip(object_name, object_rest_pose, strict=True)):
-        corners = objects[str(name)].mesh.convex_hull.vertices
-        heights[row] = transform_points(_with_unit_quaternions(pose), corners)[:, 2].min()
-    return heights
-
-
-def _with_unit_quaternions(pose: np.ndarray) -> np.ndarray:
-    norm = np.maximum(np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True), 1e-9)
-    return np.concatenate([pose[..., :3], pose[..., 3:] / norm], axis=-1)
-
-
-def refuse_or_list(remarks: list[Remark], count: int, where: str) -> list[Remark]:
-    """The remarks, if no fatal one is made of more than half of ``count`` grasps.
-
-    Raises:
-        FungraspError: one is; it names the remedy.
-    """
-    for remark in remarks:
-        if remark.fatal and 2 * len(remark.rows) > count:
-            raise FungraspError(
-                f"{where}: {remark}; 'fungrasp grasps convert {where} {remark.remedy} --out NEW.npz' mends it"
-            )
-    return remarks
-
-
-def _bone_misfit(hand_joints: np.ndarray) -> np.ndarray:
-    """Root mean square deviation of the bones' lengths from an adult's hand of the same size, as a share of
-    them, shape [N]."""
-    ratio = np.log(np.maximum(bone_lengths(hand_joints), 1e-6) * 1000 / ADULT_BONES.mean(axis=-1).ravel())
-    return np.sqrt(np.mean((ratio - ratio.mean(axis=1, keepdims=True)) ** 2, axis=1))
-
-
-def check_anatomy(grasps: HumanGraspSet) -> list[str]:
-    """Bones and joints of a grasp set outside adults' ranges, one sentence each; empty if there are none."""
-    lengths = bone_lengths(grasps.hand_joints) * 1000
-    shortest = ADULT_BONES[..., 0].ravel() * (1 - BONE_VARIATION)
-    longest = ADULT_BONES[..., 1].ravel() * (1 + BONE_VARIATION)
-    left = (hand_sides(grasps.hand_joints) == "left")[:, None, None]
-    flexion, deviation = joint_bends(np.where(left, mirror_points(grasps.hand_joints), grasps.hand_joints))
-    low, high = FLEXION_RANGE[..., 0] - JOINT_RANGE_SLACK, FLEXION_RANGE[..., 1] + JOINT_RANGE_SLACK
-    findings = []
-    for row, name in enumerate(grasps.object_name):
-        grasp = f"grasp {row} ({name})"
-        for bone in np.flatnonzero((lengths[row] < shortest) | (lengths[row] > longest)):
-            near, far = (HUMAN_JOINTS[joint] for joint in BONES[bone])
-            allowed = f"{shortest[bone]:.0f} to {longest[bone]:.0f} mm"
-            findings.append(
-                f"{grasp}: the bone from {near} to {far} is {lengths[row, bone]:.0f} mm long, not {allowed}"
-            )
-        for finger, joint in np.argwhere((flexion[row] < low) | (flexion[row] > high)):
-            angle, least, most = np.degrees(
-                [flexion[row, finger, joint], low[finger, joint], high[finger, joint]]
-            )
-            allowed = f"{least:.0f} to {most:.0f} degrees"
-            findings.append(f"{grasp}: {_joint(finger, joint)} is bent {angle:.0f} degrees, not {allowed}")
-        for finger, joint in np.argwhere(np.abs(deviation[row]) > DEVIATION_LIMIT + JOINT_RANGE_SLACK):
-            angle, most = np.degrees(
-                [deviation[row, finger, joint], DEVIATION_LIMIT[joint] + JOINT_RANGE_SLACK]
-            )
-            findings.append(
-                f"{grasp}: {_joint(finger, joint)} is bent {angle:.0f} degrees sideways, not {most:.0f}"
-            )
-    return findings
-
-
-def grouped(findings: list[str]) -> list[str]:
-    """Findings of ``check_anatomy`` that differ in grasp and number only, in one sentence each."""
-    groups: dict[str, list[str]] = {}
-    for finding in findings:
-        words = finding.partition(": ")[2]
-        groups.setdefault(re.sub(r"-?\d+", "#", words.partition(", not ")[0]), []).append(finding)
-    lines = []
-    for first, *others in groups.values():
-        also = ", ".join(finding.split()[1] for finding in others[:6])
-        more = f" and {len(others) - 6} more" if len(others) > 6 else ""
-        lines.append(f"{first}; likewise in grasps {also}{more}" if others else first)
-    return lines
-
-
-def _joint(finger: int, joint: int) -> str:
-    return HUMAN_JOINTS[1 + 4 * finger + joint]
+    return [Remark(f"the hand reaches {-1000 * depth[rows].min():.0f} mm below the table", rows)]

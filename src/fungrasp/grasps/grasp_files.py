@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,10 +11,11 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
-from fungrasp.grasps.diagnosis import hand_remarks, refuse_or_list, table_remarks
+from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.grasp_set import FILE_VERSION, GraspSet
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
+from fungrasp.objects import ObjectModel, load_object, object_names
 
 BUILTIN = "builtin"
 """The name that stands for the built-in human grasps wherever a file of human grasps is asked for."""
@@ -25,9 +25,7 @@ BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
 _KNOWN = {"version", "hand", "hand_file", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
 """Names of all fields but the further numbers."""
 
-_log = logging.getLogger(__name__)
-
-Set = TypeVar("Set", bound=GraspSet[Any])
+Grasps = TypeVar("Grasps", bound=GraspSet[Any])
 
 
 @guarded("grasp file")
@@ -87,18 +85,25 @@ def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
 
 
 def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
+    if path == BUILTIN_PATH:
+        return human_grasps(path, arrays)
     if _is_robot(arrays):
-        raise FungraspError(
-            f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
-        )
-    joints = arrays.get("hand_joints", np.zeros(0))
-    readable = joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind == "f"
-    if readable and path != BUILTIN_PATH and np.isfinite(joints).all():
-        joints = joints.astype(np.float64)
-        remarks = hand_remarks(joints, arrays.get("object_name")) + table_remarks(joints)
-        for remark in refuse_or_list(remarks, len(joints), str(path)):
-            _log.warning("%s: %s", path, remark)
-    return _build(path, HumanGraspSet, arrays, {})
+        human_grasps(path, arrays)
+    _require_fields(path, HumanGraspSet, arrays, {"link_contacts", "object_rest_pose"})
+    grasps = checked_grasps(arrays, _needed_objects(arrays), str(path), file=True)
+    if not len(grasps):
+        raise FungraspError(f"{path} holds no grasps")
+    return grasps
+
+
+def _needed_objects(arrays: Mapping[str, np.ndarray]) -> dict[str, ObjectModel]:
+    """The built-in objects of grasps of which something must be computed from meshes."""
+    contacts = arrays.get("link_contacts")
+    lacking = contacts is None or contacts.ndim != 2 or not contacts.any(axis=1).all()
+    names = arrays.get("object_name", np.zeros(0, dtype="U1"))
+    if names.dtype.kind not in "US" or not (lacking or "object_rest_pose" not in arrays):
+        return {}
+    return {name: load_object(name) for name in set(names.astype(str).ravel().tolist()) & set(object_names())}
 
 
 def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
@@ -108,15 +113,6 @@ def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
         FungraspError: no such file, or none that can be read.
     """
     return _read(path)
-
-
-def human_grasps_from_fields(arrays: Mapping[str, np.ndarray], where: str) -> HumanGraspSet:
-    """Human grasps from their fields; where: begins the messages.
-
-    Raises:
-        FungraspError: bad content; names field, shapes and row.
-    """
-    return _build(Path(where), HumanGraspSet, arrays, {})
 
 
 def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:
@@ -147,11 +143,10 @@ def _is_robot(arrays: Mapping[str, np.ndarray]) -> bool:
     return "hand" in arrays and "hand_joints" not in arrays
 
 
-def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole: Mapping[str, Any]) -> Set:
-    missing = [name for name, field in kind.FIELDS.items() if name not in arrays and not field.optional]
-    if missing:
-        found = ", ".join(sorted(npz_names(path, "grasp file"))) or "nothing"
-        raise FungraspError(f"{path}: field '{missing[0]}' is missing; found: {found}")
+def _build(
+    path: Path, kind: type[Grasps], arrays: Mapping[str, np.ndarray], whole: Mapping[str, Any]
+) -> Grasps:
+    _require_fields(path, kind, arrays)
     try:
         grasps = kind(**whole, **{name: arrays.get(name) for name in kind.FIELDS})
     except FungraspError as error:
@@ -159,6 +154,29 @@ def _build(path: Path, kind: type[Set], arrays: Mapping[str, np.ndarray], whole:
     if not len(grasps):
         raise FungraspError(f"{path} holds no grasps")
     return grasps
+
+
+def human_grasps(path: str | Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
+    """Human grasps from the fields of a file, without the checks of their convention.
+
+    Raises:
+        FungraspError: bad content; names field, shapes and row.
+    """
+    if _is_robot(arrays):
+        raise FungraspError(
+            f"{path} holds robot grasps (of the hand '{arrays['hand']}'), human grasps are needed here"
+        )
+    return _build(Path(path), HumanGraspSet, arrays, {})
+
+
+def _require_fields(
+    path: Path, kind: type[GraspSet[Any]], arrays: Mapping[str, np.ndarray], computed: Set[str] = frozenset()
+) -> None:
+    needed = (name for name, field in kind.FIELDS.items() if not field.optional and name not in computed)
+    missing = [name for name in needed if name not in arrays]
+    if missing:
+        found = ", ".join(sorted(npz_names(path, "grasp file"))) or "nothing"
+        raise FungraspError(f"{path}: field '{missing[0]}' is missing; found: {found}")
 
 
 def _read(path: str | Path) -> dict[str, np.ndarray]:

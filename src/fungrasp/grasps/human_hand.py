@@ -104,7 +104,29 @@ MANO = np.array([0, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20, 13, 1
 """MANO's 16 joints (wrist, index, middle, little finger, ring, thumb, three each), then the tips of thumb,
 index, middle, ring and little finger."""
 
-ORDERS = {"openpose": OPENPOSE, "mano": MANO, "fungrasp": np.arange(21)}
+_FRANKMOCAP = np.array([0, 1, 2, 3, 16, 4, 5, 6, 17, 10, 11, 12, 19, 7, 8, 9, 18, 13, 14, 15, 20])
+"""MANO's 16 joints, then the tips of index, middle, little, ring finger and thumb."""
+
+_INTERHAND = np.array(
+    [20, *(4 * finger + 7 - joint for finger in range(4) for joint in range(4)), 3, 2, 1, 0]
+)
+"""Thumb, index, middle, ring, little finger, each from its tip to its base, then the wrist."""
+
+_MANO_FINGERS = np.array([0, *range(1, 9), *range(13, 17), *range(9, 13), *range(17, 21)])
+"""Wrist, then MANO's order of fingers (index, middle, little finger, ring, thumb), each from base to tip."""
+
+_TIP_FIRST = np.array([0, *(4 * finger + 4 - joint for finger in range(5) for joint in range(4))])
+"""Our order of fingers, each from its tip to its base."""
+
+ORDERS = {
+    "openpose": OPENPOSE,
+    "mano": MANO,
+    "fungrasp": np.arange(21),
+    "frankmocap": _FRANKMOCAP,
+    "interhand": _INTERHAND,
+    "mano-fingers": _MANO_FINGERS,
+    "tip-first": _TIP_FIRST,
+}
 """Index, by order, of each of ``HUMAN_JOINTS``."""
 
 
@@ -150,6 +172,26 @@ DEVIATION_LIMIT = np.radians([20.0, 0.0, 0.0])
 JOINT_RANGE_SLACK = np.radians(25.0)
 """Allowed beyond the ranges [rad]: joint centers lie off the bones' lines, and objects bend fingers further
 than the hand alone does."""
+
+
+KNUCKLES = ((1, 5), (5, 9), (9, 13))
+"""Neighboring bases of fingers, as pairs of joint indices."""
+
+KNUCKLE_DISTANCES = np.array([25.2, 26.8, 21.8])
+"""Between them in the hand of the tracked grasps in D-Grasp's labels [mm]."""
+
+
+def order_misfit(hand_joints: np.ndarray) -> np.ndarray:
+    """How far hands are from human proportions: root mean square of the logarithms of the lengths of bones
+    and of the distances of knuckles, relative to an adult's hand of the same size, shape [N].
+
+    Args:
+        hand_joints: in any unit, shape [N, 21, 3].
+    """
+    near, far = np.transpose(KNUCKLES)
+    across = np.linalg.norm(hand_joints[:, near] - hand_joints[:, far], axis=-1) * 1e3 / KNUCKLE_DISTANCES
+    ratio = np.log(np.maximum(np.concatenate([bone_ratios(hand_joints), across], axis=1), 1e-6))
+    return np.sqrt(np.mean((ratio - ratio.mean(axis=1, keepdims=True)) ** 2, axis=1))
 
 
 def bone_ratios(hand_joints: np.ndarray) -> np.ndarray:

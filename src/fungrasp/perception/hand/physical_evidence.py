@@ -11,8 +11,8 @@ import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points, rotate
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
+from fungrasp.grasps.contacts import link_points
 from fungrasp.grasps.human_hand import LINK_RADII
-from fungrasp.grasps.importers.contacts import link_points
 from fungrasp.perception.hand.detected_hand import MIRROR_X
 from fungrasp.perception.hand.hand_capsules import (
     FINGERTIP_SAMPLES,

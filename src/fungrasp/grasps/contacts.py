@@ -1,4 +1,4 @@
-"""Which links of a human hand touch an object, from the 21 joints alone."""
+"""Which links of a human hand touch an object, from the 21 joints alone or from the surface of the hand."""
 
 from __future__ import annotations
 

@@ -1,0 +1,261 @@
+"""Whether fingers touch what they hold and objects stand on the table, and in which convention they would.
+
+Each thing that ``grasps.conversion`` can undo is tried; the one that explains most of the grasps is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from fungrasp.geometry.poses import inverse_transform_points, transform_points
+from fungrasp.grasps.conversion import POSES, UNITS, UP, Convention, converted
+from fungrasp.objects import ObjectModel
+
+REST_ERROR = 0.02
+"""An object at rest is no further above or below the table [m]."""
+
+TIPS = [4, 8, 20]
+"""Tips of index, middle finger and thumb in ``HUMAN_JOINTS``."""
+
+HELD = 0.05
+"""Fingertips are on average no further from what they hold [m]."""
+
+TIP_ERROR = 0.005
+"""Standard deviation of where a tracked fingertip is relative to the object [m]."""
+
+EVIDENCE = 2.0
+"""Another convention is recognized if it brings fingers and table nearer to the objects by so many standard
+deviations, summed over the grasps."""
+
+FARTHEST = 0.05
+"""A grasp counts in that sum with no more [m], so that single bad rows decide nothing."""
+
+AGREE = 2 / 3
+"""Share of the grasps that tell the conventions apart which must speak for the other one."""
+
+EXPLAINED = 0.8
+"""Share of the grasps in which fingers and table must fit in another convention."""
+
+SURFACE_SAMPLES = 3000
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something wrong with some of the grasps."""
+
+    words: str
+    """What is wrong."""
+    rows: np.ndarray
+    """Grasps that it is said of, shape [R]."""
+    fatal: bool = False
+    """Whether results for these grasps would mean nothing."""
+    scene: bool = False
+    """Whether the object's mesh tells it."""
+
+    def __str__(self) -> str:
+        return f"{rows_in_words(self.rows)}: {self.words}"
+
+
+def rows_in_words(rows: np.ndarray, most: int = 6) -> str:
+    """ "grasp 3" or "grasps 1, 4, 5 and 20 more"."""
+    if len(rows) == 1:
+        return f"grasp {rows[0]}"
+    shown = ", ".join(str(row) for row in rows[:most])
+    return f"grasps {shown}" + (f" and {len(rows) - most} more" if len(rows) > most else "")
+
+
+def scene_is_sound(arrays: Mapping[str, np.ndarray]) -> bool:
+    """Whether poses, joints and names of objects are there, in arrays of the right shapes, and finite."""
+    count = len(arrays.get("hand_joints", ()))
+    shapes = {"object_name": (count,), "object_pose": (count, 7), "hand_joints": (count, 21, 3)}
+    if "object_rest_pose" in arrays:
+        shapes["object_rest_pose"] = (count, 7)
+    for name, shape in shapes.items():
+        array = arrays.get(name, np.zeros(()))
+        if array.shape != shape or array.dtype.kind not in ("US" if name == "object_name" else "fiu"):
+            return False
+        if name != "object_name" and not np.isfinite(array).all():
+            return False
+    return all(
+        (np.linalg.norm(arrays[name][:, 3:].astype(float), axis=1) > 0.5).all()
+        for name in POSES
+        if name in arrays
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How well hands, objects and table fit together in M grasps."""
+
+    gap: np.ndarray
+    """Mean distance of thumb, index and middle finger's tips from the object's surface [m], shape [M]."""
+    height: np.ndarray
+    """Height of the object's lowest point above the table at rest [m], shape [M]; 0 without a rest pose."""
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Sum of both, each no more than ``FARTHEST`` [m], shape [M]."""
+        return np.minimum(self.gap, FARTHEST) + np.minimum(np.abs(self.height), FARTHEST)
+
+    @property
+    def good(self) -> np.ndarray:
+        """Shape [M] bool."""
+        return (self.gap <= HELD) & (np.abs(self.height) <= REST_ERROR)
+
+
+REASONS = {
+    "quaternion": "quaternions are xyzw, not wxyz",
+    "rotation": "rotations are transposed",
+    "pose": "poses are those of the world in the object's frame",
+    "joints_frame": "the joints are in the object's frame",
+    "object_unit": "the objects' positions are in {object_unit}",
+    "up": "the world's {up} points up",
+    "table_height": "the table top is at {table_height:.3f} m",
+}
+
+
+@dataclass(frozen=True)
+class GraspScene:
+    """Hands and known objects of grasps, as they are written."""
+
+    arrays: Mapping[str, np.ndarray]
+    """All N grasps, quaternions of length 1."""
+    objects: Mapping[str, ObjectModel]
+    """By name."""
+    rows: np.ndarray
+    """Grasps of known objects, shape [M]."""
+    held_at_rest: np.ndarray
+    """Which of these have the held pose as rest pose, shape [M] bool."""
+    surfaces: Mapping[str, tuple[KDTree, np.ndarray]]
+    """Points of each known object's surface, and the corners of its convex hull [m], shape [C, 3]."""
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> GraspScene:
+        """Of fields that ``scene_is_sound`` finds sound, and the known objects by name."""
+        import trimesh
+
+        sound = {name: arrays[name] for name in ("object_name", "hand_joints")}
+        for name in set(POSES) & set(arrays):
+            pose = arrays[name].astype(float)
+            norm = np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+            sound[name] = np.concatenate([pose[:, :3], pose[:, 3:] / norm], axis=1)
+        rows = np.flatnonzero(np.isin(arrays["object_name"].astype(str), list(objects)))
+        rest = sound.get("object_rest_pose", sound["object_pose"])
+        same = np.abs(sound["object_pose"] - rest).max(axis=1, initial=0) < 1e-4
+        surfaces = {}
+        for name in set(arrays["object_name"][rows].tolist()):
+            model = objects[str(name)]
+            tree = KDTree(trimesh.sample.sample_surface(model.mesh, SURFACE_SAMPLES, seed=0)[0])
+            surfaces[str(name)] = (tree, np.unique(model.hull.reshape(-1, 3), axis=0))
+        return cls(sound, objects, rows, same[rows], surfaces)
+
+    def untested(self) -> list[str]:
+        """What could not be tested, and why."""
+        unknown = sorted(set(self.arrays["object_name"].astype(str).tolist()) - set(self.objects))
+        if not unknown:
+            return []
+        return [
+            "whether fingers touch what they hold and objects stand on the table: the meshes of "
+            f"{', '.join(unknown[:6])}{' and others' if len(unknown) > 6 else ''} are not given (--objects)"
+        ]
+
+    def convention(self, of_hands: Convention) -> tuple[Convention, list[Remark]]:
+        """The convention in which hands, objects and table fit together best, and what is wrong even then.
+
+        of_hands: as the joints alone tell it.
+        """
+        best, found = of_hands, self._fit(of_hands)
+        told = []
+        for _ in range(3):
+            candidates = [(c, self._fit(c)) for c in self._candidates(best)]
+            better = [pair for pair in candidates if self._explains(pair[1], found)]
+            if not better:
+                break
+            chosen, fit = min(better, key=lambda pair: pair[1].errors.sum())
+            told.append(found.errors - fit.errors > -TIP_ERROR)
+            best, found = chosen, fit
+        if best is not of_hands and found.good.mean() < EXPLAINED:
+            best, found, told = of_hands, self._fit(of_hands), []
+        remarks = []
+        changes = {n: v for n, v in best.changes.items() if n not in of_hands.changes}
+        if changes:
+            reasons = " and ".join(REASONS[name].format(**changes) for name in changes)
+            rows = self.rows[np.logical_and.reduce(told)]
+            remarks.append(Remark(f"fingers, objects and table fit only if {reasons}", rows, True, True))
+        return self._with_rest(best, found, remarks)
+
+    def _with_rest(
+        self, best: Convention, fit: _Fit, remarks: list[Remark]
+    ) -> tuple[Convention, list[Remark]]:
+        """What is wrong even in the best convention."""
+        apart, off = fit.gap > HELD, np.abs(fit.height) > REST_ERROR
+        in_air = off & self.held_at_rest
+        if apart.any():
+            words = f"the fingertips are on average {1e3 * fit.gap[apart].max():.0f} mm from what they hold"
+            remarks.append(Remark(words, self.rows[apart], True, True))
+        if in_air.any():
+            words = (
+                "the rest pose is the pose in which the object is held, up to "
+                f"{1e3 * np.abs(fit.height[in_air]).max():.0f} mm off the table"
+            )
+            remarks.append(Remark(words, self.rows[in_air], True, True))
+            if 2 * in_air.sum() > len(in_air):
+                best = replace(best, rest_pose="settled")
+        off &= ~in_air
+        for rows, fatal in (
+            (off & (np.abs(fit.height) > HELD), True),
+            (off & (np.abs(fit.height) <= HELD), False),
+        ):
+            if rows.any():
+                most = 1e3 * np.abs(fit.height[rows]).max()
+                words = (
+                    f"at rest the object is up to {most:.0f} mm off the table: z must point up, the table "
+                    "top be at z = 0 (a camera's frame is not the world's), the mesh be the object's"
+                )
+                remarks.append(Remark(words, self.rows[rows], fatal, True))
+        return best, remarks
+
+    def _candidates(self, now: Convention) -> list[Convention]:
+        """Conventions that differ in one thing."""
+        changes: list[dict[str, str]] = [
+            {"quaternion": "xyzw"},
+            {"rotation": "transposed"},
+            {"pose": "world-in-object"},
+            {"joints_frame": "object"},
+            *({"object_unit": unit} for unit in UNITS if unit != now.unit),
+        ]
+        candidates = [replace(now, **c) for c in changes if not c.keys() & now.changes.keys()]
+        for up in UP if now.up == "z" and not now.table_height else ():
+            turned = replace(now, up=up)
+            if up != "z":
+                candidates.append(turned)
+            heights = self._fit(turned).height
+            if len(heights) >= 3 and abs(np.median(heights)) > TIP_ERROR:
+                candidates.append(replace(turned, table_height=round(float(np.median(heights)), 4)))
+        return candidates
+
+    def _explains(self, fit: _Fit, now: _Fit) -> bool:
+        """Whether another convention fits better by more than errors of measurement explain."""
+        gain = now.errors - fit.errors
+        telling = np.abs(gain) > 0.5 * TIP_ERROR
+        return bool(
+            gain.sum() > EVIDENCE * TIP_ERROR * np.sqrt(len(gain))
+            and (gain[telling] > 0).sum() >= AGREE * telling.sum()
+        )
+
+    def _fit(self, convention: Convention) -> _Fit:
+        scene = converted({n: a[self.rows] for n, a in self.arrays.items()}, convention)
+        names = scene["object_name"].astype(str)
+        gap, height = np.zeros(len(names)), np.zeros(len(names))
+        for name in set(names.tolist()):
+            rows = np.flatnonzero(names == name)
+            local = inverse_transform_points(scene["object_pose"][rows], scene["hand_joints"][rows][:, TIPS])
+            tree, corners = self.surfaces[name]
+            gap[rows] = tree.query(local)[0].mean(axis=1)
+            if "object_rest_pose" in scene:
+                height[rows] = transform_points(scene["object_rest_pose"][rows], corners)[..., 2].min(axis=1)
+        return _Fit(gap, height)
