@@ -120,8 +120,8 @@ def outside(palm: np.ndarray, box: Workspace) -> str:
         if beyond[row, axis] > 0:
             place, limit = places[row, axis], corner[axis]
             return (
-                f"the palm would leave the workspace box ({'xyz'[axis]} = {place:.2f} m, and workspace.{side} "
-                f"has {limit:g})"
+                f"the palm would leave the workspace box ({'xyz'[axis]} = {place:.2f} m, and workspace.{side}"
+                f" has {limit:g})"
             )
     return ""
 
