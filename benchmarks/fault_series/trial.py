@@ -251,6 +251,7 @@ KINDS = (
         "overrun|silent|disconnected",
         lambda cell: 0.45 + CONTROL_PERIOD,
         moments=MOVING,
+        carried=MOVING,
     ),
     FaultKind("kill -9", Place.WIRE, "", _watchdog, lets_go=("allegro",)),
     FaultKind("computer without power", Place.WIRE, "", _watchdog, lets_go=("allegro",)),

@@ -319,7 +319,7 @@ def _ended(
         wires.hand.clear()
         time.sleep(1.0)
     session.tell("end")
-    opening = time.monotonic() + OPENING + 4.0
+    opening = time.monotonic() + 2 * OPENING + 4.0
     while "opened" not in session.heard and session.alive and time.monotonic() < opening:
         session.listen(SAMPLE)
     return session.heard.get("ended")  # pyright: ignore[reportReturnType]
