@@ -16,7 +16,13 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import static_quality
-from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
+from fungrasp.evaluation.lift_episodes import (
+    ATTEMPT_PREFIX,
+    HOLD_PREFIX,
+    USE_PREFIX,
+    Episodes,
+    LiftTest,
+)
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.results import LiftTestResult
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
@@ -27,6 +33,7 @@ from fungrasp.planning import Planner
 from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.sim2real import ProtocolName
 from fungrasp.task import Outcomes, Policy, PrivilegedPolicy
+from fungrasp.task.outcome import HoldMiddle
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
@@ -116,7 +123,7 @@ def evaluate(
         result = replace(result, quality=static_quality(robot, human, objects, job.hand))
     conditions = results if len(results) > 1 else {}
     seconds = perf_counter() - start
-    return replace(result, conditions=conditions, grasps=robot, objects=objects, seconds=seconds)
+    return replace(result, conditions=conditions, grasps=robot, human=human, objects=objects, seconds=seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +221,7 @@ def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays
         object_name=grasps.object_name[index],
         task=grasps.task[index],
         outcomes=Outcomes.from_arrays(merged),
+        hold=HoldMiddle.from_arrays(_without(merged, HOLD_PREFIX)),
         rollouts=merged["rollouts"],
         expected_as_shown=merged["expected_as_shown"],
         contact_estimates=ContactEstimates.from_arrays(merged),
