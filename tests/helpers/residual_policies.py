@@ -61,19 +61,19 @@ def policy_file(
 def predictor_file(folder: Path, name: str, constant: float) -> Path:
     """A success predictor that expects the same of all plans, and writes its constant into its file."""
     _, objects = grasps_and_objects()
-    parts = layout(plan_features(plan(), objects))
+    parts = layout(plan_features(plan(), objects, None))
     size = sum(number for _, number in parts)
     described = allegro_card(
         name=name,
         kind="predictor",
         observation=tuple(Part(*part) for part in parts),
-        action=(ActionPart("success", 1, 1.0),),
+        action=(ActionPart("success", 1, 1.0), ActionPart("as_shown", 1, 1.0)),
     )
     graph = model(
         [helper.make_node("Gemm", ["observation", "matrix", "offset"], ["action"])],
         {"observation": ["worlds", size]},
-        {"action": ["worlds", 1]},
-        {"matrix": np.zeros((size, 1), np.float32), "offset": np.full(1, constant, np.float32)},
+        {"action": ["worlds", 2]},
+        {"matrix": np.zeros((size, 2), np.float32), "offset": np.full(2, constant, np.float32)},
     )
     path = folder / f"{name}.onnx"
     save_policy(path, graph, described)

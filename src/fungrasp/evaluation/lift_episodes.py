@@ -147,7 +147,7 @@ class LiftTest:
             progress: called with the number of them that are done, fractions included.
 
         Returns:
-            fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, with several
+            fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, ``expected_as_shown``, with several
             attempts those of ``AttemptRecord``, each of shape [W].
         """
         rows, seed, files, spec = part.rows, part.seed, self.files(part), self.spec
@@ -194,7 +194,12 @@ class LiftTest:
             | estimates.arrays()
             | use
             | tries
-            | {"rollouts": np.zeros(len(rows), dtype=int) if plan.rollouts is None else plan.rollouts}
+            | {
+                "rollouts": np.zeros(len(rows), dtype=int) if plan.rollouts is None else plan.rollouts,
+                "expected_as_shown": np.full(len(rows), np.nan)
+                if plan.expected_as_shown is None
+                else plan.expected_as_shown,
+            }
         )
 
     def _use(

@@ -215,6 +215,7 @@ def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays
         task=grasps.task[index],
         outcomes=Outcomes.from_arrays(merged),
         rollouts=merged["rollouts"],
+        expected_as_shown=merged["expected_as_shown"],
         contact_estimates=ContactEstimates.from_arrays(merged),
         use=UseOutcomes.from_arrays(_without(merged, USE_PREFIX)) if spec.use else None,
         attempts=AttemptRecord.from_arrays(_without(merged, ATTEMPT_PREFIX)) if spec.attempts > 1 else None,

@@ -45,6 +45,8 @@ MEANS = (
 """Fields of ``Outcomes`` that are averaged."""
 SHOWN_MEANS = ("shown_share", "place_error_mm", "other_side", "strays")
 """Fields of ``Outcomes`` that are averaged over the held objects, where the person's places are known."""
+UNLIKELY = 0.5
+"""A plan of which less is expected is not taken to hold as shown."""
 HEAD = (
     "episodes",
     "held as shown",
@@ -83,6 +85,9 @@ class LiftTestResult:
     """Episodes that were simulated to plan each grasp, shape [N] int."""
     contact_estimates: ContactEstimates
     """How well the policy knew what it touched, N rows."""
+    expected_as_shown: np.ndarray | None = None
+    """Probability of success as shown that the planner expected, shape [N]; NaN or None where it expected
+    nothing."""
     use: UseOutcomes | None = None
     """Outcomes of the use tests that followed; None if there were none."""
     attempts: AttemptRecord | None = None
@@ -116,6 +121,7 @@ class LiftTestResult:
     def table(self) -> str:
         """Rates of success by object, or by condition, and why episodes failed, as text."""
         parts = [robustness_table(self.conditions) if self.conditions else _object_table(self)]
+        parts += not_found_lines(self)
         if self.use is not None:
             parts.append(_use_table(self.use, self.task))
         if self.quality is not None:
@@ -230,6 +236,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
+    expected = result.expected_as_shown
     attempt_columns = {} if result.attempts is None else result.attempts.arrays()
     use_columns = {} if result.use is None else result.use.arrays()
     episodes = [
@@ -239,6 +246,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
             "task": str(result.task[i]),
             "seed": int(result.seed[i]),
             **{name: values[i] for name, values in columns.items()},
+            **({} if expected is None else {"expected_as_shown": expected[i]}),
             **{name: values[i] for name, values in attempt_columns.items()},
             **{f"use_{name}": values[i] for name, values in use_columns.items()},
         }
@@ -328,6 +336,19 @@ def _object_table(result: LiftTestResult) -> str:
     reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
     lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
+
+
+def not_found_lines(result: LiftTestResult) -> list[str]:
+    """Which grasps have no plan that is likely to hold as shown, a line, or none."""
+    if result.expected_as_shown is None or result.spec.other_places:
+        return []
+    rows = np.unique(result.index[result.expected_as_shown < UNLIKELY]).tolist()
+    if not rows:
+        return []
+    some = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
+    return [
+        f"no firm grasp as shown found for {len(rows)} grasps (rows {some}): --other-places plays what holds"
+    ]
 
 
 def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:

@@ -355,9 +355,9 @@ class _SurfaceSamples:
         return flat[rows, best], faces[rows, best]
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=32)
 def _surface_samples(mesh: trimesh.Trimesh) -> _SurfaceSamples:
-    """Kept for a mesh that is asked several times in a row."""
+    """Kept for meshes that are asked again: a set of grasps asks for its objects in turn."""
     return _SurfaceSamples(mesh)
 
 

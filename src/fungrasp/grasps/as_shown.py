@@ -80,6 +80,11 @@ class AsShown(BatchRecord):
     points: np.ndarray
     """Surface point nearest to the point of each link that is nearest to the object, object frame [m], shape
     [N, S, 3]."""
+    errors: np.ndarray
+    """Distance of each link's point from the person's place [m], shape [N, S]; meaningless where the link
+    neither is wanted nor touches."""
+    turned: np.ndarray
+    """Links on the other side of the surface, shape [N, S] bool."""
     shown: np.ndarray
     """Wanted links that are as shown, shape [N, S] bool."""
 
@@ -145,7 +150,9 @@ class ShownJudge:
     """Judges grasps of one hand and some objects."""
 
     def __init__(self, hand: Hand, objects: Mapping[str, ObjectModel]):
-        self._hand, self._objects = hand, objects
+        self.hand = hand
+        """The hand."""
+        self._objects = objects
         self._spheres, self._thumb = collision_spheres(hand), correspond(hand).is_thumb
 
     def __call__(
@@ -165,7 +172,7 @@ class ShownJudge:
         """
         wanted, places, normals = shown.wanted, shown.places, shown.normals
         models, index, bank = _grouped(shown.object_name.tolist(), self._objects)
-        kinematics = HandKinematics(self._hand, len(index))
+        kinematics = HandKinematics(self.hand, len(index))
         independent = (joint_positions - kinematics.offset) @ np.linalg.pinv(kinematics.matrix).T
         kinematics.update(palm_pose, independent)
         centers = kinematics.points(self._spheres.points)
@@ -174,7 +181,7 @@ class ShownJudge:
         nearest = np.stack(
             [
                 np.where(self._spheres.link == link, clearance, np.inf).argmin(axis=1)
-                for link in range(1, len(self._hand.links))
+                for link in range(1, len(self.hand.links))
             ],
             axis=1,
         )
@@ -199,6 +206,8 @@ class ShownJudge:
             other_side=(wanted & turned).sum(axis=1) / number,
             strays=(touching & (apart > STRAY)).sum(axis=1),
             points=points,
+            errors=error,
+            turned=turned,
             shown=agree,
         )
 

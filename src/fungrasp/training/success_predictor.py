@@ -18,11 +18,12 @@ from fungrasp.core.formats.text_files import parse_json
 from fungrasp.core.jobs import Arrays, Job, PartStore, part_key, run_job
 from fungrasp.core.provenance import machine
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import ShownJudge
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.candidates import VariationSpread, vary, with_settings
-from fungrasp.planning.selection.success_predictor import plan_features
+from fungrasp.planning.selection.success_predictor import plan_features, planned_contacts
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.policies.checkpoint.card import ActionPart, Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import save_policy
@@ -54,6 +55,9 @@ class PlanOutcomes:
     """Which variation, 0 for the grasp as it is, shape [N] int."""
     success: np.ndarray
     """Whether the object was held, shape [N] bool."""
+    as_shown: np.ndarray
+    """Whether it was held as shown, shape [N] bool; as ``success`` where the person's places are not
+    known."""
     contact_ratio: np.ndarray
     """During the hold, shape [N]."""
 
@@ -121,10 +125,11 @@ class PlanTrials(Job[range]):
             varied = vary(
                 self.start.select(grasp), self.hand, grasp, attempt, self.spec.seed, VariationSpread()
             )
-            plans, success, ratio = _try(varied, self.objects, self.scene, self.spec)
-            features = plan_features(plans, self.objects)
+            plans, success, shown, ratio = _try(varied, self.objects, self.scene, self.spec)
+            judge = ShownJudge(self.hand, self.objects)
+            features = plan_features(plans, self.objects, planned_contacts(plans, judge))
             flat = np.nan_to_num(flatten(features)).astype(np.float32)
-            outcomes = PlanOutcomes(flat, grasp, attempt, success, ratio)
+            outcomes = PlanOutcomes(flat, grasp, attempt, success, shown, ratio)
             arrays = {f.name: getattr(outcomes, f.name) for f in fields(PlanOutcomes)}
             results.append(arrays | {LAYOUT: np.array(json.dumps(layout(features)))})
         return results
@@ -159,8 +164,8 @@ def try_plans(
 
 def _try(
     grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], scene: Scene, spec: PredictorSpec
-) -> tuple[GraspPlan, np.ndarray, np.ndarray]:
-    """The plans, whether they held, and their contact ratio."""
+) -> tuple[GraspPlan, np.ndarray, np.ndarray, np.ndarray]:
+    """The plans, whether they held, whether as shown, and their contact ratio."""
     protocol = replace(LiftProtocol(), hold_time=spec.settings.hold_time)
     environment = LiftEnvironment(scene, len(grasps), protocol=protocol, threads=spec.threads)
     plans = MotionPlanner(scene.hand, objects).plan(grasps, environment.settle(grasps))
@@ -168,11 +173,12 @@ def _try(
     environment.begin(ids, plans, np.maximum(plans.closing_step - spec.settings.early, 0), environment.sample)
     outcomes = play(environment, OpenLoopPolicy(), plans, end_lost=True)
     lost = outcomes.reason == "lost before the hold"
-    return plans, outcomes.success, np.where(lost, 0.0, np.nan_to_num(outcomes.contact_ratio))
+    shown = outcomes.success if plans.shown_places is None else outcomes.held_as_shown
+    return plans, outcomes.success, shown, np.where(lost, 0.0, np.nan_to_num(outcomes.contact_ratio))
 
 
 class PredictorNetwork(torch.nn.Module):
-    """Mean of several networks' expected success."""
+    """Mean of several networks' expected success, and success as shown."""
 
     def __init__(self, features: np.ndarray, s: PredictorSettings):
         """features: of the plans it will learn from, shape [N, D]."""
@@ -190,19 +196,20 @@ class PredictorNetwork(torch.nn.Module):
                 torch.nn.Linear(a, b),
                 torch.nn.ELU(),
                 torch.nn.Dropout(s.dropout),
-                torch.nn.Linear(b, 1),
+                torch.nn.Linear(b, 2),
             )
             for _ in range(s.networks)
         )
 
     def logits(self, features: torch.Tensor) -> torch.Tensor:
-        """Logits of each network, shape [networks, N, 1]. features: shape [N, D]."""
+        """Logits of each network, shape [networks, N, 2]. features: shape [N, D]."""
         normal = (features - self.mean) / self.spread
         return torch.stack([network(normal) for network in self.networks])
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Expected success in [0, 1], shape [N, 1]."""
-        return torch.sigmoid(self.logits(features)).mean(dim=0)
+        """Probabilities of success, and of success as shown, which is never more likely, shape [N, 2]."""
+        success, shown = torch.sigmoid(self.logits(features)).mean(dim=0).unbind(dim=1)
+        return torch.stack([success, torch.minimum(success, shown)], dim=1)
 
 
 def fit_predictor(
@@ -219,13 +226,14 @@ def fit_predictor(
         raise FungraspError(f"a predictor can't learn from plans of which {word} held")
     torch.manual_seed(seed)
     predictor = PredictorNetwork(outcomes.features, s)
-    features, truth = torch.from_numpy(outcomes.features), torch.from_numpy(outcomes.success).float()
+    features = torch.from_numpy(outcomes.features)
+    truth = torch.from_numpy(np.stack([outcomes.success, outcomes.as_shown], axis=1)).float()
     optimizer = torch.optim.AdamW(predictor.parameters(), lr=s.learning_rate, weight_decay=s.weight_decay)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, s.epochs)
     predictor.train()
     for _ in range(s.epochs):
         for rows in torch.randperm(len(truth)).split(s.minibatch):
-            logits = predictor.logits(features[rows])[..., 0]
+            logits = predictor.logits(features[rows])
             loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, truth[rows].expand_as(logits))
             optimizer.zero_grad()
             loss.backward()
@@ -240,8 +248,8 @@ def cross_validate(
     """What choosing would give on grasps that the predictor has not seen.
 
     Returns:
-        Share that held of the grasps as they are ("first"), of all variations ("mean"), of those chosen
-        ("chosen"), and of grasps with any variation that held ("any"); contact ratio of the chosen.
+        Share held as shown of the grasps as they are ("first"), of all variations ("mean"), of those chosen
+        ("chosen"), and of grasps with any such variation ("any"); success and contact ratio of the chosen.
     """
     fold = np.random.default_rng(seed).integers(folds, size=int(outcomes.grasp.max()) + 1)[outcomes.grasp]
     expected = np.zeros(len(fold))
@@ -249,14 +257,15 @@ def cross_validate(
         predictor = fit_predictor(outcomes.select(np.flatnonzero(fold != k)), settings, seed)
         rows = np.flatnonzero(fold == k)
         with torch.inference_mode():
-            expected[rows] = predictor(torch.from_numpy(outcomes.features[rows]))[:, 0].numpy()
+            expected[rows] = predictor(torch.from_numpy(outcomes.features[rows]))[:, 1].numpy()
     groups = [np.flatnonzero(outcomes.grasp == g) for g in np.unique(outcomes.grasp)]
     chosen = np.array([rows[np.argmax(expected[rows])] for rows in groups])
     return {
-        "first": float(outcomes.success[outcomes.attempt == 0].mean()),
-        "mean": float(outcomes.success.mean()),
-        "chosen": float(outcomes.success[chosen].mean()),
-        "any": float(np.mean([outcomes.success[rows].any() for rows in groups])),
+        "first": float(outcomes.as_shown[outcomes.attempt == 0].mean()),
+        "mean": float(outcomes.as_shown.mean()),
+        "chosen": float(outcomes.as_shown[chosen].mean()),
+        "any": float(np.mean([outcomes.as_shown[rows].any() for rows in groups])),
+        "success": float(outcomes.success[chosen].mean()),
         "contact_ratio": float(outcomes.contact_ratio[chosen].mean()),
     }
 
@@ -317,7 +326,7 @@ def train_predictor(
 
 def export_predictor(predictor: PredictorNetwork, path: Path, card: PolicyCard) -> None:
     """Write a success predictor's file: its observation is ``plan_features``, its action the expected
-    success."""
-    card = replace(card, action=(ActionPart("success", 1, 1.0),))
+    success, and success as shown."""
+    card = replace(card, action=(ActionPart("success", 1, 1.0), ActionPart("as_shown", 1, 1.0)))
     example = torch.zeros(2, card.input_size)
     save_policy(path, graph(predictor, {"observation": example}, ("action",)), card)

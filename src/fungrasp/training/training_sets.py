@@ -171,7 +171,7 @@ def build_plan_library(
     """Plan the motions of variations of grasps.
 
     Args:
-        predictor: of success: the most promising variations become the copies.
+        predictor: the variations of which most is expected, as shown, become the copies.
 
     Raises:
         FungraspError: no grasp of the set has a finite plan, or the predictor was made for another hand.
@@ -187,7 +187,7 @@ def build_plan_library(
         belief = LiftEnvironment(scene, len(part), threads=spec.threads).settle(part)
         parts.append(planner.plan(part, belief))
         if predictor is not None:
-            expected.append(predictor(parts[-1]))
+            expected.append(predictor(parts[-1])[:, 1])
         progress(first + len(part))
     plans = GraspPlan.join(parts)
     chosen = _usable(plans)

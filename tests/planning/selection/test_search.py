@@ -36,7 +36,7 @@ class Liking:
 
     def __call__(self, plans: GraspPlan) -> np.ndarray:
         squeeze = np.abs(plans.finger_targets[:, -1] - plans.grasp_joints).mean(axis=1)
-        return 1.0 - np.exp(-5.0 * squeeze)
+        return np.repeat(1.0 - np.exp(-5.0 * squeeze)[:, None], 2, axis=1)
 
 
 def planner(settings: SelectionSettings, predictor=None, policy_digest: str = "") -> SearchPlanner:
@@ -116,8 +116,8 @@ def test_without_rollouts_the_predictor_alone_decides():
     best = planner(settings).plan(grasps, belief())
     assert best.rollouts is not None and best.rollouts.tolist() == [0, 0]
     single = MotionPlanner(hand(), objects).plan(grasps, belief())
-    assert (Liking()(best) >= Liking()(single) - 1e-6).all()
-    np.testing.assert_allclose(best.expected_success, Liking()(best), atol=1e-9)
+    assert (Liking()(best)[:, 1] >= Liking()(single)[:, 1] - 1e-6).all()
+    np.testing.assert_allclose(best.expected_success, Liking()(best)[:, 0], atol=1e-9)
     again = planner(replace(settings, chunk=4)).plan(grasps, belief())
     np.testing.assert_allclose(again.grasp_palm_pose, best.grasp_palm_pose, atol=1e-6)
 

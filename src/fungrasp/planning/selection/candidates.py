@@ -9,16 +9,12 @@ import numpy as np
 
 from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.grasps.as_shown import ShownContacts, ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.planning.grasp_motion import MotionSettings
 from fungrasp.planning.planner import Planner
 from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.task import Belief, GraspPlan
-
-NOT_AS_SHOWN = 0.3
-"""TODO"""
 
 
 @dataclass(frozen=True)
@@ -255,7 +251,6 @@ def propose(
     search: int,
     prior: float,
     chunk: int,
-    judge: ShownJudge,
     other_places: float,
     chance: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
 ) -> Candidates:
@@ -274,28 +269,13 @@ def propose(
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
     varied = vary(grasps, hand, np.full(len(grasps), search), attempts, seed, spread)
-    plans, expected, expected_shown = [], [], []
+    plans, expected = [], []
     for first in range(0, len(grasps), chunk):
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
         expected.append(predictor(plans[-1]))
         if chance is not None and varied.task is not None:
-            expected[-1] = expected[-1] * chance(plans[-1], varied.task[rows])
-        expected_shown.append(expected[-1] * _chance_as_shown(plans[-1], hand, judge))
-    statistics = CandidateStatistics.untried(
-        np.concatenate(expected).reshape(-1, count),
-        prior,
-        np.concatenate(expected_shown).reshape(-1, count),
-        other_places,
-    )
+            expected[-1] = expected[-1] * chance(plans[-1], varied.task[rows])[:, None]
+    success, as_shown = np.concatenate(expected).T.reshape(2, -1, count)
+    statistics = CandidateStatistics.untried(success.copy(), prior, as_shown.copy(), other_places)
     return Candidates(varied, GraspPlan.join(plans), beliefs, statistics)
-
-
-def _chance_as_shown(plans: GraspPlan, hand: Hand, judge: ShownJudge) -> np.ndarray:
-    """How likely plans that hold hold as shown, by their planned contacts, shape [N]; one where the person's
-    places are not known."""
-    contacts = ShownContacts.of(plans)
-    if contacts is None:
-        return np.ones(len(plans))
-    shown = judge(plans.grasp_palm_pose, hand.all_joints(plans.grasp_joints), contacts)
-    return np.where(shown.holds, 1.0, NOT_AS_SHOWN)

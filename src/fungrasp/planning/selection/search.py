@@ -11,7 +11,6 @@ import numpy as np
 
 from fungrasp.core.files import digest
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.grasps.as_shown import ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
@@ -128,7 +127,6 @@ class SearchPlanner:
             seed=seed,
             prior=s.prior,
             chunk=s.chunk,
-            judge=ShownJudge(self._hand, self._objects),
             other_places=s.other_places,
             chance=chance,
         )

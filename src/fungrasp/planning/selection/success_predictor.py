@@ -9,11 +9,15 @@ import numpy as np
 
 from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, invert, rotate, rotation_matrix, transform_points
+from fungrasp.grasps.as_shown import NEAR, AsShown, ShownContacts, ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, check_fits
 from fungrasp.task import GraspPlan
 from fungrasp.task.features import POSITION_UNIT, flatten, layout
+
+NOT_AS_SHOWN = 0.3
+"""Share of the plans that are not as shown, and hold, that are held as shown: of 80 rollouts a third."""
 
 
 class SuccessPredictor(Protocol):
@@ -23,16 +27,27 @@ class SuccessPredictor(Protocol):
     """Tells predictors apart: SHA-256 of the file."""
 
     def __call__(self, plans: GraspPlan) -> np.ndarray:
-        """Probability of success, shape [N]. plans: N of them."""
+        """Probabilities of success and of success as shown, shape [N, 2]. plans: N of them."""
         ...
 
 
-def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[str, np.ndarray]:
+def planned_contacts(plans: GraspPlan, judge: ShownJudge) -> AsShown | None:
+    """How the hands of N plans hold as planned; None where the person's places are not known."""
+    shown = ShownContacts.of(plans)
+    if shown is None:
+        return None
+    return judge(plans.grasp_palm_pose, judge.hand.all_joints(plans.grasp_joints), shown)
+
+
+def plan_features(
+    plans: GraspPlan, objects: Mapping[str, ObjectModel], contacts: AsShown | None
+) -> dict[str, np.ndarray]:
     """What a predictor sees of plans, by name, each of shape [N, number]; palm frame, scaled to be of the
     order of one.
 
     Args:
         plans: N planned grasps.
+        contacts: ``planned_contacts``; all links count as being at the person's places if None.
     """
     names = sorted(set(plans.object_name.tolist()))
     index = np.array([names.index(name) for name in plans.object_name.tolist()])
@@ -47,6 +62,9 @@ def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[
     up = rotate(to_palm[:, 3:], rotate(invert(plans.object_pose)[:, 3:], np.array([0.0, 0.0, 1.0])))
     axes = np.abs(rotation_matrix(to_palm[:, 3:]))
     press = compose(to_palm, plans.palm_goal_object[:, -1])[:, :3]
+    wanted = plans.link_contacts[:, 1:]
+    errors = np.zeros(wanted.shape) if contacts is None else wanted * contacts.errors
+    turned = np.zeros(wanted.shape) if contacts is None else wanted & contacts.turned
     height = compose(plans.object_pose, plans.grasp_palm_pose)[:, 2:3]
     return {
         "keypoints": keypoints.reshape(count, -1) / POSITION_UNIT,
@@ -60,6 +78,8 @@ def plan_features(plans: GraspPlan, objects: Mapping[str, ObjectModel]) -> dict[
         "up": up,
         "palm_height": height / (2 * POSITION_UNIT),
         "target_contacts": plans.link_contacts.astype(float),
+        "place_errors": np.clip(errors / NEAR, 0.0, 2.5),
+        "other_side": turned.astype(float),
         "mass": np.log(plans.object_mass[:, None] / 0.3),
         "collision": plans.path_collision[:, None] / 0.01,
     }
@@ -75,15 +95,24 @@ class NetworkPredictor:
             objects: by name, all that plans may be for.
         """
         self._network, self._hand, self._objects = network, hand, objects
+        self._judge = ShownJudge(hand, objects)
         self.digest = network.card.sha256
 
     def __call__(self, plans: GraspPlan) -> np.ndarray:
-        """Probability of success, shape [N].
+        """Probabilities of success and of success as shown, shape [N, 2].
+
+        A predictor of success alone expects ``NOT_AS_SHOWN`` of it of plans whose contacts are not as shown.
 
         Raises:
             FungraspError: the network was made for another hand, other features or another rate.
         """
-        parts = plan_features(plans, self._objects)
-        check_fits(self._network.card, self._hand, layout(parts), (), 1 / plans.control_period)
+        card, contacts = self._network.card, planned_contacts(plans, self._judge)
+        parts = plan_features(plans, self._objects, contacts)
+        if card.action_size == 1:
+            parts = {name: part for name, part in parts.items() if name not in ("place_errors", "other_side")}
+        check_fits(card, self._hand, layout(parts), (), 1 / plans.control_period)
         value, _, _ = self._network(np.nan_to_num(flatten(parts)).astype(np.float32))
-        return value[:, 0]
+        if card.action_size > 1:
+            return value[:, :2] if contacts is not None else value[:, [0, 0]]
+        shown = 1.0 if contacts is None else np.where(contacts.holds, 1.0, NOT_AS_SHOWN)
+        return np.stack([value[:, 0], shown * value[:, 0]], axis=1)
