@@ -13,12 +13,18 @@ from fungrasp.robots.hands.allegro import BUS_ERROR, BUS_OFF, LOOPBACK, open_can
 from fungrasp.robots.optional_packages import import_client
 from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
+NO_BUFFERS = 0x1FFFFFFE
+"""As in ``fungrasp_emulators.loopback_can_bus``, which needs python-can."""
+
 BUS = "43113"
 """Default channel of "loopback"; a second hand has one of its own, "43114"."""
 
 
 WARM, HOT = 35, 85
 """Temperatures that the hand says [°C]."""
+
+FULL, FULL_EVERY = 20, 0.2
+"""For how long the host's queue is full [ms], and how often [s]."""
 
 SILENT = (Fault.STALLED, Fault.POWER_LOSS, Fault.BUS_OFF)
 """Faults in which nothing is heard and nothing sent."""
@@ -35,6 +41,8 @@ class AllegroEmulator(Emulator):
         Fault.BUS_OFF,
         Fault.TOO_HOT,
         Fault.INTERNAL,
+        Fault.UNHEARD,
+        Fault.NO_BUFFERS,
     }
 
     def __init__(
@@ -61,6 +69,7 @@ class AllegroEmulator(Emulator):
         self._servos_on = False
         self._torques = np.zeros(16)
         self._held: list[tuple[int, bytes]] = []
+        self._full_due = 0.0
 
     @property
     def servos_on(self) -> bool:
@@ -94,6 +103,11 @@ class AllegroEmulator(Emulator):
         if fault is Fault.BUS_OFF:
             self._send_error(BUS_OFF)
 
+    def fill_buffers(self, milliseconds: int) -> None:
+        """The host's adapter takes no frame for so long [ms]; on "loopback" only."""
+        data = milliseconds.to_bytes(4, "little")
+        self._bus.send(self._can.Message(arbitration_id=NO_BUFFERS, data=data, is_extended_id=True))
+
     def _serve(self) -> None:
         due = time.monotonic()
         while not self._ended.is_set():
@@ -103,6 +117,9 @@ class AllegroEmulator(Emulator):
                 due = max(due + self._period, now)
                 self._send_positions(now)
             wait = due - time.monotonic() if self._period else 0.01
+            if self.shows(Fault.NO_BUFFERS) and now >= self._full_due:
+                self._full_due = now + FULL_EVERY
+                self.fill_buffers(FULL)
             message = self._bus.recv(min(max(wait, 0.0), 0.01))
             if message is not None and message.arbitration_id & 3 == self._device:
                 self._take(message)
@@ -113,6 +130,8 @@ class AllegroEmulator(Emulator):
             # A hand without power hears nothing; a stalled one keeps its last torques.
             if self.shows(Fault.POWER_LOSS):
                 self.plant.apply(PlantCommand(), time.monotonic())
+            return
+        if self.shows(Fault.UNHEARD) and not message.is_remote_frame and self._rng.random() < 0.2:
             return
         finger = code - codec.TORQUE
         if message.is_remote_frame:

@@ -30,13 +30,26 @@ from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCom
 
 ANSWER_TIME = 0.006
 """Of a real hand [s]."""
+LATE = 0.05
+"""An answer that is late takes so much longer [s]."""
+FAULTY, MOTOR_FAULT = 3, 1 << 3
+"""The motor with a fault, the index finger's, and the bit that says so."""
 BITS_PER_BYTE = 10
 
 
 class InspireEmulator(Emulator):
     """Registers of a hand in front of a plant of six joints, in the order of the hand's model."""
 
-    supported = COMMON | {Fault.KILLED, Fault.RESET, Fault.POWER_LOSS, Fault.SATURATED, Fault.FROZEN}
+    supported = COMMON | {
+        Fault.KILLED,
+        Fault.RESET,
+        Fault.POWER_LOSS,
+        Fault.SATURATED,
+        Fault.FROZEN,
+        Fault.REFUSED,
+        Fault.UNHEARD,
+        Fault.MOTOR,
+    }
 
     def __init__(
         self,
@@ -82,6 +95,10 @@ class InspireEmulator(Emulator):
         self._terminal: tuple[int, int] | None = None
         self._stream = b""
         self._frozen: list[int] | None = None
+        self.late = LATE
+        """An answer that is late takes so much longer [s]."""
+        self.unheard = 0
+        """So many of the next writes do nothing and are not answered."""
 
     def start(self) -> None:
         """See ``Emulator.start``; ``address`` and ``port`` are then those to connect to."""
@@ -105,6 +122,12 @@ class InspireEmulator(Emulator):
             for end in self._terminal:
                 os.close(end)
             self._terminal = None
+
+    def inject(self, fault: Fault) -> None:
+        """See ``Emulator.inject``."""
+        super().inject(fault)
+        if fault is Fault.MOTOR:
+            self.report_error(FAULTY, MOTOR_FAULT)
 
     def report_error(self, motor: int, bits: int) -> None:
         """Set the error bits of a motor, 0 to 5."""
@@ -218,8 +241,11 @@ class InspireEmulator(Emulator):
             count = (request.data[0] + 1) // 2
             data = own.register_bytes(self._values(request.address, count))[: request.data[0]]
         elif request.command == own.WRITE:
-            self._write(request.address, own.registers_of(request.data))
-            data = own.TAKEN
+            if self._misses_write():
+                return None
+            if not self.shows(Fault.REFUSED):
+                self._write(request.address, own.registers_of(request.data))
+            data = bytes([not self.shows(Fault.REFUSED)])
         else:
             return None
         return own.encode_frame(own.ANSWER, dataclasses.replace(request, data=data))
@@ -231,8 +257,17 @@ class InspireEmulator(Emulator):
         if request.function == modbus.READ:
             return modbus.encode_answer(request, tuple(self._values(request.address, request.count)))
         if request.function in (modbus.WRITE, modbus.WRITE_ONE):
+            if self._misses_write():
+                return None
+            if self.shows(Fault.REFUSED):
+                return modbus.refusal(request)
             self._write(request.address, request.values)
         return modbus.encode_answer(request)
+
+    def _misses_write(self) -> bool:
+        missed = self.unheard > 0 or (self.shows(Fault.UNHEARD) and self._rng.random() < 0.2)
+        self.unheard = max(self.unheard - 1, 0)
+        return missed
 
     def _answers(self, device: int) -> bool:
         """Whether a request is answered; takes the time that the hand takes."""
@@ -243,7 +278,7 @@ class InspireEmulator(Emulator):
             return False
         time.sleep(self._answer_time)
         if self.shows(Fault.LATE) and self._rng.random() < 0.1:
-            time.sleep(0.05)
+            time.sleep(self.late)
         return True
 
     def _disturbed(self, frame: bytes) -> bytes:
@@ -276,5 +311,8 @@ class InspireEmulator(Emulator):
             speeds = codec.signed([self._registers[codec.SPEED_SET + i] for i in range(codec.MOTORS)])
             share = codec.closing_speed(speeds[codec.MODEL_ORDER]) / codec.OPEN_ANGLE
             goal = codec.decode_angles(angles, self._lower, self._upper)
+            if self.shows(Fault.MOTOR):
+                joint = int(codec.MODEL_ORDER[FAULTY])
+                goal[joint] = self.plant.state(time.monotonic()).positions[joint]
             command = PlantCommand(positions=goal, velocity_limits=share * (self._upper - self._lower))
             self._pending.append((time.monotonic() + self._delay, command))

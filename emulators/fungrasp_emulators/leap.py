@@ -15,6 +15,7 @@ import struct
 import time
 import tty
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -83,6 +84,8 @@ def packet_checksum(data: bytes) -> int:
 
 MODEL = 1220
 """Model number of an XC330-M288."""
+OVERLOAD = 1 << 5
+"""Of the hardware errors; a servo with one has no torque."""
 REGISTERS = 150
 BITS_PER_BYTE = 10
 
@@ -90,13 +93,30 @@ BITS_PER_BYTE = 10
 class DynamixelEmulator(Emulator):
     """Servos 0, 1, ... with a plant of as many joints; joint i of the plant is servo ``servos[i]``."""
 
-    supported = COMMON | {Fault.KILLED, Fault.DOUBLED, Fault.POWER_LOSS, Fault.SATURATED, Fault.FROZEN}
+    supported = COMMON | {
+        Fault.KILLED,
+        Fault.DOUBLED,
+        Fault.POWER_LOSS,
+        Fault.SATURATED,
+        Fault.FROZEN,
+        Fault.UNHEARD,
+        Fault.MOTOR,
+        Fault.WRAPPED,
+    }
 
     def __init__(
-        self, plant: Plant, servos: tuple[int, ...] = tuple(range(16)), baud: int = 4_000_000, seed: int = 0
+        self,
+        plant: Plant,
+        servos: tuple[int, ...] = tuple(range(16)),
+        baud: int = 4_000_000,
+        seed: int = 0,
+        path: str = "",
+        build: str = "full",
     ):
         """
         Args:
+            path: a link to the terminal, to connect to; "" for none.
+            build: of the hand, whose motors it has: "full" or "lite".
             baud: a pseudo terminal has no line speed: answers wait as long as their bytes would take [bit/s].
             seed: of the answers that faults take.
         """
@@ -105,6 +125,8 @@ class DynamixelEmulator(Emulator):
         self.address = ""
         """Path of the terminal to connect to."""
         self._servos, self._baud = servos, baud
+        self._link = Path(path) if path else None
+        self._torque_per_ampere = codec.TORQUES_PER_AMPERE[build]
         self._rng = np.random.default_rng(seed)
         self._memory = {servo: bytearray(REGISTERS) for servo in servos}
         for memory in self._memory.values():
@@ -125,12 +147,18 @@ class DynamixelEmulator(Emulator):
         tty.setraw(slave)
         os.set_blocking(master, False)
         self._terminal, self.address = (master, slave), os.ttyname(slave)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(self.address)
+            self.address = str(self._link)
         self._run(self._serve)
 
     def close(self) -> None:
         """See ``Emulator.close``."""
         self._end_threads()
         if self._terminal is not None:
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
             for end in self._terminal:
                 os.close(end)
             self._terminal = None
@@ -142,6 +170,10 @@ class DynamixelEmulator(Emulator):
             for memory in self._memory.values():
                 memory[codec.TORQUE_ENABLE] = 0
             self.plant.apply(PlantCommand(), time.monotonic())
+        if fault is Fault.MOTOR:
+            self.report_error(self._servos[0], OVERLOAD)
+            self._memory[self._servos[0]][codec.TORQUE_ENABLE] = 0
+            self._drive(codec.TORQUE_ENABLE)
 
     def register(self, servo: int, address: int) -> int:
         """Two bytes of a servo's memory, without a sign."""
@@ -172,7 +204,11 @@ class DynamixelEmulator(Emulator):
         data = packet.parameters
         if packet.instruction == SYNC_WRITE:
             address, size = struct.unpack("<HH", data[:4])
+            misses = self.shows(Fault.UNHEARD) and self._rng.random() < 0.2
+            deaf = self._servos[self._rng.integers(len(self._servos))] if misses else None
             for at in range(4, len(data), size + 1):
+                if data[at] == deaf:
+                    continue
                 self._write(data[at], address, data[at + 1 : at + 1 + size])
             self._drive(address)
             return []
@@ -201,7 +237,13 @@ class DynamixelEmulator(Emulator):
     def _write(self, servo: int, address: int, data: bytes) -> None:
         if servo not in self._memory or address + len(data) > REGISTERS:
             raise RobotError(f"a write to servo {servo}, address {address} came, which there is not")
-        self._memory[servo][address : address + len(data)] = data
+        memory = self._memory[servo]
+        if address < codec.TORQUE_ENABLE and memory[codec.TORQUE_ENABLE]:
+            # Modes and limits can be set without torque only.
+            return
+        if address == codec.TORQUE_ENABLE and memory[codec.HARDWARE_ERROR]:
+            return
+        memory[address : address + len(data)] = data
 
     def _drive(self, address: int) -> None:
         if address not in (codec.GOAL_POSITION, codec.TORQUE_ENABLE):
@@ -216,18 +258,20 @@ class DynamixelEmulator(Emulator):
             powered, codec.joint_positions_of(np.array(goals)), self.plant.state(now).positions
         )
         limits = [struct.unpack_from("<H", self._memory[s], codec.GOAL_CURRENT)[0] for s in self._servos]
-        torques = np.array(limits) * codec.AMPERES_PER_COUNT * codec.TORQUE_PER_AMPERE
+        torques = np.array(limits) * codec.AMPERES_PER_COUNT * self._torque_per_ampere
         self.plant.apply(PlantCommand(positions=positions, torque_limits=torques), now)
 
     def _measure(self) -> None:
         if self._frozen is None or not self.shows(Fault.FROZEN):
             state = self.plant.state(time.monotonic())
-            current = state.torques / codec.TORQUE_PER_AMPERE / codec.AMPERES_PER_COUNT
+            current = state.torques / self._torque_per_ampere / codec.AMPERES_PER_COUNT
             rows = np.rint([current, state.velocities / codec.SPEED_PER_COUNT]).astype(int).T.tolist()
             counts = codec.position_counts(state.positions)
             self._frozen = [(c, v, p) for (c, v), p in zip(rows, counts, strict=True)]
         for servo, (current, velocity, position) in zip(self._servos, self._frozen, strict=True):
             position = 0x7FFFFFFF if self.shows(Fault.SATURATED) else position
+            if self.shows(Fault.WRAPPED) and servo == self._servos[0]:
+                position += 4096
             current = int(np.clip(current, -32768, 32767))
             codec.PRESENT.pack_into(self._memory[servo], codec.PRESENT_CURRENT, current, velocity, position)
 

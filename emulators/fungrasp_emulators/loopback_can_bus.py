@@ -21,6 +21,9 @@ HOST = "127.0.0.1"
 
 _FRAME = struct.Struct("=IB3x8s")
 """As ``can_frame`` of Linux: identifier with flags, length, data."""
+NO_BUFFERS = 0x1FFFFFFE
+"""Identifier of a frame by which an emulator fills the queues of all others on the bus; its data are
+milliseconds."""
 _ERROR, _REMOTE, _EXTENDED, _STANDARD_BITS, _EXTENDED_BITS = 1 << 29, 1 << 30, 1 << 31, 0x7FF, 0x1FFFFFFF
 
 
@@ -47,9 +50,12 @@ class LoopbackCanBus(can.BusABC):
             self.shutdown()
             raise
         self._own = self._out.getsockname()
+        self._full = 0.0
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame to all others on the bus; nobody may be there."""
+        if time.monotonic() < self._full:
+            raise can.CanOperationError("Transmit buffer full: No buffer space available [Error Code 105]")
         flags = _ERROR * msg.is_error_frame | _REMOTE * msg.is_remote_frame | _EXTENDED * msg.is_extended_id
         try:
             self._out.send(_FRAME.pack(msg.arbitration_id | flags, msg.dlc, bytes(msg.data)))
@@ -70,7 +76,10 @@ class LoopbackCanBus(can.BusABC):
             except (OSError, ValueError) as error:
                 raise can.CanOperationError(str(error)) from error
             if sender != self._own and len(data) == _FRAME.size:
-                return _message(data), False
+                message = _message(data)
+                if message.arbitration_id != NO_BUFFERS:
+                    return message, False
+                self._full = time.monotonic() + 1e-3 * int.from_bytes(message.data, "little")
 
     def fileno(self) -> int:
         """Of the socket that receives."""

@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 
 READ, WRITE_ONE, WRITE = 3, 6, 16
-ILLEGAL_FUNCTION = 1
+ILLEGAL_FUNCTION, DEVICE_FAILURE = 1, 4
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,11 @@ def encode_answer(request: RegisterRequest, values: tuple[int, ...] = ()) -> byt
         return struct.pack(f">BB{len(values)}H", READ, 2 * len(values), *values)
     last = request.values[0] if request.function == WRITE_ONE else request.count
     return struct.pack(">BHH", request.function, request.address, last)
+
+
+def refusal(request: RegisterRequest) -> bytes:
+    """Answer to a request that the device can't carry out."""
+    return bytes([request.function | 0x80, DEVICE_FAILURE])
 
 
 def split_tcp_requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bytes]:

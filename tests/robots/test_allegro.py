@@ -19,6 +19,7 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
 from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver, open_can_bus
 from fungrasp_emulators.allegro import AllegroEmulator
@@ -260,20 +261,102 @@ def test_heat_and_faults_that_the_hand_says_on_request_only_end_control(fault: F
         reach(device, device.near)
 
 
-def test_the_driver_takes_the_torque_away_when_its_process_has_died():
-    channel = str(20000 + os.getpid() % 10000)
+@contextlib.contextmanager
+def over_the_loopback(
+    port: int, load: float = 0.05
+) -> Iterator[tuple[AllegroEmulator, LoopDriver, TorquePlant]]:
+    """A hand that holds, in processes of their own."""
+    channel = str(port + os.getpid() % 5000)
     # With a stop: joints without torque fall, further than is believed while a busy machine starts a driver.
-    plant = TorquePlant(np.full(16, 0.5), load=0.05, lower=0.3)
-    settings = AllegroSettings("loopback", channel, stale_after=1.0)
-    with AllegroEmulator(plant, "loopback", channel) as emulator, allegro_driver(settings) as driver:
-        driver.command(np.full(16, 0.4))
-        assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
+    plant = TorquePlant(np.full(16, 0.5), inertia=0.01, damping=0.2, friction=0.01, load=load, lower=0.3)
+    with AllegroEmulator(plant, "loopback", channel) as emulator:
+        with allegro_driver(AllegroSettings("loopback", channel, stale_after=0.5)) as driver:
+            driver.command(np.full(16, 0.4))
+            assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
+            end = time.monotonic() + 1.0
+            while time.monotonic() < end:
+                driver.command(np.full(16, 0.4))
+                time.sleep(0.02)
+            yield emulator, driver, plant
+        assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
+
+
+def holds(emulator: AllegroEmulator, driver: LoopDriver, plant: TorquePlant, seconds: float = 0.5) -> bool:
+    """Whether the hand carries the load for some time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        driver.read()
+        if not emulator.servos_on or plant.state(time.monotonic()).positions.min() < 0.33:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def test_a_hand_whose_process_has_died_is_held_by_another_one():
+    with over_the_loopback(20000) as (emulator, driver, plant):
         os.kill(driver.process_id, signal.SIGKILL)
         assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
-        assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
+        assert wait_for(lambda: driver.read().status is DeviceStatus.FAULT)
+        assert "another one leads" in driver.read().message
+        assert wait_for(lambda: plant.state(time.monotonic()).positions.min() > 0.35)
+        assert holds(emulator, driver, plant)
+        driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not emulator.servos_on)
         driver.connect()
         driver.command(np.full(16, 0.4))
         assert wait_for(lambda: emulator.servos_on)
+
+
+def test_a_bus_that_comes_back_finds_the_hand_held_and_obeying():
+    with over_the_loopback(25000) as (emulator, driver, plant):
+        emulator.inject(Fault.BUS_OFF)
+        assert wait_for(lambda: "bus is off" in driver.read().message)
+        driver.stop()
+        time.sleep(0.7)
+        emulator.clear()
+        assert wait_for(lambda: "answers again" in driver.read().message)
+        assert driver.read().status is DeviceStatus.FAULT
+        assert wait_for(lambda: plant.state(time.monotonic()).positions.min() > 0.35)
+        assert holds(emulator, driver, plant)
+        driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not emulator.servos_on and not emulator.torques.any())
+
+
+@pytest.mark.parametrize("fault", [Fault.BUS_OFF, Fault.STALLED])
+def test_torques_end_after_the_program_though_the_bus_was_off_as_it_ended(
+    fault: Fault, caplog: pytest.LogCaptureFixture
+):
+    # The last assertion of the context: they are gone.
+    with over_the_loopback(31000) as (emulator, driver, _):
+        emulator.inject(fault)
+        assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
+        driver.close()
+        assert emulator.torques.any() and "may keep its torque" in caplog.text
+        emulator.clear()
+
+
+def test_frames_that_a_full_queue_refuses_drop_nothing():
+    with over_the_loopback(36000) as (emulator, driver, plant):
+        emulator.inject(Fault.NO_BUFFERS)
+        assert holds(emulator, driver, plant, 1.0)
+        assert driver.read().status is DeviceStatus.READY
+        emulator.clear()
+        emulator.fill_buffers(2000)
+        assert wait_for(lambda: "takes no frames" in driver.read().message)
+        assert wait_for(lambda: "answers again" in driver.read().message)
+        assert wait_for(lambda: plant.state(time.monotonic()).positions.min() > 0.35)
+        assert holds(emulator, driver, plant)
+
+
+def test_servos_that_did_not_hear_are_told_again():
+    with emulated() as device:
+        device.emulator.inject(Fault.UNHEARD)
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator._servos_on = False
+        assert wait_for(lambda: device.emulator.servos_on, 3.0)
+        device.driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not device.emulator.servos_on)
 
 
 def test_the_hand_loses_its_torque_when_the_process_of_the_policy_dies():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 import time
 import tty
@@ -221,6 +222,128 @@ def test_a_fault_of_a_motor_latches_until_somebody_connects(protocol: str):
         assert device.driver.read().message == "index finger: too hot"
         with pytest.raises(RobotError, match="too hot"):
             device.driver.command(device.near)
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "serial", "rtu"])
+def test_a_faulted_hand_holds_and_opens_as_it_is_told(protocol: str):
+    with emulated(protocol, speed=50, answer_timeout=0.2) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.command(np.full(6, 0.55))
+        assert wait_for(lambda: device.true_positions().max() > 0.42)
+        device.emulator.report_error(3, 1 << 3)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        device.driver.stop()
+        time.sleep(0.4)
+        rest = device.true_positions()
+        time.sleep(0.3)
+        assert np.abs(device.true_positions() - rest).max() < 0.01
+        assert "index finger: motor fault" in device.driver.read().message
+        device.driver.stop(StopKind.OPEN)
+        assert wait_for(lambda: device.true_positions().max() < 0.01)
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "serial", "rtu"])
+def test_a_hand_that_refuses_its_limits_is_refused(protocol: str):
+    with emulated(protocol, force=100, answer_timeout=0.1) as device:
+        device.driver.connect()
+        device.emulator.inject(Fault.REFUSED)
+        with pytest.raises(RobotError, match=r"does not take .*force limits"):
+            device.driver.command(device.near)
+        device.emulator.clear()
+        device.driver.connect()
+        reach(device, device.near)
+        forces = [device.emulator._registers[codec.FORCE_SET + motor] for motor in range(6)]
+        assert forces == [100] * 6
+
+
+@pytest.mark.parametrize("fault", [Fault.REFUSED, Fault.UNHEARD])
+def test_limits_that_a_hand_takes_late_are_told_again(fault: Fault):
+    with emulated(force=100, answer_timeout=0.05) as device:
+        device.driver.connect()
+        device.emulator.inject(fault)
+        threading.Timer(0.2, device.emulator.clear).start()
+        reach(device, device.near)
+        assert device.emulator._registers[codec.FORCE_SET] == 100
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "serial", "rtu"])
+def test_a_stop_that_is_not_heard_is_told_again(protocol: str):
+    with emulated(protocol, speed=50, answer_timeout=0.05) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.driver.command(np.full(6, 1.2))
+        assert wait_for(lambda: device.true_positions().max() > 0.45)
+        device.emulator.unheard = 3
+        device.driver.stop()
+        time.sleep(1.0)
+        rest = device.true_positions()
+        assert rest.max() < 0.7
+        time.sleep(0.3)
+        assert np.abs(device.true_positions() - rest).max() < 0.01
+
+
+def test_a_hand_that_takes_no_goals_any_more_is_a_fault():
+    with emulated(answer_timeout=0.05) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(Fault.REFUSED)
+        device.driver.command(device.near + 0.1)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        assert "does not take what it is told: angles" in device.driver.read().message
+
+
+def test_late_answers_on_a_serial_line_are_not_taken_for_others():
+    with emulated("rtu", answer_timeout=0.05) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.late = 0.07
+        device.emulator.inject(Fault.LATE)
+        end = time.monotonic() + 3.0
+        while time.monotonic() < end:
+            state = device.driver.read()
+            assert state.status is DeviceStatus.READY and np.abs(state.positions - device.near).max() < 0.02
+            device.driver.command(device.near)
+            time.sleep(0.02)
+        device.emulator.report_error(3, 1 << 3)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT, 2.0)
+
+
+def test_a_line_that_was_lost_while_holding_still_opens_the_hand():
+    with emulated(stale_after=0.3, answer_timeout=0.1) as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(Fault.STALLED)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.DISCONNECTED)
+        device.driver.stop(StopKind.OPEN)
+        time.sleep(0.5)
+        assert device.true_positions().min() > 0.3
+        device.emulator.clear()
+        assert wait_for(lambda: device.true_positions().max() < 0.01)
+        state = device.driver.read()
+        assert state.status is DeviceStatus.FAULT and "it answers again" in state.message
+
+
+def test_a_hand_whose_process_has_died_is_led_by_another_one():
+    plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
+    with InspireEmulator(plant, port=0) as emulator:
+        settings = InspireSettings(emulator.address, emulator.port, stale_after=1.0)
+        with inspire_driver(settings) as driver:
+            device = DeviceUnderTest(driver, emulator, plant, np.full(6, 0.4), 0.01)
+            for number, end in enumerate((signal.SIGKILL, signal.SIGSTOP)):
+                reach(device, device.near)
+                first = driver.process_id
+                assert first is not None
+                os.kill(first, end)
+                assert wait_for(lambda: driver.read().status is not DeviceStatus.READY)
+                driver.stop()
+                assert wait_for(lambda: "another one leads" in driver.read().message)
+                assert wait_for(lambda: driver.read().status is DeviceStatus.FAULT)
+                assert np.abs(device.true_positions() - device.near).max() < 0.02
+                if number:
+                    driver.stop(StopKind.OPEN)
+                    assert wait_for(lambda: device.true_positions().max() < 0.01)
+                driver.connect()
 
 
 def test_a_fault_counts_where_the_same_is_read_twice(monkeypatch: pytest.MonkeyPatch):

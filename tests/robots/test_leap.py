@@ -141,6 +141,64 @@ def reach_after_connecting(device: DeviceUnderTest) -> None:
     reach(device, device.near)
 
 
+def test_a_servo_that_missed_a_write_is_told_again():
+    with emulated(current_limit=100) as device:
+        device.driver.connect()
+        device.emulator.inject(Fault.UNHEARD)
+        reach(device, device.near)
+        assert wait_for(lambda: device.emulator.torque_on)
+        for servo in SERVOS:
+            assert device.emulator.register(servo, codec.GOAL_CURRENT) == 100
+            mode = device.emulator.register(servo, codec.OPERATING_MODE) & 0xFF
+            assert mode == codec.CURRENT_BASED_POSITION
+
+
+def test_a_servo_that_takes_no_mode_is_refused(monkeypatch: pytest.MonkeyPatch):
+    with emulated() as device:
+        write, deaf = device.emulator._write, SERVOS[3]
+        monkeypatch.setattr(
+            device.emulator,
+            "_write",
+            lambda servo, address, data: (
+                None if (servo, address) == (deaf, codec.OPERATING_MODE) else write(servo, address, data)
+            ),
+        )
+        device.driver.connect()
+        with pytest.raises(RobotError, match="does not take what it is told: operating mode"):
+            device.driver.command(device.near)
+        assert not device.emulator.torque_on
+
+
+def test_a_reading_a_turn_off_is_refused_and_nothing_moves():
+    with emulated() as device:
+        device.emulator.inject(Fault.WRAPPED)
+        device.driver.connect()
+        assert device.driver.read().positions.max() > 6.0, "it can be looked at"
+        before = device.true_positions()
+        with pytest.raises(RobotError, match=r"joint \d+ is read at 6\.\d\d rad, and its limits"):
+            device.driver.command(device.near)
+        time.sleep(0.3)
+        assert not device.emulator.torque_on and np.abs(device.true_positions() - before).max() < 1e-3
+
+
+def test_the_other_fingers_open_where_a_servo_has_a_fault():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(Fault.MOTOR)
+        assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
+        device.driver.stop(StopKind.OPEN)
+        assert wait_for(lambda: np.sort(np.abs(device.true_positions()))[-2] < 0.27)
+        device.driver.stop(StopKind.POWER_OFF)
+        assert wait_for(lambda: not any(device.emulator._memory[s][codec.TORQUE_ENABLE] for s in SERVOS))
+
+
+def test_torques_of_the_lite_hand_are_its_motors():
+    # XL330-M288 at 5 V, data sheet: 0.52 N m at 1.47 A.
+    lite = leap_driver(LeapSettings(build="lite"), process=False).limits.torque
+    np.testing.assert_allclose(lite, 0.35 * 0.52 / 1.47, rtol=0.02)
+
+
 def test_a_hand_whose_build_nobody_says_is_refused():
     with pytest.raises(RobotError, match="full"):
         LeapSettings("/dev/ttyUSB0")

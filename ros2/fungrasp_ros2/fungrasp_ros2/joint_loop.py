@@ -203,9 +203,6 @@ class JointTopicLoop:
         if self._ros is not None:
             self._ros.close()
 
-    def rescue(self) -> None:
-        """See ``DeviceLoop.rescue``: nothing to do, the controller keeps the last setpoint."""
-
     def _hear_joints(self, message: Any) -> None:
         if not set(self.joints) & set(message.name):
             # Of other joints: topics of joint states have several publishers.

@@ -280,9 +280,6 @@ class URLoop:
         """See ``DeviceLoop.close``: the connections end with the process. Closing them takes ur_rtde a second
         where the controller answers, and for ever where it does not."""
 
-    def rescue(self) -> None:
-        """See ``DeviceLoop.rescue``: the controller's watchdog ends its program."""
-
     def _check(self, dashboard: Any) -> None:
         dashboard.connect(2000)
         try:

@@ -22,8 +22,9 @@ CENTER = 2048
 SPEED_PER_COUNT = 0.229 * 2 * np.pi / 60
 """[rad/s]."""
 AMPERES_PER_COUNT = 0.001
-TORQUE_PER_AMPERE = 0.52
-"""XC330-M288 at 5 V, data sheet: 0.93 N m at 1.8 A when stalled [N m/A]."""
+TORQUES_PER_AMPERE = {"full": 0.52, "lite": 0.35}
+"""By build of the hand, from the data sheets' stall points at 5 V [N m/A]: XC330-M288, 0.93 N m at 1.8 A;
+XL330-M288, 0.52 N m at 1.47 A."""
 
 HARDWARE_ERRORS = {0: "input voltage", 2: "too hot", 3: "encoder", 4: "electrical shock", 5: "overload"}
 """Bits of the register HARDWARE_ERROR; a servo with one has switched its torque off until it is rebooted."""

@@ -28,6 +28,8 @@ class LoopMode(IntEnum):
     """End the loop."""
     STAND_BY = 6
     """Under our control, nothing commanded yet: no motion."""
+    ABANDON = 7
+    """End the loop at once: another one takes its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +77,28 @@ class DeviceLoop(Protocol):
         Where nothing is new, both the goal that is passed and the state that is returned are the same
         objects as before.
 
-        A state whose status is not ``READY`` is latched: from then on ``step`` is called with ``HOLD``
-        until somebody connects anew.
+        A state whose status is not ``READY`` is latched: from then on ``step`` is called with ``HOLD``, or
+        how else the driver says that motion ends, until somebody connects anew. A faulted device obeys these.
 
         Raises:
-            RobotError: the connection is of no use any more; the loop ends.
+            RobotError: the connection is of no use any more.
         """
         ...
 
-    def halt(self) -> None:
+    def halt(self) -> bool | None:
         """End motion, on exit and on errors; a hand that holds without us keeps its hold, another one loses
-        its torque. Never raises."""
+        its torque. Never raises. False: the device has not shown that it obeyed, and is told again."""
         ...
 
     def close(self) -> None:
         """End the connection. Never raises."""
         ...
 
-    def rescue(self) -> None:
-        """As ``halt`` from outside, where the process that ran this loop has died. Never raises."""
-        ...
+    # A loop with the two methods below keeps its device through faults; others end, and their driver starts
+    # another one on connecting.
+
+    # def recover(self) -> None: Reach a device again that ``step`` has lost; it may have been off meanwhile.
+    # Raises: RobotError: it is still lost.
+
+    # def resume(self, positions: np.ndarray) -> None: After ``open``, in the place of ``take_control``: the
+    # process that led the device has died, and told it last to go to these positions [rad], shape [U].

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import logging
 import os
 import pickle
 import subprocess
@@ -16,19 +17,23 @@ from typing import Self
 import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
-from fungrasp.robots.control_loop.loop_worker import FOLLOWING, LENGTH, run_device_loop
+from fungrasp.robots.control_loop.loop_worker import FOLLOWING, LENGTH, LoopTask, run_device_loop
 from fungrasp.robots.control_loop.mailbox import (
     ENDED,
+    MESSAGE_BYTES,
     STARTING,
     Mailbox,
     SharedMemoryFile,
     goal_kind,
     joint_state,
     mailbox_size,
+    put_state,
     record_message,
     state_kind,
 )
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind
+
+_log = logging.getLogger(__name__)
 
 
 def worker_environment() -> dict[str, str]:
@@ -45,21 +50,17 @@ def worker_environment() -> dict[str, str]:
 class LoopThread:
     """A device's loop in a thread of this process."""
 
-    def __init__(self, loop: DeviceLoop, goal: np.ndarray, driver_timeout: float):
-        """
-        Args:
-            loop: the device, not opened.
-            goal: the first, a record of ``goal_kind``.
-            driver_timeout: see ``run_device_loop`` [s].
-        """
-        count = len(loop.limits.lower)
+    def __init__(self, task: LoopTask, goal: np.ndarray):
+        """goal: the first, a record of ``goal_kind``."""
+        count = len(task.loop.limits.lower)
         self.goals = Mailbox(memoryview(bytearray(mailbox_size(goal_kind(count)))), goal_kind(count))
         self.states = Mailbox(memoryview(bytearray(mailbox_size(state_kind(count)))), state_kind(count))
         self.goals.write(goal)
         # A copy, as a process would get one: a loop is opened once.
-        copy = pickle.loads(pickle.dumps(loop))
-        arguments = (copy, self.goals, self.states, driver_timeout)
-        self._thread = threading.Thread(target=run_device_loop, args=arguments, daemon=True, name=loop.name)
+        arguments = (pickle.loads(pickle.dumps(task)), self.goals, self.states)
+        self._thread = threading.Thread(
+            target=run_device_loop, args=arguments, daemon=True, name=task.loop.name
+        )
         self._thread.start()
 
     def alive(self) -> bool:
@@ -70,22 +71,24 @@ class LoopThread:
         """Nothing: a thread's errors are in its last state."""
         return ""
 
-    def end(self, patience: float) -> None:
-        """Wait for its end, after it was told to. patience: for so long [s]."""
+    def begun(self) -> None:
+        """See ``LoopProcess.begun``: memory of this process has no name."""
+
+    def end(self, patience: float) -> bool:
+        """Wait for its end, after it was told to. patience: for so long [s]. Returns: whether it ended."""
         self._thread.join(patience)
+        return not self._thread.is_alive()
+
+    def kill(self) -> None:
+        """A thread can't be ended: it ends once it reads ``LoopMode.ABANDON``."""
 
 
 class LoopProcess:
     """A device's loop in a process of its own, which ends when this one does."""
 
-    def __init__(self, loop: DeviceLoop, goal: np.ndarray, driver_timeout: float):
-        """
-        Args:
-            loop: the device, not opened.
-            goal: the first, a record of ``goal_kind``.
-            driver_timeout: see ``run_device_loop`` [s].
-        """
-        count = len(loop.limits.lower)
+    def __init__(self, task: LoopTask, goal: np.ndarray):
+        """goal: the first, a record of ``goal_kind``."""
+        count = len(task.loop.limits.lower)
         first = mailbox_size(goal_kind(count))
         self._memory = SharedMemoryFile(first + mailbox_size(state_kind(count)))
         view = memoryview(self._memory.buffer)
@@ -103,7 +106,7 @@ class LoopProcess:
         self._errors: list[str] = []
         self._reader = threading.Thread(target=self._collect, daemon=True)
         self._reader.start()
-        data = pickle.dumps((loop, str(self._memory.path), driver_timeout))
+        data = pickle.dumps((task, str(self._memory.path)))
         assert self._child.stdin is not None
         # Where it has ended already, who waits for its first state will see so.
         with contextlib.suppress(BrokenPipeError):
@@ -124,17 +127,26 @@ class LoopProcess:
         self._reader.join(0.2)
         return f": {self._errors[-1]}" if self._errors else ""
 
-    def end(self, patience: float) -> None:
-        """Wait for its end, after it was told to. patience: for so long [s]."""
+    def begun(self) -> None:
+        """It has said something: nobody needs the name of the memory any more."""
+        with contextlib.suppress(OSError):
+            # Some systems keep the name of what is in use.
+            self._memory.remove()
+
+    def end(self, patience: float) -> bool:
+        """Wait for its end, after it was told to. patience: for so long [s]. Returns: whether it ended."""
         assert self._child.stdin is not None
-        try:
+        with contextlib.suppress(subprocess.TimeoutExpired):
             self._child.wait(patience)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
         with contextlib.suppress(BrokenPipeError):
             self._child.stdin.close()
-        self._memory.remove()
+        self.begun()
+        return not self.alive()
+
+    def kill(self) -> None:
+        """End it at once."""
+        self._child.kill()
+        self._child.wait()
 
     def _collect(self) -> None:
         assert self._child.stderr is not None
@@ -154,16 +166,19 @@ DRIVER_TIMEOUT = 0.5
 CONNECT_TIMEOUT = 15.0
 """A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
-"""After this a loop that doesn't end is killed [s]."""
+"""A loop that doesn't end within this time is not waited for [s]: its device does not show that it obeys."""
 LOST_TIMEOUT = 0.5
 """The same, where the device is lost already [s]."""
+FROZEN = 2.0
+"""A process of a device that says nothing for so long does nothing any more [s]."""
 
 
 class LoopDriver:
     """``JointDriver`` of a ``DeviceLoop``, in a process of its own or, for buses that live in one process
     and for tests, in a thread.
 
-    The process halts the device when this one dies, however it dies; a thread can't.
+    The process halts the device when this one dies, however it dies; a thread can't. Where the process dies
+    or hangs itself, another one takes its place if the loop knows how to (``resume``), and the device holds.
     """
 
     def __init__(self, loop: DeviceLoop, process: bool = True, driver_timeout: float = DRIVER_TIMEOUT):
@@ -185,9 +200,11 @@ class LoopDriver:
         self._lock = threading.Lock()
         self._host: LoopProcess | LoopThread | None = None
         self._goal = np.zeros((), dtype=goal_kind(self._count))
+        self._waiting = np.zeros((), dtype=state_kind(self._count))
         self._stopped: str | None = None
         self._controls = self._was_taken = False
-        self._rescued = False
+        self._beat, self._heard, self._asked = -1.0, 0.0, 0.0
+        self._replaces = ""
 
     def torque_limit(self, share: float) -> None:
         """Tell the device to make no more than a share of its torque, before it is connected. A loop without
@@ -215,9 +232,9 @@ class LoopDriver:
                 self._await_acknowledgement()
             else:
                 # A loop that waits in a client library for a device that is gone is not waited for.
-                self._end(LOST_TIMEOUT)
+                self._end(LOST_TIMEOUT, replaced=True)
                 self._start()
-            self._stopped, self._controls = None, False
+            self._stopped, self._controls, self._replaces = None, False, ""
 
     def take_control(self) -> None:
         """See ``JointDriver.take_control``."""
@@ -290,13 +307,14 @@ class LoopDriver:
     def _start(self) -> None:
         host = LoopProcess if self._process else LoopThread
         self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
-        self._rescued = self._was_taken = False
-        self._host = host(self._loop, self._goal, self._driver_timeout)
+        self._was_taken, self._replaces = False, ""
+        self._host = host(LoopTask(self._loop, self._driver_timeout), self._goal)
         deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
             record = self._host.states.read()
             if record is not None and record["phase"] != STARTING:
                 if record["phase"] != ENDED:
+                    self._host.begun()
                     return
                 message = record_message(record)
                 self._end()
@@ -340,32 +358,63 @@ class LoopDriver:
         now = time.monotonic()
         self._goal["sent"] = now
         self._host.goals.write(self._goal)
+        age = now - float(record["received"])
         state = joint_state(record)
+        if not self._host.alive() and record["phase"] != ENDED:
+            return self._replaced(state, f"the driver's process has ended{self._host.last_words()}")
         if record["phase"] == ENDED:
             return state
-        age = now - state.received
-        if not self._host.alive():
-            if self._was_taken and not self._rescued:
-                self._rescued = True
-                # A copy: this one stays as it was made, to be sent to the next process.
-                pickle.loads(pickle.dumps(self._loop)).rescue()
-            message = f"the driver's process has ended{self._host.last_words()}"
-            return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=message)
+        if self._frozen(float(record["beat"]), now):
+            return self._replaced(state, f"the driver's process did nothing for {FROZEN:g} s")
         if age > self._loop.stale_after and state.status in (DeviceStatus.READY, DeviceStatus.STOPPED):
-            message = f"no new state for {1e3 * age:.0f} ms"
+            message = f"no new state for more than {1e3 * self._loop.stale_after:.0f} ms"
             return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=message)
         return state
+
+    def _frozen(self, beat: float, now: float) -> bool:
+        """Whether the loop's process hangs, as far as this one has watched it: both may have slept."""
+        watched = min(now - self._asked, 0.2)
+        self._asked = now
+        self._heard = 0.0 if beat != self._beat else self._heard + watched
+        if beat and beat != self._beat and self._replaces and self._host is not None:
+            self._host.begun()
+        self._beat = beat
+        return self._heard > FROZEN and self._was_taken and isinstance(self._host, LoopProcess)
+
+    def _replaced(self, state: JointState, why: str) -> JointState:
+        """Another process leads the device from now on, where the loop knows how; what is said meanwhile."""
+        assert self._host is not None
+        if self._was_taken and hasattr(self._loop, "resume") and not self._replaces:
+            self._host.end(0.0)
+            self._host.kill()
+            if self._goal["mode"] in FOLLOWING:
+                self._goal["mode"] = LoopMode.HOLD
+            self._replaces, self._heard = f"{why}; another one leads the device", 0.0
+            self._host = LoopProcess(LoopTask(self._loop, self._driver_timeout, self._replaces), self._goal)
+            # Until it says something itself.
+            put_state(self._waiting, state)
+            self._waiting["status"] = list(DeviceStatus).index(DeviceStatus.DISCONNECTED)
+            self._waiting["message"] = self._replaces.encode()[:MESSAGE_BYTES]
+            self._host.states.write(self._waiting)
+        return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces or why)
 
     def _ended(self) -> bool:
         assert self._host is not None
         record = self._host.states.read()
         return not self._host.alive() or (record is not None and bool(record["phase"] == ENDED))
 
-    def _end(self, patience: float = CLOSE_TIMEOUT) -> None:
-        if self._host is not None:
-            self._tell(LoopMode.CLOSE)
-            self._host.end(patience)
-            self._host = None
+    def _end(self, patience: float = CLOSE_TIMEOUT, replaced: bool = False) -> None:
+        if self._host is None:
+            return
+        self._tell(LoopMode.CLOSE)
+        if not self._host.end(patience):
+            if replaced or not self._was_taken:
+                self._tell(LoopMode.ABANDON)
+                self._host.kill()
+            else:
+                # It goes on telling the device for a while (``HALTING``).
+                _log.warning("%s does not show that it obeys: it may keep its torque", self.name)
+        self._host = None
 
 
 def _waits_for_driver(state: JointState, goal: np.ndarray) -> bool:

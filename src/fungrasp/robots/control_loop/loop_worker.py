@@ -81,110 +81,212 @@ class DeviceLock:
 
 
 FOLLOWING = (LoopMode.IDLE, LoopMode.STAND_BY, LoopMode.FOLLOW)
+BEYOND = 0.5
+"""A joint that is measured so far beyond its limits is wrapped, or mounted otherwise [rad]: zeros are off by
+less."""
+HALTING = 10.0
+"""A device that does not show that it has halted is told so again and again, for so long [s]."""
+RETRY = 0.05
+"""Between two attempts at a device that is lost [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LoopTask:
+    """What a process or a thread is to run."""
+
+    loop: DeviceLoop
+    """The device, not opened."""
+    driver_timeout: float
+    """The device holds its position when the driver was not heard of for so long [s]."""
+    resume: str = ""
+    """Why this loop takes the place of another one, which led the device; "" for a first one."""
 
 
 def run_device_loop(
-    loop: DeviceLoop,
-    goals: Mailbox,
-    states: Mailbox,
-    driver_timeout: float,
-    abandoned: Callable[[], bool] = lambda: False,
+    task: LoopTask, goals: Mailbox, states: Mailbox, abandoned: Callable[[], bool] = lambda: False
 ) -> None:
     """Open a device, step it until its driver closes it or goes away, then halt and close it.
 
     Args:
         goals: what the driver tells, records of ``goal_kind``.
         states: what the device answers, records of ``state_kind``.
-        driver_timeout: the device holds its position when the driver was not heard of for so long [s].
         abandoned: whether the driver's process has ended.
     """
-    count = len(loop.limits.lower)
-    record = np.zeros((), dtype=state_kind(count))
-    control = _Control(DeviceLock(loop.name))
+    loop = task.loop
+    run = _Run(task, goals, states, abandoned)
     try:
         try:
-            loop.open()
-            _follow(loop, goals, states, record, driver_timeout, abandoned, control)
+            run.open()
+            run.follow()
         finally:
-            # A device that was only looked at is somebody else's.
-            if control.was_taken:
-                loop.halt()
-            control.lock.release()
+            run.halt()
         message, status = "", DeviceStatus.DISCONNECTED
     except FungraspError as error:
         message, status = str(error), DeviceStatus.DISCONNECTED
     except Exception as error:
         # A driver must tell of whatever a client library raises: nobody else sees this thread or process.
         message, status = f"{loop.name}: {type(error).__name__}: {error}", DeviceStatus.FAULT
-    record["phase"], record["status"], record["message"] = ENDED, STATUSES.index(status), message.encode()
-    states.write(record)
+    run.end(status, message)
     # Last: a client library may take long to let go of a device that does not answer.
     loop.close()
 
 
-@dataclasses.dataclass
-class _Control:
-    """Whether the device is ours."""
+class _Run:
+    """A device's loop, and what it remembers."""
 
-    lock: DeviceLock
-    taken: bool = False
-    was_taken: bool = False
+    def __init__(
+        self, task: LoopTask, goals: Mailbox, states: Mailbox, abandoned: Callable[[], bool]
+    ) -> None:
+        self._task, self._loop, self._goals, self._states = task, task.loop, goals, states
+        self._abandoned, self._lock = abandoned, DeviceLock(task.loop.name)
+        self._record = np.zeros((), dtype=state_kind(len(task.loop.limits.lower)))
+        self._taken = self._was_taken = self._lost = False
+        self._latched: JointState | None = None
+        self._stopped_order, self._order = -1, -1
+        self._state: JointState | None = None
 
+    def open(self) -> None:
+        """Open the device; one that another process led is ours at once."""
+        deadline = time.monotonic() + HALTING
+        while True:
+            try:
+                self._loop.open()
+                break
+            except FungraspError:
+                if not self._task.resume or self._abandoned() or time.monotonic() > deadline:
+                    raise
+                self._loop.close()
+                time.sleep(RETRY)
+        if self._task.resume:
+            self._lock.take()
+            told = self._goals.read()
+            assert told is not None, "the driver writes a goal before it starts the loop"
+            self._loop.resume(told["positions"])  # pyright: ignore[reportAttributeAccessIssue]
+            self._taken = self._was_taken = True
 
-def _follow(
-    loop: DeviceLoop,
-    goals: Mailbox,
-    states: Mailbox,
-    record: np.ndarray,
-    driver_timeout: float,
-    abandoned: Callable[[], bool],
-    control: _Control,
-) -> None:
-    latched: JointState | None = None
-    stopped_order, order, told_last, state_last = -1, -1, None, None
-    asked, sent = LoopGoal(LoopMode.IDLE, np.zeros(0), np.zeros(0)), 0.0
-    record["phase"] = RUNNING
-    while not abandoned():
-        told = goals.read()
-        assert told is not None, "the driver writes a goal before it starts the loop"
-        news = told is not told_last
-        if news:
-            told_last, asked, order, sent = told, loop_goal(told), int(told["order"]), float(told["sent"])
-        goal = asked
-        if goal.mode is LoopMode.CLOSE:
-            return
-        if latched is not None and order > stopped_order >= 0 and goal.mode is LoopMode.IDLE:
-            latched = None
-        if latched is not None and goal.mode in FOLLOWING:
-            goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
-        late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > driver_timeout
-        if late:
-            goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
-        wanted = goal.mode
-        if wanted is LoopMode.IDLE:
-            control.taken = False
-        elif wanted in FOLLOWING and not control.taken:
-            control.lock.take()
-            control.was_taken = True
-            loop.take_control()
-            control.taken = True
-        if not control.was_taken and wanted is not LoopMode.IDLE:
+    def follow(self) -> None:
+        """Step the device until it is to be closed."""
+        told_last, asked, sent = None, LoopGoal(LoopMode.IDLE, np.zeros(0), np.zeros(0)), 0.0
+        self._record["phase"] = RUNNING
+        while not self._abandoned():
+            told = self._goals.read()
+            assert told is not None, "the driver writes a goal before it starts the loop"
+            news = told is not told_last
+            if news:
+                told_last, asked, sent = told, loop_goal(told), float(told["sent"])
+                self._order = int(told["order"])
+            goal = asked
+            if goal.mode in (LoopMode.CLOSE, LoopMode.ABANDON):
+                return
+            if self._order > self._stopped_order >= 0 and goal.mode is LoopMode.IDLE and not self._lost:
+                self._latched = None
+            if self._latched is not None and goal.mode in FOLLOWING:
+                goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
+            late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > self._task.driver_timeout
+            if late:
+                goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
+            if goal.mode is LoopMode.IDLE:
+                self._taken = False
+            elif goal.mode in FOLLOWING and not self._taken:
+                self._take_control()
+            state = self._said(self._step(goal), goal.mode, late)
+            # Most steps of a fast loop bring no news of the device: writing costs as much as all the rest.
+            if state is not self._state or news:
+                self._tell(state)
+                self._state = state
+
+    def _take_control(self) -> None:
+        self._lock.take()
+        seen = self._state
+        if seen is None:
+            none = np.zeros(len(self._loop.limits.lower))
+            seen = self._loop.step(LoopGoal(LoopMode.IDLE, none, none))
+        limits = self._loop.limits
+        beyond = np.maximum(limits.lower - seen.positions, seen.positions - limits.upper)
+        joint = int(np.argmax(beyond))
+        if not beyond[joint] <= BEYOND:
+            raise RobotError(
+                f"{self._loop.name}: joint {joint} is read at {seen.positions[joint]:.2f} rad, and its limits"
+                f" are {limits.lower[joint]:.2f} to {limits.upper[joint]:.2f} rad: look at it with 'fungrasp "
+                "robots read', then switch it off and on"
+            )
+        self._was_taken = True
+        self._loop.take_control()
+        self._taken = True
+
+    def _step(self, goal: LoopGoal) -> JointState:
+        """One step of the device, which is looked for again where it was lost."""
+        if not self._was_taken and goal.mode is not LoopMode.IDLE:
             # What we did not take we do not stop.
             goal = dataclasses.replace(goal, mode=LoopMode.IDLE)
-        state = loop.step(goal)
-        if latched is None and state.status is not DeviceStatus.READY:
-            latched, stopped_order = state, order
-        if latched is not None:
-            state = dataclasses.replace(state, status=latched.status, message=latched.message)
-        elif wanted not in FOLLOWING:
-            message = f"no command for {driver_timeout} s" if late else f"told to stop: {wanted.name.lower()}"
-            state = dataclasses.replace(state, status=DeviceStatus.STOPPED, message=message)
-        # Most steps of a fast loop bring no news of the device: writing costs as much as all the rest.
-        if state is not state_last or news:
-            put_state(record, state)
-            record["order"] = order
-            states.write(record)
-            state_last = state
+        try:
+            if self._lost:
+                self._recover(goal)
+            return self._loop.step(goal)
+        except RobotError as error:
+            seen = self._latched or self._state
+            if seen is None or not (self._was_taken and hasattr(self._loop, "recover")):
+                raise
+            if not self._lost:
+                self._lost, status = True, DeviceStatus.DISCONNECTED
+                self._latched = dataclasses.replace(seen, status=status, message=str(error))
+                self._stopped_order = self._order
+            else:
+                time.sleep(RETRY)
+            assert self._latched is not None
+            return self._latched
+
+    def _recover(self, goal: LoopGoal) -> None:
+        if goal.mode is LoopMode.POWER_OFF:
+            # It may hear us though we don't hear it.
+            self._loop.halt()
+        self._loop.recover()  # pyright: ignore[reportAttributeAccessIssue]
+        assert self._latched is not None
+        message = f"{self._latched.message}; it answers again"
+        self._latched = dataclasses.replace(self._latched, status=DeviceStatus.FAULT, message=message)
+        self._lost = False
+
+    def _said(self, state: JointState, mode: LoopMode, late: bool) -> JointState:
+        """The state as the driver is told it."""
+        if self._task.resume and self._latched is None and self._stopped_order < 0:
+            self._latched = dataclasses.replace(state, status=DeviceStatus.FAULT, message=self._task.resume)
+            self._stopped_order = self._order
+        if self._latched is None and state.status is not DeviceStatus.READY:
+            self._latched, self._stopped_order = state, self._order
+        if self._latched is not None:
+            latched = self._latched
+            words = latched.message
+            if not self._lost and state.status is DeviceStatus.FAULT and state.message not in words:
+                # What is wrong besides, meanwhile.
+                words = f"{words}; {state.message}"
+            return dataclasses.replace(state, status=latched.status, message=words)
+        if mode not in FOLLOWING:
+            seconds = self._task.driver_timeout
+            words = f"no command for {seconds} s" if late else f"told to stop: {mode.name.lower()}"
+            return dataclasses.replace(state, status=DeviceStatus.STOPPED, message=words)
+        return state
+
+    def halt(self) -> None:
+        """End motion, again and again until the device shows it; one that was only looked at is somebody
+        else's."""
+        deadline = time.monotonic() + HALTING
+        while self._was_taken and self._loop.halt() is False and time.monotonic() < deadline:
+            told = self._goals.read()
+            if told is not None and told["mode"] == LoopMode.ABANDON:
+                break
+            time.sleep(RETRY)
+        self._lock.release()
+
+    def end(self, status: DeviceStatus, message: str) -> None:
+        """Tell that the loop has ended."""
+        self._record["phase"] = ENDED
+        self._record["status"], self._record["message"] = STATUSES.index(status), message.encode()
+        self._states.write(self._record)
+
+    def _tell(self, state: JointState) -> None:
+        put_state(self._record, state)
+        self._record["order"], self._record["beat"] = self._order, time.monotonic()
+        self._states.write(self._record)
 
 
 LENGTH = struct.Struct("<I")
@@ -195,7 +297,7 @@ def run_worker() -> None:
     source = sys.stdin.buffer
     size = LENGTH.unpack(source.read(LENGTH.size))[0]
     # From the process that started this one, through its own pipe.
-    loop, path, driver_timeout = pickle.loads(source.read(size))
+    task, path = pickle.loads(source.read(size))
     orphaned = threading.Event()
     # Ahead of planning and all other work, client libraries' threads as well; systems allow it to
     # administrators. Linux shares the processors by sessions (autogroup of sched(7)), and this is one.
@@ -212,11 +314,11 @@ def run_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: orphaned.set())
     memory = memoryview(map_shared_memory(Path(path)))
-    count = len(loop.limits.lower)
+    count = len(task.loop.limits.lower)
     first = mailbox_size(goal_kind(count))
     goals = Mailbox(memory[:first], goal_kind(count))
     states = Mailbox(memory[first:], state_kind(count))
-    run_device_loop(loop, goals, states, driver_timeout, orphaned.is_set)
+    run_device_loop(task, goals, states, orphaned.is_set)
     sys.stderr.flush()
     # All is said and written. Some client libraries wait in their destructors for devices that are gone.
     os._exit(0)

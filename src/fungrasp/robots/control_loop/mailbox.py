@@ -109,6 +109,7 @@ def state_kind(count: int) -> np.dtype:
         [
             ("phase", "u1"),
             ("order", "<i8"),
+            ("beat", "<f8"),
             ("status", "u1"),
             ("has_torques", "u1"),
             ("device_time", "<f8"),

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.control_loop.confirmed_writes import ConfirmedWrites
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
@@ -76,6 +77,13 @@ OTHERS = 0.1
 """Torques that somebody else has sent within so long are a program that drives the hand [s]."""
 INFO_INTERVAL = 1.0
 """The hand is asked so often for its temperature and faults [s]: it says them on request only."""
+CAN_WAIT = 0.002
+"""A frame that a full queue does not take within so long is left out [s]; torques come again 3 ms later."""
+SERVOS = "servos"
+"""Name of the write that switches them on or off."""
+SURE = 10
+"""A hand that is heard but does not say whether its servos are off was told often enough, after so many
+times."""
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
 
@@ -142,9 +150,7 @@ class AllegroLoop:
         )
         self.stale_after = settings.stale_after
         self.takes_feedforward = True
-        self.lets_go = (
-            "when this program ends, the bus fails or it is too hot: the computer makes its torques"
-        )
+        self.lets_go = "when this program ends, or it is too hot: the computer makes its torques"
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         lower, upper = hand_joint_limits(settings.hand, 16)
         if hand_side(settings.hand) != settings.side:
@@ -164,8 +170,10 @@ class AllegroLoop:
         self._frames: dict[int, bytes] = {}
         self._jumps = 0
         self._error_frames = 0
-        self._info_due, self._others = 0.0, -np.inf
-        self._servos_on = False
+        self._info_due, self._others, self._refused_since = 0.0, -np.inf, np.inf
+        self._said_on: bool | None = None
+        self._fault, self._told_off = "", 0
+        self._writes = ConfirmedWrites(self._switch_servos)
         self._taken = self._periodic = False
 
     def torque_limit(self, share: float) -> AllegroLoop:
@@ -194,9 +202,22 @@ class AllegroLoop:
         if time.monotonic() - self._others < OTHERS:
             raise RobotError(f"{self.name}: another program sends torques to this hand: end that one first")
         if not self._servos_on:
-            self._send(codec.SERVOS_OFF)
+            self._writes.put(SERVOS, False, anew=True)
+            while self._writes.missing and not self._writes.work():
+                self._receive(CAN_WAIT)
         self._ask_for_positions()
         self._taken = True
+
+    def resume(self, positions: np.ndarray) -> None:
+        """See ``DeviceLoop``: the hand kept its last torques, and holds with the setpoint that it had."""
+        self._setpoint = np.clip(positions, self.limits.lower, self.limits.upper)
+        self._writes.put(SERVOS, True)
+        self._taken = True
+
+    @property
+    def _servos_on(self) -> bool:
+        """Whether the servos are to be on."""
+        return bool(self._writes.wanted(SERVOS))
 
     def _ask_for_positions(self) -> None:
         self._send(codec.PERIODS, codec.encode_periods(self.settings.period_ms))
@@ -214,27 +235,63 @@ class AllegroLoop:
             pass
         state = self._state
         assert state is not None
+        if goal.mode is LoopMode.IDLE and self._fault:
+            # Somebody has connected anew after a fault: what does the hand say now?
+            self._fault = ""
+            self._ask_info(ANSWER_TIMEOUT / 4)
         if time.monotonic() >= self._info_due:
             # One that isn't answered is no fault: firmware of the V5 may ignore it.
-            self._info_due = time.monotonic() + INFO_INTERVAL
-            self._send(codec.INFO, request=True)
+            self._ask_info(0.0)
         if state is before:
-            if self._taken:
-                self.halt()
             raise RobotError(
                 f"{self.name} is silent for {1e3 * self.settings.stale_after:.0f} ms{self._errors_in_words()}"
             )
-        if state.status is DeviceStatus.READY and self._taken:
+        if self._taken:
+            if self._fault:
+                goal = replace(goal, mode=LoopMode.POWER_OFF)
             self._send_torques(self._torques(goal, state, state.received - before.received))
+            self._writes.work()
+        if time.monotonic() - self._refused_since > self.settings.stale_after:
+            raise RobotError(f"{self.name}: the CAN bus takes no frames: check cable and power")
+        if self._fault:
+            return replace(state, status=DeviceStatus.FAULT, message=self._fault)
         return state
 
-    def halt(self) -> None:
-        """See ``DeviceLoop.halt``: no torque, servos off."""
-        if self._bus is not None:
+    def recover(self) -> None:
+        """See ``DeviceLoop``: the bus is opened anew, and the hand asked for its positions; it goes on with
+        the setpoint that it had."""
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()
+        self._open_bus()
+        self._state, self._jumps, self._refused_since = None, 0, np.inf
+        self._frames.clear()
+        self._ask_for_positions()
+        deadline = time.monotonic() + self.settings.stale_after
+        while self._state is None:
+            self._receive(deadline - time.monotonic())
+            if time.monotonic() > deadline:
+                raise RobotError(f"{self.name} is silent")
+        if self._servos_on:
+            self._writes.put(SERVOS, True, anew=True)
+
+    def halt(self) -> bool:
+        """See ``DeviceLoop.halt``: no torque, servos off, until the hand says so."""
+        try:
+            self._writes.put(SERVOS, False, anew=True)
+            self._said_on = None
+            self._send_torques(np.zeros(16))
+            off = self._switch_servos(SERVOS, False)
+            deadline = time.monotonic() + self.settings.stale_after
+            while not off and time.monotonic() < deadline:
+                if self._receive(deadline - time.monotonic()) is not None:
+                    off = self._said_on is False
+            self._told_off += self._state is not None and time.monotonic() - self._state.received < 0.1
+            return off or self._told_off >= SURE
+        except Exception:
             with contextlib.suppress(Exception):
-                self._send_torques(np.zeros(16))
-                self._send(codec.SERVOS_OFF)
-            self._servos_on = False
+                self._bus.shutdown()
+                self._open_bus()
+            return False
 
     def close(self) -> None:
         """See ``DeviceLoop.close``."""
@@ -246,13 +303,21 @@ class AllegroLoop:
                 self._bus.shutdown()
             self._bus = None
 
-    def rescue(self) -> None:
-        """See ``DeviceLoop.rescue``: the hand may keep the last torques it was sent."""
-        with contextlib.suppress(Exception):
-            self._open_bus()
-            self._periodic = True
-            self.halt()
-            self.close()
+    def _switch_servos(self, name: str, on: bool) -> bool:
+        """Switch all servos on or off; whether the hand has said since that they are."""
+        if self._said_on is on:
+            return True
+        self._send(codec.SERVOS_ON if on else codec.SERVOS_OFF)
+        self._ask_info(0.0)
+        return False
+
+    def _ask_info(self, wait: float) -> None:
+        """Ask the hand for its temperature and faults, and wait for the answer at most so long [s]."""
+        now = time.monotonic()
+        self._info_due, self._said_on = now + INFO_INTERVAL, None
+        self._send(codec.INFO, request=True)
+        while wait and self._said_on is None and time.monotonic() < now + wait:
+            self._receive(now + wait - time.monotonic())
 
     def _open_bus(self) -> None:
         self._can = import_client("can", "allegro", "an Allegro Hand")
@@ -262,16 +327,13 @@ class AllegroLoop:
     def _torques(self, goal: LoopGoal, state: JointState, elapsed: float) -> np.ndarray:
         if goal.mode is LoopMode.POWER_OFF:
             self._setpoint = None
-            if self._servos_on:
-                self.halt()
+            self._writes.put(SERVOS, False)
             return np.zeros(16)
         if self._setpoint is None:
             if goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY):
                 return np.zeros(16)
             self._setpoint = np.clip(state.positions, self.limits.lower, self.limits.upper)
-        if not self._servos_on:
-            self._send(codec.SERVOS_ON)
-            self._servos_on = True
+        self._writes.put(SERVOS, True)
         wanted, speed = self._setpoint, self.settings.speed
         if goal.mode is LoopMode.FOLLOW:
             wanted = goal.positions
@@ -296,11 +358,12 @@ class AllegroLoop:
             is_remote_frame=request,
         )
         try:
-            self._bus.send(message, timeout=0.01)
-        except (self._can.CanError, OSError) as error:
-            raise RobotError(
-                f"{self.name}: the CAN bus takes no frames ({error}): check cable and power"
-            ) from error
+            self._bus.send(message, timeout=CAN_WAIT)
+        except (self._can.CanError, OSError):
+            # A full queue (ENOBUFS) for a moment; ``step`` judges one that lasts.
+            self._refused_since = min(self._refused_since, time.monotonic())
+        else:
+            self._refused_since = np.inf
 
     def _receive(self, timeout: float) -> Any:
         """Take one frame; the fourth finger's positions of a set make a state."""
@@ -376,10 +439,14 @@ class AllegroLoop:
             del self._frames[finger]
 
     def _take_info(self, info: codec.AllegroInfo) -> None:
+        self._said_on = info.servos_on
+        if self._taken and self._servos_on != info.servos_on:
+            # It missed a frame, or was switched off and on.
+            self._writes.put(SERVOS, self._servos_on, anew=True)
         if info.overheated:
-            raise RobotError(f"{self.name} is too hot ({info.temperature} °C): let it cool down")
-        if info.communication_fault:
-            raise RobotError(
+            self._fault = f"{self.name} is too hot ({info.temperature} °C): let it cool down"
+        elif info.communication_fault:
+            self._fault = (
                 f"{self.name} has an internal communication fault ({info.temperature} °C): "
                 "switch it off and on"
             )
@@ -400,6 +467,8 @@ class AllegroLoop:
         self._frames.clear()
         if codec.INFO not in answers or (self.settings.generation == 5 and codec.SERIAL not in answers):
             raise RobotError(f"{self.name}: no hand answers; check power, cable, bit rate and device number")
+        if self._fault:
+            raise RobotError(self._fault)
         info = codec.decode_info(answers[codec.INFO])
         generation = info.hardware >> 8
         if generation != self.settings.generation:

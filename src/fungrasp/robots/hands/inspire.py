@@ -6,7 +6,6 @@ connecting. It begins to move about 66 ms after a command.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fungrasp.robots.codecs import inspire as codec
+from fungrasp.robots.control_loop.confirmed_writes import ConfirmedWrites
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
@@ -32,6 +32,14 @@ SERIAL_PROTOCOLS = ("serial", "rtu")
 """Protocols on a serial port."""
 ANGLE_TOLERANCE = 50
 """Angles outside 0 to 1000 by more are not believed."""
+CLEARING, SPEEDS, FORCES, ANGLES = "clearing of errors", "speed limits", "force limits", "angles"
+WRITTEN = {
+    CLEARING: codec.CLEAR_ERRORS,
+    SPEEDS: codec.SPEED_SET,
+    FORCES: codec.FORCE_SET,
+    ANGLES: codec.ANGLE_SET,
+}
+"""What is written to the hand, and where. All is acknowledged; limits are read back, too."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +113,7 @@ class InspireLoop:
         self._link: InspireLink | None = None
         self._state: JointState | None = None
         self._sent: list[int] | None = None
+        self._writes = ConfirmedWrites(self._write)
         self._due = self._errors_due = 0.0
         self._mode, self._taken = LoopMode.IDLE, False
         self._fault = ""
@@ -129,9 +138,14 @@ class InspireLoop:
     def take_control(self) -> None:
         """See ``DeviceLoop.take_control``."""
         self._taken = True
-        self._write(codec.CLEAR_ERRORS, [1])
-        self._write(codec.SPEED_SET, [self.settings.speed] * codec.MOTORS)
-        self._write(codec.FORCE_SET, [self.settings.force] * codec.MOTORS)
+        self._writes.put(CLEARING, [1], anew=True)
+        self._put_limits(self.settings.speed)
+        self._writes.finish(self.name)
+
+    def resume(self, positions: np.ndarray) -> None:
+        """See ``DeviceLoop``: the hand has its goal, and whatever it squeezes stays squeezed."""
+        self._taken = True
+        self._put_limits(self.settings.speed)
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -139,45 +153,71 @@ class InspireLoop:
         if rest > 0:
             time.sleep(rest)
         self._due = max(self._due, time.monotonic() - self.settings.period) + self.settings.period
-        state = self._read_state()
-        if state.status is DeviceStatus.READY:
-            self._move(goal, state)
-        elif goal.mode is LoopMode.IDLE and self._taken:
+        if goal.mode is LoopMode.IDLE and self._fault and self._taken:
             # Somebody has connected anew after a fault.
-            self._write(codec.CLEAR_ERRORS, [1])
+            self._writes.put(CLEARING, [1], anew=True)
+            self._writes.work()
             self._fault, self._errors_due = "", 0.0
+        state = self._read_state()
+        if not self._taken:
+            return state
+        self._move(goal, state)
+        if refused := self._writes.work():
+            return replace(state, status=DeviceStatus.FAULT, message=state.message or refused)
         return state
 
-    def halt(self) -> None:
+    def recover(self) -> None:
+        """See ``DeviceLoop``: what was on its way as the hand was lost is written again, and its limits. One
+        that was switched off meanwhile stays where it is."""
+        assert self._link is not None, "open() comes first"
+        self._link.close()
+        if not self._link.connect() or self._read(codec.ANGLE_ACTUAL, codec.MOTORS) is None:
+            raise RobotError(f"{self.name}: no answer")
+        self._state = None
+        self._writes.forget(SPEEDS, FORCES)
+        if self._mode is LoopMode.OPEN:
+            # Told anew.
+            self._mode = LoopMode.HOLD
+
+    def halt(self) -> bool:
         """See ``DeviceLoop.halt``: fingers that squeeze go on, others stay; the drives hold without power."""
-        with contextlib.suppress(Exception):
+        try:
             if self._state is not None and self._mode in (LoopMode.FOLLOW, LoopMode.OPEN):
                 self._hold(self._state)
+                self._mode = LoopMode.HOLD
+            self._writes.work()
+        except Exception:
+            return False
+        return ANGLES not in self._writes.missing
 
     def close(self) -> None:
         """See ``DeviceLoop.close``."""
         if self._link is not None:
             self._link.close()
 
-    def rescue(self) -> None:
-        """See ``DeviceLoop.rescue``: nothing to do, the drives hold without power."""
+    def _put_limits(self, speed: int) -> None:
+        self._writes.put(SPEEDS, [speed] * codec.MOTORS)
+        self._writes.put(FORCES, [self.settings.force] * codec.MOTORS)
 
     def _move(self, goal: LoopGoal, state: JointState) -> None:
+        """Want what follows from the goal; a faulted hand is told all the same."""
+        faulted = state.status is not DeviceStatus.READY
         if goal.mode is LoopMode.FOLLOW:
-            if self._mode is LoopMode.OPEN:
-                self._write(codec.SPEED_SET, [self.settings.speed] * codec.MOTORS)
-            angles = codec.encode_angles(goal.positions, self.limits.lower, self.limits.upper)
-            if angles != self._sent and self._write(codec.ANGLE_SET, angles):
-                self._sent = angles
-        elif goal.mode is LoopMode.OPEN:
-            angles = [codec.OPEN_ANGLE] * codec.MOTORS
-            if angles != self._sent:
-                self._write(codec.SPEED_SET, [OPEN_SPEED_SETTING] * codec.MOTORS)
-                if self._write(codec.ANGLE_SET, angles):
-                    self._sent = angles
+            self._put_limits(self.settings.speed)
+            self._goto(codec.encode_angles(goal.positions, self.limits.lower, self.limits.upper))
+        elif goal.mode is LoopMode.OPEN and self._mode is not LoopMode.OPEN:
+            if faulted:
+                # Motors with an error may not move before it is cleared.
+                self._writes.put(CLEARING, [1], anew=True)
+            self._put_limits(OPEN_SPEED_SETTING)
+            self._goto([codec.OPEN_ANGLE] * codec.MOTORS, anew=True)
         elif goal.mode in (LoopMode.HOLD, LoopMode.POWER_OFF) and self._mode is LoopMode.FOLLOW:
             self._hold(state)
         self._mode = goal.mode
+
+    def _goto(self, angles: list[int], anew: bool = False) -> None:
+        self._sent = angles
+        self._writes.put(ANGLES, angles, anew)
 
     def _hold(self, state: JointState) -> None:
         """Fingers that move stay where they are; those that something holds up keep squeezing it."""
@@ -189,8 +229,7 @@ class InspireLoop:
             )
             still = [abs(a - b) <= HOLD_STILL for a, b in zip(moving, angles, strict=True)]
             angles = [s if rest else a for s, rest, a in zip(self._sent, still, angles, strict=True)]
-        self._sent = None
-        self._write(codec.ANGLE_SET, angles)
+        self._goto(angles)
 
     def _read_state(self) -> JointState:
         registers = self._read(codec.ANGLE_ACTUAL, codec.MOTORS)
@@ -240,9 +279,11 @@ class InspireLoop:
         assert self._link is not None, "open() comes first"
         return self._link.read(address, count)
 
-    def _write(self, address: int, values: list[int]) -> bool:
+    def _write(self, what: str, values: list[int]) -> bool:
         assert self._link is not None, "open() comes first"
-        return self._link.write(address, values)
+        if not self._link.write(WRITTEN[what], values):
+            return False
+        return what not in (SPEEDS, FORCES) or list(self._read(WRITTEN[what], len(values)) or ()) == values
 
 
 def _faults_in_words(faults: list[int]) -> str:

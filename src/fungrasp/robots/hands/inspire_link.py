@@ -38,12 +38,13 @@ class InspireLink(Protocol):
 class ModbusLink:
     """Modbus, by pymodbus. Over TCP values have no checksum."""
 
-    def __init__(self, client: Any, device: int):
+    def __init__(self, client: Any, device: int, line: bool):
         """
         Args:
             client: of pymodbus, not connected.
+            line: whether on a serial line.
         """
-        self._client, self._device = client, device
+        self._client, self._device, self._line = client, device, line
         error = import_client("pymodbus.exceptions", "inspire", "an Inspire hand").ModbusException
         self._errors: tuple[type[Exception], ...] = (error, OSError)
 
@@ -54,30 +55,45 @@ class ModbusLink:
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
         """See ``InspireLink.read``."""
-        try:
-            answer = self._client.read_holding_registers(address, count=count, device_id=self._device)
-        except self._errors:
-            return self._reconnect()
-        return None if answer.isError() or len(answer.registers) != count else answer.registers
+        answer = self._ask("read_holding_registers", address, count=count)
+        if answer is not None and len(answer.registers) != count:
+            return self._resume()
+        return None if answer is None else answer.registers
 
     def write(self, address: int, values: list[int]) -> bool:
         """See ``InspireLink.write``."""
-        try:
-            return not self._client.write_registers(address, values, device_id=self._device).isError()
-        except self._errors:
-            self._reconnect()
+        answer = self._ask("write_registers", address, values=values)
+        if answer is not None and (answer.address, answer.count) != (address, len(values)):
+            self._resume()
             return False
+        return answer is not None
+
+    def _ask(self, function: str, address: int, **what: Any) -> Any:
+        """The hand's answer; None where it refuses or does not answer."""
+        try:
+            answer = getattr(self._client, function)(address, device_id=self._device, **what)
+        except self._errors:
+            return self._resume()
+        return None if answer.isError() else answer
 
     def close(self) -> None:
         """See ``InspireLink.close``."""
         with contextlib.suppress(Exception):
             self._client.close()
 
-    def _reconnect(self) -> None:
-        """A connection that was reset is opened again; the state's age says whether that was in time."""
+    def _resume(self) -> None:
+        """A connection that was reset is opened again; the state's age says whether that was in time. On a
+        serial line an answer has no number: one that is late would be taken for that of the next request, so
+        that what still comes is left out."""
         with contextlib.suppress(Exception):
             if not self._client.is_socket_open():
                 self._client.connect()
+            elif self._line:
+                quiet = time.monotonic() + self._client.comm_params.timeout_connect
+                while time.monotonic() < quiet:
+                    time.sleep(0.002)
+                    if self._client.socket.in_waiting:
+                        self._client.socket.reset_input_buffer()
 
 
 class SerialLink:
@@ -165,7 +181,7 @@ def open_link(address: str, port: int, baud: int, protocol: str, device: int, ti
             client = modbus.ModbusSerialClient(port=address, baudrate=baud, timeout=timeout, retries=0)
         else:
             client = modbus.ModbusTcpClient(address, port=port, timeout=timeout, retries=0)
-        link = ModbusLink(client, device)
+        link = ModbusLink(client, device, protocol == "rtu")
     if not link.connect():
         raise RobotError(f"nobody answers at {address}; check power, cable and address")
     return link

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.robots.codecs import dynamixel as codec
+from fungrasp.robots.control_loop.confirmed_writes import ConfirmedWrites
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
@@ -22,6 +23,19 @@ CURRENT_LIMITS = {"full": 550, "lite": 350}
 """Of the maker's examples, by build [mA]."""
 SIDE_JOINTS, SIDE_SHARE = (0, 4, 8), 0.75
 """Servos that move fingers sideways, and the share of the gains that the maker's examples give them."""
+TORQUE, MODE, FULL_CURRENT, CURRENT = "torque", "operating mode", "current limit", "goal current"
+GAIN_I, GAIN_P, GAIN_D = "I gain", "P gain", "D gain"
+WRITTEN = {
+    TORQUE: (codec.TORQUE_ENABLE, 1),
+    MODE: (codec.OPERATING_MODE, 1),
+    FULL_CURRENT: (codec.CURRENT_LIMIT, 2),
+    CURRENT: (codec.GOAL_CURRENT, 2),
+    GAIN_I: (codec.I_GAIN, 2),
+    GAIN_P: (codec.P_GAIN, 2),
+    GAIN_D: (codec.D_GAIN, 2),
+}
+"""What is written to each servo and read back: address and size. Servos do not acknowledge what all of them
+are told at once."""
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]."""
 ERROR_INTERVAL = 0.5
@@ -95,7 +109,8 @@ class LeapLoop:
                 f"the joints of hand '{settings.hand}' are not named by the numbers of LEAP's servos"
             )
         self._servos = [int(name) for name in names]
-        torque = settings.current * codec.AMPERES_PER_COUNT * codec.TORQUE_PER_AMPERE
+        self._torque_per_count = codec.AMPERES_PER_COUNT * codec.TORQUES_PER_AMPERE[settings.build]
+        torque = settings.current * self._torque_per_count
         self.limits = JointLimits(lower, upper, np.full(SERVOS, settings.speed), np.full(SERVOS, torque))
         self._sdk: Any = None
         self._port: Any = None
@@ -104,7 +119,8 @@ class LeapLoop:
         self._writer: Any = None
         self._state: JointState | None = None
         self._setpoint: np.ndarray | None = None
-        self._powered = False
+        self._writes = ConfirmedWrites(self._write)
+        self._taken = False
         self._due = self._errors_due = 0.0
         self._fault = ""
 
@@ -115,17 +131,13 @@ class LeapLoop:
     def open(self) -> None:
         """See ``DeviceLoop.open``: all sixteen servos must answer."""
         self._open_port()
-        self._reader = self._sdk.GroupSyncRead(
-            self._port, self._packets, codec.PRESENT_CURRENT, codec.PRESENT.size
-        )
-        self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, codec.GOAL_POSITION, 4)
+        self._make_packets()
         for servo in self._servos:
             results = (self._packets.ping(self._port, servo)[1] for _ in range(3))
             if self._sdk.COMM_SUCCESS not in results:
                 raise RobotError(
                     f"{self.name}: servo {servo} does not answer; check power, cable and baud rate"
                 )
-            self._reader.addParam(servo)
         for _ in range(5):
             if self._read() is not None:
                 self._due = time.monotonic()
@@ -134,16 +146,19 @@ class LeapLoop:
 
     def take_control(self) -> None:
         """See ``DeviceLoop.take_control``: modes, limits and gains can be set without torque only."""
+        self._taken = True
         if self._powered:
             return
-        self._write_all(codec.TORQUE_ENABLE, 1, 0)
-        self._write_all(codec.OPERATING_MODE, 1, codec.CURRENT_BASED_POSITION)
-        self._write_all(codec.CURRENT_LIMIT, 2, self.settings.current)
-        self._write_all(codec.GOAL_CURRENT, 2, self.settings.current)
-        self._write_all(codec.I_GAIN, 2, 0)
-        for address, gain in ((codec.P_GAIN, self.settings.p_gain), (codec.D_GAIN, self.settings.d_gain)):
-            self._write_all(address, 2, gain)
-            self._write_all(address, 2, round(SIDE_SHARE * gain), SIDE_JOINTS)
+        self._put(TORQUE, 0, anew=True)
+        self._writes.finish(self.name)
+        self._put_settings()
+        self._writes.finish(self.name)
+
+    def resume(self, positions: np.ndarray) -> None:
+        """See ``DeviceLoop``: the servos hold with the setpoint that they have, which was on its way."""
+        self._taken = True
+        self._setpoint = np.clip(positions, self.limits.lower, self.limits.upper)
+        self._put(TORQUE, 1)
 
     def step(self, goal: LoopGoal) -> JointState:
         """See ``DeviceLoop.step``."""
@@ -151,19 +166,34 @@ class LeapLoop:
         if rest > 0:
             time.sleep(rest)
         self._due = max(self._due, time.monotonic() - self.settings.period) + self.settings.period
+        if goal.mode is LoopMode.IDLE and self._fault:
+            # Somebody has connected anew after a fault.
+            self._fault, self._errors_due = "", 0.0
         before = self._state
         state = self._read()
         if state is None:
-            assert before is not None
-            if time.monotonic() - before.received > self.settings.stale_after:
+            if before is None or time.monotonic() - before.received > self.settings.stale_after:
                 raise RobotError(f"{self.name}: no positions for {1e3 * self.settings.stale_after:.0f} ms")
             return before
-        if state.status is DeviceStatus.READY:
-            self._move(goal, state, state.received - before.received if before else self.settings.period)
-        elif goal.mode is LoopMode.IDLE:
-            # Somebody has connected anew after a fault.
-            self._fault, self._errors_due = "", 0.0
+        if not self._taken:
+            return state
+        self._move(goal, state, state.received - before.received if before else self.settings.period)
+        if refused := self._writes.work():
+            return replace(state, status=DeviceStatus.FAULT, message=state.message or refused)
         return state
+
+    def recover(self) -> None:
+        """See ``DeviceLoop``: servos that were switched off meanwhile have no torque, and stay so."""
+        with contextlib.suppress(Exception):
+            self._port.closePort()
+        self._open_port()
+        self._make_packets()
+        self._state = None
+        if self._read() is None:
+            raise RobotError(f"{self.name}: no positions")
+        if self._powered and 0 in (self._read_all(*WRITTEN[TORQUE]) or ()):
+            self._put(TORQUE, 0, anew=True)
+            self._setpoint, self._fault = None, "servos were switched off"
 
     def halt(self) -> None:
         """See ``DeviceLoop.halt``: the servos keep their last setpoint and its limit of current."""
@@ -173,8 +203,31 @@ class LeapLoop:
         with contextlib.suppress(Exception):
             self._port.closePort()
 
-    def rescue(self) -> None:
-        """See ``DeviceLoop.rescue``: nothing to do, the servos keep their last setpoint."""
+    @property
+    def _powered(self) -> bool:
+        """Whether the servos are to have torque."""
+        return 1 in (self._writes.wanted(TORQUE) or ())
+
+    def _put(self, what: str, value: int, anew: bool = False) -> None:
+        self._writes.put(what, (value,) * SERVOS, anew)
+
+    def _put_settings(self) -> None:
+        s = self.settings
+        self._put(MODE, codec.CURRENT_BASED_POSITION)
+        self._put(FULL_CURRENT, s.current)
+        self._put(CURRENT, s.current)
+        self._put(GAIN_I, 0)
+        for name, gain in ((GAIN_P, s.p_gain), (GAIN_D, s.d_gain)):
+            side = round(SIDE_SHARE * gain)
+            self._writes.put(name, tuple(side if n in SIDE_JOINTS else gain for n in self._servos), anew=True)
+
+    def _make_packets(self) -> None:
+        self._reader = self._sdk.GroupSyncRead(
+            self._port, self._packets, codec.PRESENT_CURRENT, codec.PRESENT.size
+        )
+        self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, codec.GOAL_POSITION, 4)
+        for servo in self._servos:
+            self._reader.addParam(servo)
 
     def _open_port(self) -> None:
         self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
@@ -193,9 +246,7 @@ class LeapLoop:
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
         if goal.mode is LoopMode.POWER_OFF:
             self._setpoint = None
-            if self._powered:
-                self._write_all(codec.TORQUE_ENABLE, 1, 0)
-                self._powered = False
+            self._put(TORQUE, 0)
             return
         if self._setpoint is None:
             if goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY):
@@ -212,10 +263,8 @@ class LeapLoop:
         for servo, counts in zip(self._servos, codec.position_counts(self._setpoint), strict=True):
             self._writer.addParam(servo, struct.pack("<i", counts))
         self._send(self._writer.txPacket)
-        if not self._powered:
-            # After the first setpoint: a servo runs to whatever goal it has when its torque is switched on.
-            self._write_all(codec.TORQUE_ENABLE, 1, 1)
-            self._powered = True
+        # After the first setpoint: a servo runs to whatever goal it has when its torque is switched on.
+        self._put(TORQUE, 1)
 
     def _read(self) -> JointState | None:
         try:
@@ -240,31 +289,46 @@ class LeapLoop:
             self._errors_due = now + ERROR_INTERVAL
             self._fault = self._read_faults()
         status = DeviceStatus.FAULT if self._fault else DeviceStatus.READY
-        torques = current * codec.AMPERES_PER_COUNT * codec.TORQUE_PER_AMPERE
+        torques = current * self._torque_per_count
         speeds = velocity * codec.SPEED_PER_COUNT
         self._state = JointState(positions, speeds, torques, now, now, status, self._fault)
         return self._state
 
     def _read_faults(self) -> str:
-        reader = self._sdk.GroupSyncRead(self._port, self._packets, codec.HARDWARE_ERROR, 1)
-        for servo in self._servos:
-            reader.addParam(servo)
-        if reader.txRxPacket() != self._sdk.COMM_SUCCESS:
-            return ""
-        for servo in self._servos:
-            bits = reader.getData(servo, codec.HARDWARE_ERROR, 1)
+        """What is wrong with a servo, as a phrase; as before where they do not answer."""
+        errors = self._read_all(codec.HARDWARE_ERROR, 1)
+        if errors is None:
+            return self._fault
+        for servo, bits in zip(self._servos, errors, strict=True):
             for bit, what in codec.HARDWARE_ERRORS.items():
                 if bits >> bit & 1:
                     return f"servo {servo}: {what}; switch the hand off and on"
         return ""
 
-    def _write_all(
-        self, address: int, size: int, value: int, servos: tuple[int, ...] = tuple(range(SERVOS))
-    ) -> None:
+    def _read_all(self, address: int, size: int) -> tuple[int, ...] | None:
+        """A register of every servo; None where not all answer."""
+        reader = self._sdk.GroupSyncRead(self._port, self._packets, address, size)
+        for servo in self._servos:
+            reader.addParam(servo)
+        try:
+            result = reader.txRxPacket()
+        except (OSError, TypeError) as error:
+            raise RobotError(f"{self.name}: the port is gone: {error}") from error
+        data = [bytes(reader.data_dict[servo]) for servo in self._servos]
+        if result != self._sdk.COMM_SUCCESS or any(len(d) != size for d in data):
+            with contextlib.suppress(OSError):
+                self._port.clearPort()
+            return None
+        return tuple(int.from_bytes(d, "little") for d in data)
+
+    def _write(self, what: str, values: tuple[int, ...]) -> bool:
+        """Write a register of every servo; whether all show it."""
+        address, size = WRITTEN[what]
         writer = self._sdk.GroupSyncWrite(self._port, self._packets, address, size)
-        for servo in servos:
+        for servo, value in zip(self._servos, values, strict=True):
             writer.addParam(servo, value.to_bytes(size, "little"))
         self._send(writer.txPacket)
+        return self._read_all(address, size) == values
 
     def _send(self, send: Any) -> None:
         try:
