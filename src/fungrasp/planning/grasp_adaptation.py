@@ -112,7 +112,7 @@ def adapt_to_settled_object(
                 partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
             ]
             if known:
-                grip.append(partial(terms.contact_position, unit=s.place_unit, inner_weight=1.0))
+                grip.append(partial(terms.contact_position, unit=s.place_unit))
             solutions.append(
                 minimize(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
             )
