@@ -16,7 +16,8 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.hands.adding.add_hand import parse_couplings
+from fungrasp.hands import load_hand
+from fungrasp.hands.adding.add_hand import add_hand, parse_couplings
 from fungrasp.hands.adding.shape_fitting import coarse
 from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.objects import load_object
@@ -369,3 +370,81 @@ def test_the_folder_of_meshes_may_lie_above(tmp_path: Path):
     )
     _, said = added(tmp_path / "mjcf", text)
     assert not any("no file is found" in message for message in said)
+
+
+FOREIGN = Path(__file__).parents[3] / "shared" / "data" / "foreign" / "hands"
+
+REFUSED = {
+    "mimic-of-fixed": "index is 26 mm long.*mimics .index_proximal_joint., which is fixed: it is held",
+    "mimic-of-missing": "mimics 'motor_not_here', which is no other joint: .*--couple 'index_distal_joint=",
+    "names-contradict": "'index_1 by 6.28 rad'.*no joint of a finger turns so far",
+    "wide-limits": "no joint of a finger turns so far; write its true limits",
+}
+"""Hands of others that are refused, with their reason."""
+
+SAID = {
+    "equality-curve": "follows by a curve: taken as the line that fits best, at most 0.23 rad off",
+    "mesh-in-mm": "taken to be in millimeters",
+    "motor-wheels": "turns more than once round and carries nothing",
+    "small-degree-limits": "taken as degrees",
+    "stand": "'stand .1.35 m.' is fixed to the palm and reaches so far",
+    "tendon-pair-limits": "lets 'index_1', 'index_2' move apart, and no motor",
+    "inertia-huge": "no mass has the inertia",
+}
+MASS = {
+    "mesh-density": 0.560,
+    "mesh-geom-mass": 0.600,
+    "total-mass": 1.0,
+    "inertia-huge": 1.2,
+    "motor-wheels": 0.54,
+}
+"""[kg], of the file; 0.48 for the others but two."""
+
+
+@pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the hands of others in ../shared/data/foreign")
+@pytest.mark.parametrize("name", sorted(path.name for path in FOREIGN.glob("*")))
+def test_hands_of_others_are_right_or_refused(tmp_path: Path, capfd, name: str):
+    files = [*(FOREIGN / name).rglob("*.urdf"), *(FOREIGN / name).rglob("hand.xml")]
+    if name in REFUSED:
+        with pytest.raises(FungraspError, match=REFUSED[name]):
+            add_hand(files[0], tmp_path / "h", "h")
+        assert not (tmp_path / "h").exists()
+        return
+    path, findings = add_hand(files[0], tmp_path / "h", "h")
+    assert capfd.readouterr().err == ""
+    assert not [f.message for f in check_hand_files(path) if f.severity == "error"]
+    said = " ".join(finding.message for finding in findings)
+    assert re.search(SAID.get(name, ""), said)
+    hand = load_hand(path)
+    side = "left" if name == "mirrored-scale" else "right"
+    assert hand.side == side and list(hand.fingers) == ["index", "middle", "ring", "thumb"]
+    for finger, parts in hand.fingers.items():
+        assert all(finger in link for link in parts.links) or name == "mirrored-scale"
+    np.testing.assert_allclose(hand.palm_fingers, [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(hand.palm_normal, [1, 0, 0], atol=1e-6)
+    mass = MASS.get(name, 0.48 if name != "inertia-unbalanced" else 0.408)
+    assert hand.model.body_mass.sum() == pytest.approx(mass, abs=2e-3)
+    assert np.ptp(hand.model.jnt_range, axis=1).max() < 2.5
+
+
+def test_what_is_no_hand_is_refused_with_the_number(tmp_path: Path):
+    """Masses in grams; a palm of a meter; nothing is written."""
+    grams = odd_hand().replace(
+        '<body name="p" >', '<body name="p" ><inertial pos="0 0 0" mass="228" diaginertia="1 1 1"/>'
+    )
+    with pytest.raises(FungraspError, match=r"weighs 22[89].* kg, not 0.01 to 5 kg"):
+        added(tmp_path, grams)
+    large = odd_hand().replace(
+        '<body name="p" >', '<body name="p" ><geom type="box" size="0.5 0.5 0.5" mass="0.1"/>'
+    )
+    with pytest.raises(FungraspError, match=r"is 1\.\d* m large, more than 0.5 m"):
+        added(tmp_path, large)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_palm_is_asked_for_before_meshes_are_read(tmp_path: Path, monkeypatch):
+    two = renamed(odd_hand(), "a_").split("<worldbody>")[1].split("</worldbody>")[0]
+    text = odd_hand().replace("</worldbody>", f"{two}</worldbody>")
+    monkeypatch.setattr("fungrasp.hands.adding.model_file._take_meshes", lambda *_: pytest.fail("too late"))
+    with pytest.raises(FungraspError, match="choose the palm with --palm"):
+        added(tmp_path, text)

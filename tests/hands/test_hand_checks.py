@@ -297,7 +297,7 @@ def test_faults_of_a_toml(tmp_path, old, new, told):
         (BOX, MESH, "error: missing mesh 'package://x/a.stl'.*not resolved"),
         ("thumb", "fifth", "warning: no thumb"),
         ("<robot", "<rabbit", "error: not valid XML"),
-        ("</robot>", "<!-- ${radius} --></robot>", "error: xacro"),
+        ("</robot>", '<link name="${radius}"/></robot>', "error: xacro"),
     ],
 )
 def test_faults_of_a_urdf(tmp_path, old, new, told):

@@ -25,6 +25,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
+from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.policies.slip_response import HIGHEST
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
@@ -175,6 +176,8 @@ class GraspPreparer:
         """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
         p, first = self._protocol, np.array([0])
         fingers = start_fingers(self._hand, grasp, p.start_closing)
+        if isinstance(self._planner, GivenPlans):
+            return compose(object_pose, self._planner.plans.palm_setpoint_object[0, 0]), fingers[0]
         start, _ = self._starts.facing(
             grasp, first, object_pose[None], p.start_distance, fingers, np.zeros(1)
         )

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -14,10 +15,11 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded
 from fungrasp.hands.adding.couplings import GivenCoupling, closed_loops, find_couplings, solve_loops
-from fungrasp.hands.adding.finger_chains import far_ends, find_palm, refuse_sliding_or_one_motor
+from fungrasp.hands.adding.finger_chains import far_ends, refuse_sliding_or_one_motor
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
 from fungrasp.hands.adding.model_file import read_foreign
 from fungrasp.hands.adding.new_model import new_model
+from fungrasp.hands.adding.palm import find_palm
 from fungrasp.hands.adding.poses import Poses, narrowed_ranges
 from fungrasp.hands.adding.servos import (
     FULL_TORQUE_ERROR,
@@ -28,7 +30,9 @@ from fungrasp.hands.adding.servos import (
 )
 from fungrasp.hands.adding.structure import Answers, HandStructure, find_structure
 from fungrasp.hands.checking.findings import Finding, note
+from fungrasp.hands.checking.plausibility import check_plausibility
 from fungrasp.hands.export import self_contained_xml
+from fungrasp.hands.hand import read_hand_toml
 from fungrasp.hands.kinematic_tree import body_name
 
 __all__ = ["Answers", "add_hand"]
@@ -70,7 +74,7 @@ def add_hand(
         raise FungraspError(f"{path} would be overwritten; choose another folder than {folder}")
     if not force and (toml_path.exists() or model_path.exists()):
         raise FungraspError(f"{folder} holds a hand already; --force overwrites it")
-    foreign = read_foreign(path, answers.palm)
+    foreign = read_foreign(path, answers.palm, [coupling.joint for coupling in answers.couplings])
     answers = replace(answers, palm=foreign.palm)
     findings = foreign.findings
     couplings = find_couplings(foreign.model, findings, answers.couplings)
@@ -90,6 +94,17 @@ def add_hand(
     spec.modelname = name
     text = self_contained_xml(spec)
     toml = _toml(name, path, foreign.model, structure, shapes, physics, poses)
+    with TemporaryDirectory() as trial:
+        (Path(trial) / model_path.name).write_text(text)
+        (Path(trial) / toml_path.name).write_text(toml)
+        wrong = list(check_plausibility(read_hand_toml(Path(trial) / toml_path.name)))
+    wrong = [finding for finding in wrong if finding.severity == "error"]
+    if wrong:
+        said = [f.message for f in findings if f.severity == "warning" and "proposed" not in f.message]
+        raise FungraspError(
+            f"{path}: what was read is no hand: {'; '.join(f.message for f in wrong)}"
+            + (f" (read on the way: {'; '.join(said)})" if said else "")
+        )
     with atomic_path(model_path) as temporary:
         temporary.write_text(text)
     with atomic_path(toml_path) as temporary:

@@ -18,7 +18,7 @@ LEAST_ROOM = 0.1
 """A coupling that leaves less of its driver's range can't be meant."""
 
 TIGHT_TENDON = 0.05
-"""A fixed tendon whose length may vary by less is a rigid coupling [rad]."""
+"""A fixed tendon that lets its joints move by less is a rigid coupling [rad]."""
 
 
 class GivenCoupling(NamedTuple):
@@ -71,7 +71,7 @@ def find_couplings(
         above, steps = driver, 0
         while above in found and steps <= len(found):
             above, steps = found[above].driver, steps + 1
-        if joint in found or above == joint or slope == 0.0:
+        if joint in found or above == joint:
             return False
         found[joint] = Coupling(joint, driver, constant, slope)
         return True
@@ -90,9 +90,25 @@ def find_couplings(
         if not add(names[joint], names[driver], offset, slope):
             raise FungraspError(f"--couple: '{joint}' is driven already, or drives '{driver}'")
     for e in range(model.neq):
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0 and model.eq_active0[e]:
+        if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[e]:
             joint, driver = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
             constant, slope, *curve = model.eq_data[e, :5]
+            if driver < 0:
+                # Held still: it follows any other joint with slope 0.
+                driver, slope, curve = next(j for j in range(model.njnt) if j != joint), 0.0, [0.0]
+            off = 0.0
+            if np.abs(curve).max() > 1e-9:
+                reference = model.qpos0[model.jnt_qposadr]
+                x = (
+                    np.linspace(model.jnt_range[driver, 0], model.jnt_range[driver, 1], 50)
+                    - reference[driver]
+                )
+                y = np.clip(
+                    np.polynomial.polynomial.polyval(x, model.eq_data[e, :5]),
+                    *(model.jnt_range[joint] - reference[joint]),
+                )
+                slope, constant = np.polyfit(x, y, 1)
+                off = float(np.abs(constant + slope * x - y).max())
             if not tie(joint, driver, float(constant), float(slope)):
                 findings.append(
                     warning(
@@ -100,10 +116,11 @@ def find_couplings(
                         "repeats or contradicts another: left out"
                     )
                 )
-            elif np.abs(curve).max() > 1e-9:
+            elif off:
                 findings.append(
                     warning(
-                        f"joint '{joint_name(model, joint)}' follows by a curve: its straight part is kept"
+                        f"joint '{joint_name(model, joint)}' follows by a curve: taken as the line that fits "
+                        f"best, at most {off:.2f} rad off"
                     )
                 )
     for tendon in range(model.ntendon):
@@ -123,7 +140,9 @@ def _tendon(
         return
     terms = sorted(zip(model.wrap_objid[span].tolist(), model.wrap_prm[span].tolist(), strict=True))
     low, high = model.tendon_range[tendon]
-    rigid = len(terms) == 2 and model.tendon_limited[tendon] and high - low < TIGHT_TENDON
+    # A tendon's length is in meters where its coefficients are: in radians of its joints it tells.
+    slack = (high - low) / max(abs(factor) for _, factor in terms)
+    rigid = len(terms) == 2 and bool(model.tendon_limited[tendon]) and slack < TIGHT_TENDON
     rigid |= len(terms) == 2 and bool(
         np.any((model.eq_type == mujoco.mjtEq.mjEQ_TENDON) & (model.eq_obj1id == tendon))
     )
@@ -141,6 +160,16 @@ def _tendon(
                 f"'{joint_name(model, far)}' nowhere to go"
             )
         )
+    of_motor = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
+    if model.tendon_limited[tendon] and not rigid and not of_motor.any():
+        names = listed([joint_name(model, j) for j, _ in terms])
+        findings.append(
+            warning(
+                f"the tendon '{name}' lets {names} move apart, and no motor pulls it: left out; if they "
+                "move together, give it with --couple JOINT=OFFSET+SLOPE*DRIVER"
+            )
+        )
+        return
     near, sign = terms[0]
     for far, factor in terms[1:]:
         # The joints of one motor are taken to reach the ends of their ranges together.

@@ -9,19 +9,14 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands.adding.couplings import Coupling
 from fungrasp.hands.adding.model_file import ForeignModel
+from fungrasp.hands.adding.palm import branch_ends
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.shape_fitting import mesh_points, primitive_mesh
 from fungrasp.hands.checking.findings import listed
 from fungrasp.hands.kinematic_tree import ancestors, body_name, joint_name, subtree
-
-PALM_SHARE = 0.8
-"""The palm is the last body that carries more than this share of the tree's ends."""
-
-MIN_BRANCHES = 3
-"""Several bodies from which so many branches go out are the palms of several hands."""
 
 SAME_PLACE = 0.13
 """Joints nearer to each other than this make one joint, of several axes or rolling; share of the finger."""
@@ -38,60 +33,6 @@ class Chain:
     """Every moving body of the finger, base to tip."""
     links: tuple[int, ...]
     """At most three, whose joints lie apart."""
-
-
-def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
-    """Id of the palm: the body that is given, else the last that carries nearly all ends of the tree.
-
-    Raises:
-        FungraspError: no such body, or no body carries the fingers.
-    """
-    names = {model.body(b).name: b for b in range(1, model.nbody)}
-    if answer is not None:
-        if answer not in names:
-            raise FungraspError(f"--palm: {UnknownNameError('body', answer, names)}")
-        return names[answer]
-    moving = set(np.flatnonzero(model.body_jntnum > 0).tolist())
-    if not moving:
-        raise FungraspError("the model has no joints, so it is no hand")
-    hands = _palms(model, moving)
-    if len(hands) > 1:
-        raise FungraspError(
-            f"several bodies carry fingers: {listed([body_name(model, body) for body in hands])}; choose the "
-            "palm with --palm BODY"
-        )
-    ends = _ends(model, moving)
-    if len(ends) == 1:
-        raise FungraspError(
-            f"one chain of joints is all there is, up to '{body_name(model, ends[0])}': a gripper with one "
-            "jaw, or an arm without a hand"
-        )
-    # A scene may hold things beside the hand: the tree with most ends is the hand's.
-    roots = [ancestors(model, end)[-1] for end in ends]
-    root = max(dict.fromkeys(roots), key=roots.count)
-    ends = [end for end, top in zip(ends, roots, strict=True) if top == root]
-    held = {body: sum(body in ancestors(model, end)[1:] for end in ends) for body in range(1, model.nbody)}
-    candidates = [body for body, count in held.items() if count > PALM_SHARE * len(ends) and count > 1]
-    if not candidates:
-        raise FungraspError(
-            f"the fingers {listed([body_name(model, end) for end in ends])} hang on no common body; name the "
-            "palm with --palm BODY (if they hang on the world, put the palm into a body of its own)"
-        )
-    return max(candidates, key=lambda body: len(ancestors(model, body)))
-
-
-def _ends(model: mujoco.MjModel, moving: set[int]) -> list[int]:
-    """Moving bodies that carry no other."""
-    return [body for body in sorted(moving) if not moving & (set(subtree(model, body)) - {body})]
-
-
-def _palms(model: mujoco.MjModel, moving: set[int]) -> list[int]:
-    """Bodies on which at least three moving branches begin, and no other such body."""
-    branches = np.zeros(model.nbody, dtype=int)
-    for body in range(1, model.nbody):
-        branches[model.body_parentid[body]] += bool(moving & set(subtree(model, body)))
-    wide = {body for body in range(1, model.nbody) if branches[body] >= MIN_BRANCHES}
-    return [body for body in sorted(wide) if not wide & (set(subtree(model, body)) - {body})]
 
 
 def find_chains(
@@ -112,8 +53,11 @@ def find_chains(
         FungraspError: there are fewer than two.
     """
     below = [b for b in subtree(model, palm) if b != palm and model.body_jntnum[b] > 0]
-    ends = _ends(model, set(below))
+    ends = branch_ends(model, set(below))
     chains = [[b for b in reversed(ancestors(model, end)) if b in below] for end in ends]
+    # Bodies without shape or mass carry joints that only drive others.
+    solid = [chain for chain in chains if any(not _is_bare(model, body) for body in chain)]
+    chains = solid or chains
     # A side branch shorter than half of the finger it hangs on is a part of its mechanism.
     kept = []
     for chain in chains:
@@ -142,6 +86,12 @@ def find_chains(
             "more: name the palm with --palm BODY"
         )
     return result
+
+
+def _is_bare(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body and what is fixed to it have neither shapes nor mass."""
+    group = np.array(members(model, body))
+    return not model.body_geomnum[group].any() and bool((model.body_mass[group] < 1e-6).all())
 
 
 def _links(
@@ -211,9 +161,15 @@ NEARLY_NOTHING = 0.006
 """Links shorter than this get no made-up shape [m]."""
 
 
+RIM = 1e-3
+"""Points that are hardly less far than the farthest belong to the same end [m]."""
+
+
 def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
-    """By moving body: the end farthest from its joint of the shapes and frames that move with it, its own
-    frame [m]; for a bare last link, a point as far ahead as the link before it is long."""
+    """By moving body: the end farthest from its joint of the shapes that move with it, of its frames where it
+    has no shapes, its own frame [m]; for a bare last link, a point as far ahead as the link before is long.
+
+    Frames of sensors and cameras stand beside or ahead of a finger; those called tip count too."""
     model = foreign.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -221,18 +177,22 @@ def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
     for body in np.flatnonzero(model.body_jntnum > 0).tolist():
         group = members(model, body)
         anchor, turn = data.xanchor[model.body_jntadr[body]], data.xmat[body].reshape(3, 3)
-        points = [data.xpos[c][None] for c in group[1:]]
-        points += [data.site_xpos[np.isin(model.site_bodyid, group)]]
-        for member in group:
-            local = surface_points(foreign, member)
-            points.append(data.xpos[member] + local @ data.xmat[member].reshape(3, 3).T)
-        cloud = np.concatenate([p.reshape(-1, 3) for p in points])
+        surface = [
+            data.xpos[member] + surface_points(foreign, member) @ data.xmat[member].reshape(3, 3).T
+            for member in group
+        ]
+        frames = [data.xpos[c][None] for c in group[1:]]
+        frames += [data.site_xpos[np.isin(model.site_bodyid, group)]]
+        cloud = np.concatenate([p.reshape(-1, 3) for p in surface])
+        if not len(cloud) or np.linalg.norm(cloud - anchor, axis=1).max() < NEARLY_NOTHING:
+            cloud = np.concatenate([p.reshape(-1, 3) for p in frames])
         before = _anchor_before(model, data, body)
         if not len(cloud) or np.linalg.norm(cloud - anchor, axis=1).max() < NEARLY_NOTHING:
             cloud = (2 * anchor - before)[None]
         # Of two ends equally far from the joint, the one away from the link before is the tip.
         reach = np.linalg.norm(cloud - anchor, axis=1) + np.linalg.norm(cloud - before, axis=1)
-        far = cloud[np.argmax(reach)]
+        # The middle of a flat end, and not a place on its rim.
+        far = cloud[reach > reach.max() - RIM].mean(axis=0)
         ends[body] = turn.T @ (far - data.xpos[body])
     return ends
 

@@ -84,6 +84,7 @@ def hand_shapes(
         *(b for b in subtree(model, structure.palm) if model.body_jntnum[b] > 0 and b != structure.palm),
     ]
     links = {b: LinkShapes(b, members(model, b, structure.palm)) for b in order}
+    links[structure.palm] = _palm_link(foreign, structure, poses, links[structure.palm], findings)
     result = HandShapes(links, {}, {})
     sizes = finger_radii(foreign, structure, poses, ends)
     if radius is not None:
@@ -137,6 +138,40 @@ def hand_shapes(
             )
         )
     return result
+
+
+PALM_REACH = 0.25
+"""Nothing of a palm is farther from the bases of its fingers [m]: a hand is 0.2 m long."""
+
+
+def _palm_link(
+    foreign: ForeignModel, structure: HandStructure, poses: Poses, palm: LinkShapes, findings: list[Finding]
+) -> LinkShapes:
+    """The palm without stands, flanges and other hands that are fixed to it: a body that does not lie toward
+    the fingers is a part of the palm only as far as a hand reaches. Both are said."""
+    model = foreign.model
+    toward = {palm.body, *subtree(model, palm.body)}
+    bases = np.array([poses.anchor(chain.links[0]) for chain in structure.fingers.values()])
+    kept, taken, left = [palm.body], [], []
+    for body in palm.members[1:]:
+        points = poses.moved(surface_points(foreign, body), body, palm.body)
+        far = np.linalg.norm(points[:, None] - bases, axis=-1).min(axis=1).max(initial=0.0)
+        if body not in toward and far > PALM_REACH:
+            left.append(f"{body_name(model, body)} ({far:.2f} m)")
+            continue
+        kept.append(body)
+        if body not in toward and len(points):
+            taken.append(body_name(model, body))
+    if left:
+        findings.append(
+            warning(
+                f"{listed(left)} is fixed to the palm and reaches so far from the fingers: left out as no "
+                "part of the hand"
+            )
+        )
+    if taken:
+        findings.append(note(f"{listed(taken)} is fixed to the palm, and is taken as a part of it"))
+    return LinkShapes(palm.body, tuple(kept))
 
 
 def _inside_the_next(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 
 import mujoco
 import numpy as np
@@ -14,10 +16,12 @@ import trimesh
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
-from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model
-from fungrasp.hands.adding.model_repairs import repair_joints, wrap_world
+from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model, read_model_text
+from fungrasp.hands.adding.model_repairs import check_mimics, repair_joints, wrap_world
+from fungrasp.hands.adding.palm import find_palm
 from fungrasp.hands.checking.findings import Finding, listed, note, warning
 from fungrasp.hands.checking.model_source import parse_xml, principal_inertias, quiet
+from fungrasp.hands.kinematic_tree import subtree
 
 MAX_INCLUDES = 100
 """Files that a model may include."""
@@ -25,6 +29,12 @@ MAX_INCLUDES = 100
 MAX_PARENTS = 4
 """Folders above the model's in which the path of a mesh is tried."""
 
+
+DENSITY = 1000.0
+"""MuJoCo's own, of shapes whose mass is not known [kg/m^3]."""
+
+LARGEST_LINK = 1.0
+"""Half of the meshes of a hand that are larger are in another unit [m]."""
 
 LONGEST = 10.0
 """Largest coordinate or size [m] of a hand, with the arm that carries it."""
@@ -42,8 +52,8 @@ class MeshShape:
     """Whether it is a collision shape; else it is for pictures only."""
     rgba: np.ndarray
     """Shape [4]."""
-    density: float
-    """[kg/m^3]."""
+    mass: float
+    """[kg]; NaN where the file does not tell it."""
 
 
 @dataclass(frozen=True)
@@ -64,29 +74,38 @@ class ForeignModel:
     """What was found wrong or was assumed on the way."""
 
 
-def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
+Carriers = dict[mujoco.MjsGeom, tuple[np.ndarray, np.ndarray, bool, float]]
+
+
+def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) -> ForeignModel:
     """Read a URDF or MJCF.
 
     Args:
         palm: the palm body, if it is known; "world" where the fingers stand on it.
+        tied: joints whose couplings the user gives.
 
     Raises:
-        FungraspError: it can't be read at all.
+        FungraspError: it can't be read at all, or the palm must be named.
     """
     findings: list[Finding] = []
     root = parse_xml(path, findings)
     if root is None:
         raise FungraspError(findings[-1].message)
     if root.tag == "robot":
+        check_mimics(root, tied, findings)
         _keep_everything(root)
     else:
         _flatten(root, path.parent)
     palm = wrap_world(root, palm, findings)
     with quiet():
         spec = _spec(path, root, findings)
+        wanted = _palm_and_fingers(spec, palm)
+        for geom in [g for g in spec.geoms if g.meshname and g.parent.name not in wanted]:
+            spec.delete(geom)
         carriers, stripped = _take_meshes(spec, path.parent, root.tag == "robot", findings)
         repair_joints(spec, findings)
         massless = _drop_bad_inertias(spec, findings)
+        total_mass, spec.compiler.settotalmass = max(spec.compiler.settotalmass, 0.0), -1.0
         for actuator in list(spec.actuators):
             # Only the limits of actuators are of use, and actuators of foreign kinds may not compile alone.
             if actuator.trntype not in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON):
@@ -106,7 +125,7 @@ def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
             raise FungraspError(f"{path} does not compile: {one_line(problem)}") from problem
     check_model_numbers(model, str(path), LONGEST)
     meshes: dict[int, list[MeshShape]] = {}
-    for geom, (vertices, faces, collides, density) in carriers.items():
+    for geom, (vertices, faces, collides, mass) in carriers.items():
         i = geom.id
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[i])
@@ -114,13 +133,53 @@ def read_foreign(path: Path, palm: str | None = None) -> ForeignModel:
         rgba = model.geom_rgba[i].astype(float)
         if model.geom_matid[i] >= 0:
             rgba = model.mat_rgba[model.geom_matid[i]].astype(float)
-        shape = MeshShape(placed, faces, collides, rgba, density)
+        shape = MeshShape(placed, faces, collides, rgba, mass)
         meshes.setdefault(int(model.geom_bodyid[i]), []).append(shape)
 
     def ids(names: set[str]) -> frozenset[int]:
         return frozenset(b for b in range(1, model.nbody) if model.body(b).name in names)
 
-    return ForeignModel(model, meshes, ids(stripped), ids(massless), palm, findings)
+    unweighed = ids(massless) - _weigh_meshes(model, meshes, ids(massless), total_mass)
+    return ForeignModel(model, meshes, ids(stripped), unweighed, palm, findings)
+
+
+def _weigh_meshes(
+    model: mujoco.MjModel, meshes: Mapping[int, list[MeshShape]], massless: Set[int], total: float
+) -> set[int]:
+    """Give bodies without inertials the masses of their meshes, as boxes; scale all masses to a total.
+
+    Args:
+        model: changed.
+        massless: ids of bodies that nothing gave a mass.
+        total: mass of the whole model [kg]; 0 if the file gives none.
+
+    Returns:
+        ids of the bodies that got a mass.
+    """
+    weighed = set()
+    for body in massless:
+        shapes = meshes.get(body, [])
+        # A total mass takes those at MuJoCo's own density for granted.
+        if not shapes or not (total > 0 or any(np.isfinite(shape.mass) for shape in shapes)):
+            continue
+        volumes = [abs(trimesh.Trimesh(s.vertices, s.faces, process=False).volume) for s in shapes]
+        masses = [
+            s.mass if np.isfinite(s.mass) else DENSITY * v for s, v in zip(shapes, volumes, strict=True)
+        ]
+        if sum(masses) < 1e-6:
+            continue
+        points = np.concatenate([s.vertices for s, mass in zip(shapes, masses, strict=True) if mass > 0])
+        squares = np.ptp(points, axis=0) ** 2
+        model.body_mass[body] = sum(masses)
+        model.body_ipos[body] = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        model.body_iquat[body] = [1.0, 0.0, 0.0, 0.0]
+        model.body_inertia[body] = np.maximum(sum(masses) / 12 * (squares.sum() - squares), 1e-9)
+        weighed.add(body)
+    if total > 0 and model.body_mass.sum() > 0:
+        scale = total / model.body_mass.sum()
+        model.body_mass[:] *= scale
+        model.body_inertia[:] *= scale
+    return weighed
 
 
 def _keep_everything(robot: ElementTree.Element) -> None:
@@ -132,7 +191,11 @@ def _keep_everything(robot: ElementTree.Element) -> None:
 
 
 def _flatten(root: ElementTree.Element, folder: Path) -> None:
-    """Put included files in place of the ``<include>`` elements."""
+    """Put included files in place of the ``<include>`` elements, and find those of attached models."""
+    for asset in root.iter("model"):
+        file = folder / asset.get("file", "")
+        read_model_text(file)
+        asset.set("file", str(file.absolute()))
     read = 0
     pending = [root]
     while pending:
@@ -178,14 +241,50 @@ def _spec(path: Path, root: ElementTree.Element, findings: list[Finding]) -> muj
     return spec
 
 
+def _palm_and_fingers(spec: mujoco.MjSpec, palm: str | None) -> set[str]:
+    """Names of the palm, what it carries and what is fixed to it: no other meshes are read.
+
+    Raises:
+        FungraspError: no such body, or the palm must be named: asked for before the meshes are read.
+    """
+    bare = spec.copy()
+    for things in (
+        bare.geoms,
+        bare.meshes,
+        bare.equalities,
+        bare.tendons,
+        bare.actuators,
+        bare.sensors,
+        bare.keys,
+    ):
+        for obj in list(things):
+            bare.delete(obj)
+    bare.compiler.fusestatic, bare.compiler.boundmass, bare.compiler.boundinertia = False, 1e-9, 1e-12
+    bare.compiler.settotalmass = -1.0
+    repair_joints(bare, [])
+    for body in bare.bodies[1:]:
+        body.explicitinertial = False
+    try:
+        model = bare.compile()
+    except (ValueError, mujoco.FatalError):
+        return {body.name for body in spec.bodies}
+    hand = find_palm(model, palm)
+    near = {
+        hand,
+        *subtree(model, hand),
+        *np.flatnonzero(model.body_weldid == model.body_weldid[hand]).tolist(),
+    }
+    return {model.body(body).name for body in near}
+
+
 def _take_meshes(
     spec: mujoco.MjSpec, folder: Path, urdf: bool, findings: list[Finding]
-) -> tuple[dict[mujoco.MjsGeom, tuple[np.ndarray, np.ndarray, bool, float]], set[str]]:
+) -> tuple[Carriers, set[str]]:
     """Replace mesh geoms by weightless points that carry their poses.
 
     Returns:
-        by geom: vertices [m], faces, whether it collides, density; and names of bodies that lost a collision
-        mesh.
+        by geom: vertices [m], faces, whether it collides, mass [kg]; and names of bodies that lost a
+        collision mesh.
     """
     loaded: dict[str, trimesh.Trimesh | None] = {}
     missing: list[str] = []
@@ -210,12 +309,15 @@ def _take_meshes(
                 stripped.add(geom.parent.name)
             spec.delete(geom)
             continue
-        density = geom.density if np.isfinite(geom.density) and geom.density > 0 else 1000.0
-        carriers[geom] = np.asarray(shape.vertices, float), np.asarray(shape.faces), collides, density
+        mass = geom.mass
+        if not np.isfinite(mass) and geom.density != DENSITY and np.isfinite(geom.density):
+            mass = geom.density * abs(shape.volume)
+        carriers[geom] = np.asarray(shape.vertices, float), np.asarray(shape.faces), collides, float(mass)
         geom.type, geom.meshname, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, "", [1e-3, 0, 0]
         geom.mass, geom.contype, geom.conaffinity = 0.0, 0, 0
     for mesh in list(spec.meshes):
         spec.delete(mesh)
+    carriers = _in_meters(carriers, findings)
     if missing:
         findings.append(
             warning(
@@ -228,6 +330,18 @@ def _take_meshes(
         words = f"the mesh {listed(files)} can't be read, its shape is left out: {reason}"
         findings.append(warning(words))
     return carriers, stripped
+
+
+def _in_meters(carriers: Carriers, findings: list[Finding]) -> Carriers:
+    """The same meshes in meters, where most are so large that they must be in millimeters."""
+    sizes = [float(np.ptp(vertices, axis=0).max()) for vertices, *_ in carriers.values()]
+    if not sizes or np.median(sizes) < LARGEST_LINK:
+        return carriers
+    words = (
+        f"the meshes are up to {max(sizes):.3g} m large: they are taken to be in millimeters, without a scale"
+    )
+    findings.append(warning(words))
+    return {geom: (0.001 * v, f, c, m * 1e-9 if m > 1e6 else m) for geom, (v, f, c, m) in carriers.items()}
 
 
 def _load(
@@ -272,13 +386,14 @@ def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
     Args:
         meshdir: folder of meshes that the model names, tried in each of the folders.
     """
-    relative = re.sub(r"^(package|model|file)://", "", name).replace("\\", "/")
+    relative = unquote(re.sub(r"^(package|model|file)://", "", name)).replace("\\", "/")
     parts = [part for part in relative.split("/") if part]
     tries = [Path(relative)] if relative.startswith("/") else []
+    tries += [folder / name]
     above = [folder, *folder.resolve().parents[:MAX_PARENTS]]
     folders = [*(place / meshdir for place in above if meshdir), *above]
-    # With and without the leading parts, of which the first may be the name of a package.
-    for skip in range(min(3, len(parts))):
+    # With and without the leading parts: the name of a package, or folders of another machine.
+    for skip in range(len(parts)):
         tries += [place.joinpath(*parts[skip:]) for place in folders]
     tries += [place / "meshes" / parts[-1] for place in folders[:2]] if parts else []
     return next((path for path in tries if path.is_file()), None)

@@ -8,6 +8,7 @@ from collections.abc import Container, Iterator
 import mujoco
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.hands.checking.findings import Finding, listed, warning
 
 MIN_FINGERS = 2
@@ -114,11 +115,42 @@ def _children(element: ElementTree.Element) -> Iterator[ElementTree.Element]:
             yield child
 
 
+def check_mimics(robot: ElementTree.Element, tied: Container[str], findings: list[Finding]) -> None:
+    """Hold joints still that mimic one that is fixed.
+
+    Args:
+        robot: root of a URDF; it is changed.
+        tied: joints whose couplings the user gives.
+        findings: what was done is added.
+
+    Raises:
+        FungraspError: a joint mimics one that does not exist.
+    """
+    joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
+    for name, joint in joints.items():
+        mimic = joint.find("mimic")
+        if mimic is None:
+            continue
+        driver = joints.get(mimic.get("joint", ""))
+        if name in tied:
+            joint.remove(mimic)
+        elif driver is None or driver is joint:
+            raise FungraspError(
+                f"the joint '{name}' mimics '{mimic.get('joint')}', which is no other joint: say what it "
+                f"follows with --couple '{name}=OFFSET+SLOPE*DRIVER'"
+            )
+        elif driver.get("type") == "fixed":
+            mimic.set("joint", next(n for n, j in joints.items() if j.get("type") != "fixed" and n != name))
+            mimic.set("multiplier", "0")
+            words = f"the joint '{name}' mimics '{driver.get('name')}', which is fixed: it is held still"
+            findings.append(warning(words))
+
+
 FINGER_RANGE = (-0.2, 1.6)
 """Proposed for a hinge without limits [rad]: that of a human finger's joint, with some extension."""
 
-LARGEST_RADIANS = 6.4
-"""Where no limit is larger, limits that are written as degrees are radians: about a full turn."""
+LARGEST_RADIANS = 3.5
+"""Where no limit is larger, limits that are written as degrees are radians: no finger turns further."""
 
 BALL_RANGE = 0.5
 """Proposed to each side for a ball joint without limits [rad]."""
@@ -153,7 +185,29 @@ def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
             name += "_"
         joint.name = name
         taken.add(name)
+    _unwind_wheels(spec, findings)
     _limits(spec, findings)
+
+
+def _unwind_wheels(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
+    """Hold still what turns by more than one turn and carries nothing: wheels of motors."""
+    unit = np.pi / 180 if spec.compiler.degree else 1.0
+    hinges = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
+    wide = [j for j in hinges if np.ptp(j.range) * unit > 2 * np.pi + 1e-6]
+    tied = {name for equality in spec.equalities for name in (equality.name1, equality.name2)}
+    wheels = [j for j in wide if not list(j.parent.bodies) and j.name not in tied and j.parent.parent.name]
+    if not wheels or 2 * len(wide) > len(hinges):
+        return
+    names = [joint.name for joint in wheels]
+    for actuator in [a for a in spec.actuators if a.target in names]:
+        spec.delete(actuator)
+    for joint in wheels:
+        spec.delete(joint)
+    findings.append(
+        warning(
+            f"the joint {listed(names)} turns more than once round and carries nothing: no finger, held still"
+        )
+    )
 
 
 def _three_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> Finding:
@@ -182,12 +236,15 @@ def _three_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> Finding:
 
 def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
     unit = np.pi / 180 if spec.compiler.degree else 1.0
-    none, turned, degrees = [], [], []
+    none, turned, degrees, cut = [], [], [], []
     driven = {equality.name1 for equality in spec.equalities if equality.name2}
+    hinges = [np.abs(j.range).max() * unit for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
+    in_degrees = 2 * sum(widest > 2 * np.pi + 1e-6 for widest in hinges) > len(hinges)
     for joint in spec.joints:
         low, high = np.asarray(joint.range) * unit
         hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
-        if not np.isfinite([low, high]).all() or low == high:
+        stated = bool(np.isfinite([low, high]).all()) and low != high
+        if not stated:
             # A driven joint takes its limits from its driver's.
             if joint.name not in driven:
                 none.append(joint.name)
@@ -197,17 +254,19 @@ def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
         if low > high:
             turned.append(joint.name)
             low, high = high, low
-        if hinge and max(-low, high) > 2 * np.pi + 1e-6:
+        if hinge and stated and in_degrees:
             degrees.append(joint.name)
             low, high = np.radians([low, high])
-        if hinge:
+        if hinge and max(-low, high) > np.pi + 1e-6:
+            cut.append(f"{joint.name} {low:.3g} to {high:.3g}")
             low, high = max(low, -np.pi), min(high, np.pi)
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.range = np.array([low, high]) / unit
     for names, text in (
         (none, f"has no limits; {FINGER_RANGE[0]:g} to {FINGER_RANGE[1]:g} rad are proposed"),
         (turned, "has its limits in the wrong order; turned round"),
-        (degrees, "has limits beyond a full turn; taken as degrees"),
+        (degrees, "has limits in degrees, as most turn beyond a full turn in radians; taken as degrees"),
+        (cut, "turns further than half a turn to a side [rad]: cut to that"),
     ):
         if names:
             findings.append(warning(f"the joint {listed(names)} {text}"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from fungrasp.hands.adding.couplings import Coupling
 from fungrasp.hands.adding.link_shapes import HandShapes, LinkShapes
-from fungrasp.hands.adding.model_file import ForeignModel
+from fungrasp.hands.adding.model_file import DENSITY, ForeignModel
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.servos import JointPhysics
 from fungrasp.hands.adding.shape_fitting import Box, Capsule, coarse
@@ -17,9 +17,6 @@ from fungrasp.hands.adding.structure import HandStructure
 from fungrasp.hands.checking.findings import listed, note, warning
 from fungrasp.hands.collisions import self_contacts, zero_and_random_poses
 from fungrasp.hands.kinematic_tree import body_name, joint_name
-
-DENSITY = 1000.0
-"""Of links whose mass is not known [kg/m^3]."""
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """Geom groups, by MuJoCo's convention, where a link has meshes for pictures."""

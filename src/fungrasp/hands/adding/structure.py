@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -103,6 +104,14 @@ def find_structure(
     features = [_features(poses, chain, tips, straight, middle) for chain in chains]
     poses.set(straight)
     thumb = _thumb(model, chains, features, answers, findings)
+    guessed = [body_name(model, c.bodies[0]) for c, f in zip(chains, features, strict=True) if f.guessed]
+    if guessed and answers.normal is None:
+        findings.append(
+            warning(
+                f"the finger {listed(guessed)} can bend as far to either side: taken to bend toward the "
+                "others; --normal X Y Z changes it"
+            )
+        )
     long = [i for i in range(len(chains)) if i != thumb]
     along = _snapped(np.sum([features[i].direction for i in long], axis=0))
     if answers.normal is None:
@@ -135,6 +144,8 @@ class _Features:
     length: float
     middle: np.ndarray
     """Mean of the base and the tip, half bent."""
+    guessed: bool
+    """Whether the limits don't tell to which side it bends."""
 
 
 def _features(
@@ -155,7 +166,8 @@ def _features(
     up, down = poses.high - straight, straight - poses.low
     toward = sum(up[u] if sign > 0 else down[u] for u, sign in signs.items())
     away = sum(down[u] if sign > 0 else up[u] for u, sign in signs.items())
-    if toward > ONE_SIDED * away or away > ONE_SIDED * toward:
+    guessed = not (toward > ONE_SIDED * away or away > ONE_SIDED * toward)
+    if not guessed:
         turn = 1.0 if toward > away else -1.0
     else:
         # Fingers that bend both ways grasp what is between them.
@@ -167,7 +179,8 @@ def _features(
     poses.set(bent)
     after = poses.of_body(end, tips[end])
     axis = np.cross(direction, bend)
-    return _Features(base, direction, bend, axis, float(np.linalg.norm(tip - base)), 0.5 * (base + after))
+    length, center = float(np.linalg.norm(tip - base)), 0.5 * (base + after)
+    return _Features(base, direction, bend, axis, length, center, guessed)
 
 
 def _tip_motion(
@@ -206,12 +219,22 @@ def _thumb(
         ]
         return 2.0 - float(np.mean(alike))
 
+    named = _thumbs_by_name(model, chains)
     scores = [disorder([i for i in range(len(chains)) if i != out]) for out in range(len(chains))]
     order = np.argsort(scores, kind="stable")
     if scores[order[1]] - scores[order[0]] >= 0.05:
+        if len(named) == 1 and named[0] != order[0]:
+            bends, said = (body_name(model, chains[i].bodies[0]) for i in (order[0], named[0]))
+            findings.append(
+                warning(
+                    f"'{bends}' bends as a thumb would, but the names say that '{said}' is the thumb, and "
+                    "are followed; --thumb BODY changes it"
+                )
+            )
+            return named[0]
         return int(order[0])
     lengths = [feature.length for feature in features]
-    if _thumbs_by_name(model, chains) or max(lengths) > ALIKE * min(lengths) or max(scores) < 0.5:
+    if named or max(lengths) > ALIKE * min(lengths) or max(scores) < 0.5:
         return _named_thumb(model, chains)
     first = body_name(model, chains[0].bodies[0])
     findings.append(
@@ -273,8 +296,24 @@ def _names(
             f"{len(long)} fingers beside the thumb are found; name those that imitate human fingers with "
             f"--finger index=BODY middle=BODY ...: {_ends(model, chains)}"
         )
-    order = np.argsort(-bases if side == "right" else bases, kind="stable")
-    return {name: long[i] for name, i in zip(FINGERS, order, strict=False)} | {"thumb": thumb}, side
+    order = [long[i] for i in np.argsort(-bases if side == "right" else bases, kind="stable")]
+    by_name = {name: i for i in long if (name := _name_of(model, chains[i])) in FINGERS}
+    if len(by_name) == len(long):
+        # A hand may lack its little finger: only the order of those that it has is compared.
+        if [by_name[name] for name in FINGERS if name in by_name] != order:
+            raise FungraspError(
+                f"the names of the fingers contradict their places on a {side} hand, which are, from the "
+                f"thumb's side: {listed([body_name(model, chains[i].bodies[0]) for i in order])}; say "
+                "which is which with --finger index=BODY middle=BODY ..., or the hand's side with --side"
+            )
+        return by_name | {"thumb": thumb}, side
+    return dict(zip(FINGERS, order, strict=False)) | {"thumb": thumb}, side
+
+
+def _name_of(model: mujoco.MjModel, chain: Chain) -> str | None:
+    """The finger that most of a chain's bodies are named after, or None."""
+    votes = Counter(finger for b in chain.bodies if (finger := finger_of(body_name(model, b))))
+    return votes.most_common(1)[0][0] if votes else None
 
 
 def _chain_of(model: mujoco.MjModel, chains: list[Chain], body: str, option: str) -> int:

@@ -24,6 +24,7 @@ from fungrasp.hands.checking.model_checks import (
     check_size,
 )
 from fungrasp.hands.checking.model_source import ModelSource, read_source
+from fungrasp.hands.checking.plausibility import check_plausibility
 from fungrasp.hands.hand import FINGERS, HAND_TOML, read_hand_toml, side_of
 
 __all__ = ["Finding", "check_hand_files"]
@@ -102,6 +103,7 @@ def _check_toml(path: Path) -> list[Finding]:
         try:
             hand = read_hand_toml(path)
             hand.spec().compile()
+            findings += check_plausibility(hand)
             across = np.cross(hand.palm_fingers, hand.palm_normal)
             seen = side_of(hand.model, hand.palm, hand.fingers, across)
             if seen != hand.side:

@@ -76,7 +76,7 @@ def check_palm(source: ModelSource, parts: HandParts) -> Iterator[Finding]:
 
 
 def check_masses(source: ModelSource) -> Iterator[Finding]:
-    """Moving bodies with no mass, and masses that are hardly in kilograms."""
+    """Moving bodies with no mass."""
     model = source.model
     empty = [
         body_name(model, body)
@@ -85,9 +85,6 @@ def check_masses(source: ModelSource) -> Iterator[Finding]:
     ]
     if empty:
         yield error(f"no mass in the moving body {listed(empty)}: give an inertial, or shapes with a mass")
-    total = float(model.body_mass.sum())
-    if total > 10.0:
-        yield warning(f"the hand weighs {total:.4g} kg; are its masses in kilograms?")
 
 
 def check_shapes(source: ModelSource, parts: HandParts) -> Iterator[Finding]:

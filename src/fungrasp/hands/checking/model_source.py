@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import warnings
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator
@@ -89,15 +90,19 @@ def parse_xml(
     except FungraspError as problem:
         findings.append(error(str(problem)))
         return None
-    if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{", text):
+    try:
+        root = parse_xml_text(_declared(text), str(path))
+    except FungraspError as problem:
+        findings.append(error(str(problem)))
+        return None
+    macro = any(
+        "xacro" in element.tag or any("${" in value for value in element.attrib.values())
+        for element in root.iter()
+    )
+    if path.suffix == ".xacro" or macro:
         findings.append(
             error(f"{path} is a xacro template; run xacro on it and check the URDF that comes out")
         )
-        return None
-    try:
-        root = parse_xml_text(text, str(path))
-    except FungraspError as problem:
-        findings.append(error(str(problem)))
         return None
     if root.tag not in tags:
         findings.append(
@@ -105,6 +110,19 @@ def parse_xml(
         )
         return None
     return root
+
+
+def _declared(text: str) -> str:
+    """Declare the prefixes of names that a file for other tools leaves undeclared, as most readers allow."""
+    bare = re.sub(r"<!--.*?-->", "", text, flags=re.S)
+    used = set(re.findall(r"</?([A-Za-z_][\w.-]*):", bare)) | set(
+        re.findall(r"\s([A-Za-z_][\w.-]*):[\w.-]+\s*=", bare)
+    )
+    declared = {"xml", "xmlns", *re.findall(r"xmlns:([\w.-]+)\s*=", bare)}
+    added = "".join(f' xmlns:{prefix}="urn:{prefix}"' for prefix in sorted(used - declared))
+    return (
+        re.sub(r"<(robot|mujoco|mujocoinclude)(?=[\s>/])", rf"<\1{added}", text, count=1) if added else text
+    )
 
 
 def _drop_missing_meshes(spec: mujoco.MjSpec, findings: list[Finding]) -> frozenset[str]:
@@ -251,11 +269,13 @@ def _numbers(values: np.ndarray) -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep MuJoCo's own warnings from the terminal and from a log file: the findings say it better."""
+    """Keep MuJoCo's own warnings, those by Python too, from the terminal and from a log file: the findings
+    say it better."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
-        yield
+        with warnings.catch_warnings(action="ignore"):
+            yield
     finally:
         mujoco.set_mju_user_warning(before)
 

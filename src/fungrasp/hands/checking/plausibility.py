@@ -1,0 +1,140 @@
+"""The last check of a hand that can be loaded: is it of a size, mass and build that a hand can have?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from fungrasp.hands.checking.findings import Finding, error, finger_of, listed, warning
+from fungrasp.hands.hand import FINGERS, Hand
+from fungrasp.hands.kinematic_tree import ancestors, coupled_positions, joint_name
+
+LARGEST = 0.5
+"""Extent of a hand with straight fingers [m]: of the largest robot hands it is 0.45."""
+
+MASSES = (0.01, 5.0)
+"""Of a hand [kg]: from small printed ones to those of steel with their motors."""
+
+FINGER_LENGTHS = (0.03, 0.25)
+"""From a finger's first joint to its tip [m]."""
+
+SHAPE_RATIO = 3.0
+"""The shape of a finger's link reaches no farther from its joint than so many times the finger's length."""
+
+WIDEST = np.pi + 0.1
+"""No joint of a finger turns further in all [rad]; wider limits stand for none."""
+
+STILL = 0.05
+"""A finger whose joints all turn by less does not move [rad]."""
+
+LEAST_BEND = 5e-3
+"""Motion of the fingertips to the middle pose that tells to which side they bend [m]."""
+
+
+def check_plausibility(hand: Hand) -> Iterator[Finding]:
+    """What no hand is like, each with its number."""
+    model, data = hand.model, mujoco.MjData(hand.model)
+    low, high = (model.jnt_range[:, end].copy() for end in (0, 1))
+    straight = coupled_positions(model, np.clip(np.zeros(model.nq), low, high))
+    data.qpos[:] = straight
+    mujoco.mj_kinematics(model, data)
+    solid = np.flatnonzero(
+        ((model.geom_contype > 0) | (model.geom_conaffinity > 0)) & (model.geom_bodyid > 0)
+    )
+    reach = model.geom_rbound[solid]
+    if len(solid):
+        extent = float(np.linalg.norm(_boxes(model, data, solid)))
+        if extent > LARGEST:
+            yield error(
+                f"the hand is {extent:.2f} m large, more than {LARGEST:g} m: are its shapes in meters?"
+            )
+    mass = float(model.body_mass.sum())
+    if not MASSES[0] <= mass <= MASSES[1]:
+        yield error(
+            f"the hand weighs {mass:.4g} kg, not {MASSES[0]:g} to {MASSES[1]:g} kg: are the file's masses in "
+            "kilograms, and those of the hand alone?"
+        )
+    long = []
+    for name, finger in hand.fingers.items():
+        bodies = {model.body(link).id for link in finger.links}
+        turns = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies]
+        if turns and (high - low)[turns].max() < STILL:
+            yield warning(f"the {name} does not move: its joints are fixed, or held still by couplings")
+        places = [_place(data, key) for key in (*finger.joints, finger.tip)]
+        length = float(sum(np.linalg.norm(b - a) for a, b in pairwise(places)))
+        if not FINGER_LENGTHS[0] <= length <= FINGER_LENGTHS[1]:
+            yield error(
+                f"the {name} is {1e3 * length:.0f} mm long, not {1e3 * FINGER_LENGTHS[0]:.0f} to "
+                f"{1e3 * FINGER_LENGTHS[1]:.0f} mm: is it in meters, and is '{finger.links[0]}' its base?"
+            )
+        sizes = [float(r) for g, r in zip(solid, reach, strict=True) if int(model.geom_bodyid[g]) in bodies]
+        if max(sizes, default=0.0) > SHAPE_RATIO * length:
+            long.append(f"{name} ({max(sizes):.2f} m)")
+    if long:
+        yield error(
+            f"shapes of the {listed(long)} are much larger than the finger: are the meshes in meters?"
+        )
+    wide = []
+    for joint in range(model.njnt):
+        in_finger = any(
+            model.body(link).id in ancestors(model, int(model.jnt_bodyid[joint]))
+            or int(model.jnt_bodyid[joint]) == model.body(link).id
+            for finger in hand.fingers.values()
+            for link in finger.links
+        )
+        if in_finger and high[joint] - low[joint] > WIDEST:
+            wide.append(f"{joint_name(model, joint)} by {high[joint] - low[joint]:.2f} rad")
+    if wide:
+        yield error(f"{listed(wide)}: no joint of a finger turns so far; write its true limits into the file")
+    yield from _bend_side(hand, data, straight)
+    named = {name: finger_of(finger.links[0]) for name, finger in hand.fingers.items()}
+    wrong = [
+        f"{hand.fingers[name].links[0]} as {name}" for name, said in named.items() if said not in (None, name)
+    ]
+    if wrong and len(set(named.values())) == len(named) and None not in named.values():
+        yield error(
+            f"fingers are not what their bodies are named after: {listed(wrong)}; say which is which with "
+            "'hands add --finger index=BODY ... --thumb BODY', or rename them"
+        )
+
+
+def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
+    """Extents of the box around shapes in the palm's axes [m], shape [3]."""
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
+    points = []
+    for geom in geoms:
+        center, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        points.append(data.geom_xpos[geom] + (center + corners * half) @ data.geom_xmat[geom].reshape(3, 3).T)
+    return np.ptp(np.concatenate(points), axis=0)
+
+
+def _place(data: mujoco.MjData, name: str) -> np.ndarray:
+    is_site = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
+    return (data.site(name) if is_site else data.body(name)).xpos.copy()
+
+
+def _bend_side(hand: Hand, data: mujoco.MjData, straight: np.ndarray) -> Iterator[Finding]:
+    """Do the fingers bend to the side that the palm faces?"""
+    model = hand.model
+    fingers = [hand.fingers[name].tip for name in FINGERS if name in hand.fingers and name != "thumb"]
+    turn = data.body(hand.palm).xmat.reshape(3, 3).copy()
+    before = np.array([_place(data, tip) for tip in fingers])
+    data.qpos[:] = coupled_positions(model, 0.5 * (straight + model.jnt_range[:, 1]))
+    upper = _moved(model, data, fingers, before) @ turn @ hand.palm_normal
+    data.qpos[:] = coupled_positions(model, 0.5 * (straight + model.jnt_range[:, 0]))
+    lower = _moved(model, data, fingers, before) @ turn @ hand.palm_normal
+    # Which way a joint counts differs from finger to finger: each may bend at either end of its range.
+    best = np.maximum(upper, lower).mean()
+    if best < -LEAST_BEND or (best < LEAST_BEND and np.minimum(upper, lower).mean() < -4 * LEAST_BEND):
+        yield error(
+            f"the fingertips move {1e3 * -np.minimum(upper, lower).mean():.0f} mm out of the back of the "
+            "hand as they bend: the palm faces the other way (--normal), or the limits have the wrong sign"
+        )
+
+
+def _moved(model: mujoco.MjModel, data: mujoco.MjData, tips: list[str], before: np.ndarray) -> np.ndarray:
+    mujoco.mj_kinematics(model, data)
+    return np.array([_place(data, tip) for tip in tips]) - before
