@@ -14,9 +14,9 @@ from fungrasp.geometry.signed_distance import (
     crossing_number,
     mesh_signed_distance,
     nearest_on_mesh,
+    project_to_surface,
     winding_number,
 )
-from fungrasp.optimization.problem import project_to_surface
 
 HALF = np.array([0.03, 0.05, 0.02])
 RADIUS = 0.04

@@ -45,8 +45,8 @@ class Case:
             around_field(grid, COUNT, table),
             joints=random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
             contacts=np.ones((COUNT, 1 + len(self.match.far)), dtype=bool),
-            surface=random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
-            normals=np.broadcast_to([0.0, 1.0, 0.0], (COUNT, 21, 3)),
+            surface=random.uniform(-0.1, 0.1, (COUNT, len(self.match.far), 3)),
+            normals=np.broadcast_to([0.0, 1.0, 0.0], (COUNT, len(self.match.far), 3)),
         )
 
     @property
@@ -164,7 +164,7 @@ def test_a_few_residuals_are_explained_by_hessian_and_gradient(name: str, hand: 
         # The rows of two spheres of one link would not be independent: the target is at that which touches.
         link, surface = case.points.link_members[3], case.problem.surface.copy()
         nearest = link[np.argmin(case.heights[:, link], axis=1)]
-        surface[:, case.match.human_far[2]] = case.state.spheres[np.arange(COUNT), nearest] + 0.001
+        surface[:, 2] = case.state.spheres[np.arange(COUNT), nearest] + 0.001
         case.change(surface=surface - case.points.spheres.radius[nearest][:, None, None] * [0.0, 1.0, 0.0])
     at = {"which": case.match.far[one], "target": np.zeros((COUNT, 1, 3)), "weight": np.full((COUNT, 1), 9.0)}
     term: terms.Term = {
@@ -247,13 +247,13 @@ def test_contact_position_acts_where_a_link_touches_and_where_it_should(case: Ca
     contacts[0] = True
     case.change(contacts=contacts)
     surface, expected = case.problem.surface.copy(), 0.0
-    for s, human in enumerate(case.match.human_far):
+    for s in range(len(case.match.far)):
         members = case.points.link_members[s + 1]
         radius = case.points.spheres.radius[members]
         reached = case.state.spheres[0, members] - np.outer(radius, [0.0, 1.0, 0.0])
         # The target is near that sphere of the link which is farthest from the wall.
-        surface[:, human] = reached[np.argmax(reached[:, 1])] + [0.0003, 0.0, 0.0]
-        off = np.linalg.norm(reached - surface[0, human], axis=1)
+        surface[:, s] = reached[np.argmax(reached[:, 1])] + [0.0003, 0.0, 0.0]
+        off = np.linalg.norm(reached - surface[0, s], axis=1)
         expected += 0.5 * sum((off[k] / 0.002) ** 2 for k in {np.argmin(reached[:, 1]), np.argmin(off)})
     case.change(surface=surface)
     cost = case.cost(partial(terms.contact_position, unit=0.002))

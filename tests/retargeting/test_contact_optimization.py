@@ -52,9 +52,9 @@ def judged(human: HumanGraspSet, objects: Mapping[str, ObjectModel], starts: tup
         hand.independent(robot.joint_positions),
     )
     found = contacts_of_links(points.dense, problem, palm, joints)
-    far, wanted = points.match.human_far, problem.contacts[:, 1:]
-    off = np.linalg.norm(found.place[:, 1:] - problem.surface[:, far], axis=-1)
-    facing = (found.inward[:, 1:] * problem.normals[:, far]).sum(axis=-1) < 0
+    wanted = problem.contacts[:, 1:]
+    off = np.linalg.norm(found.place[:, 1:] - problem.surface, axis=-1)
+    facing = (found.inward[:, 1:] * problem.normals).sum(axis=-1) < 0
     share = unresisted_share(found, problem, torque_limits(hand))
     return np.where(wanted, off, np.nan), np.where(wanted, facing, np.nan), share
 

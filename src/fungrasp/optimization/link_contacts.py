@@ -161,9 +161,8 @@ def contact_position(points: HandPoints, problem: RetargetingProblem, unit: floa
     comes through a wall that the link is behind; the one at the object keeps other parts of a link from
     touching elsewhere. unit: [m].
     """
-    human = points.match.human_far
     wanted = plain(problem.contacts[:, 1:], bool)
-    target = plain(problem.surface[:, human]), plain(problem.normals[:, human])
+    target = plain(problem.surface), plain(problem.normals)
     shapes, scale = shapes_of(points, problem), 1.0 / unit
     return lambda frames, equations, *_: _add_positions(frames, equations, shapes, wanted, target, scale)
 

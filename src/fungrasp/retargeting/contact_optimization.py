@@ -87,7 +87,7 @@ class RetargetSettings:
     """Penetration of the object, second stage [m]: links on the wrong side of a wall can still pass it."""
     object_unit: float = 0.0003
     """Penetration of the object [m]."""
-    table_unit: float = 0.0007
+    table_unit: float = 0.0002
     """Penetration of the table [m]."""
     table_margin: float = 0.001
     """Distance to keep from the table [m]."""
@@ -189,9 +189,9 @@ def _cost(
     match, hand = points.match, points.kinematics.hand
     contacts = contacts_of_links(points.dense, problem, *solution, TOUCH)
     wanted, touching = problem.contacts[:, 1:], np.isfinite(contacts.clearance[:, 1:])
-    off = np.linalg.norm(contacts.place[:, 1:] - problem.surface[:, match.human_far], axis=2)
+    off = np.linalg.norm(contacts.place[:, 1:] - problem.surface, axis=2)
     off = np.where(touching, np.minimum(off, 2 * NEAR), 2 * NEAR)
-    facing = (contacts.inward[:, 1:] * problem.normals[:, match.human_far]).sum(axis=2) < 0
+    facing = (contacts.inward[:, 1:] * problem.normals).sum(axis=2) < 0
     shown = wanted & touching & facing & (off < NEAR)
     number = np.maximum(wanted.sum(axis=1), 1)
     share = shown.sum(axis=1) / number
@@ -200,12 +200,15 @@ def _cost(
     collisions: list[Term] = [partial(terms.table_penetration, unit=DEEPEST, margin=0.0)]
     inside = minimize(points, problem, collisions, *solution, 0)[2] > 2.0
     inside |= contacts.clearance.min(axis=1) < -INSIDE
-    # The terms know nothing of fingers that go into the palm.
-    inside |= self_collision_depth(hand.model, hand.all_joints(solution[1])) > INSIDE
     cost = PLACE_COST * (wanted * off).sum(axis=1) / number + SHARE_COST * (1 - share) + ELSEWHERE * ~holds
     cost += NO_GRIP * inside
     unresisted = unresisted_share(contacts, problem, torque_limits(hand), TOLERATED_SHARE, least - cost)
-    return cost + np.maximum(unresisted, TOLERATED_SHARE)
+    cost += np.maximum(unresisted, TOLERATED_SHARE)
+    # The terms know nothing of fingers that go into the palm.
+    better = np.flatnonzero(cost < least)
+    depth = self_collision_depth(hand.model, hand.all_joints(solution[1][better]))
+    cost[better] += ELSEWHERE * (depth > INSIDE)
+    return cost
 
 
 def moved_starts(

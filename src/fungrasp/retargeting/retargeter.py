@@ -145,7 +145,8 @@ class Retargeter:
         return FollowedPose(compose(pose, wrist[0]), self._points.kinematics.hand.all_joints(independent[0]))
 
     def _problem(self, scene: CollisionScene, joints: np.ndarray) -> RetargetingProblem:
-        surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+        far = joints[:, self._points.match.human_far]
+        surface, normals = project_to_surface(scene.bank, scene.grid, far)
         return RetargetingProblem(
             **{f.name: getattr(scene, f.name) for f in fields(CollisionScene)},
             joints=joints,
@@ -195,8 +196,8 @@ class Retargeter:
 
     def _targets(self, problem: RetargetingProblem) -> np.ndarray:
         """Where the far key points of the links should be [m], shape [1, S, 3]."""
-        s, human = self._settings, self._points.match.human_far
-        joints, surface, normals = (x[:, human] for x in (problem.joints, problem.surface, problem.normals))
+        s, surface, normals = self._settings, problem.surface, problem.normals
+        joints = problem.joints[:, self._points.match.human_far]
         touching = surface + self._points.far_radius[:, None] * normals
         distance = np.sum((joints - surface) * normals, axis=-1, keepdims=True)
         share = np.clip((s.far - distance) / (s.far - s.near), 0.0, 1.0)
