@@ -14,7 +14,6 @@ from fungrasp.geometry.signed_distance import (
     crossing_number,
     mesh_signed_distance,
     nearest_on_mesh,
-    project_to_surface,
     winding_number,
 )
 
@@ -180,13 +179,3 @@ def test_crossings_are_the_winding_number_of_closed_meshes(ball: trimesh.Trimesh
         points = np.concatenate([cloud(2000, 0.06), [[0, 0, 0.001], [0, 0, 1.0], [9, 9, 9.0]]])
         wound = np.round(winding_number(mesh, points)).astype(int)
         np.testing.assert_array_equal(crossing_number(mesh, points), wound)
-
-
-def test_the_normal_at_a_wall_thinner_than_a_cell_is_that_of_the_side_asked_from():
-    sheet = trimesh.creation.box((0.0008, 0.1, 0.1))
-    grid = SignedDistanceGrid.from_mesh(sheet.vertices, sheet.faces)
-    points = np.random.default_rng(0).uniform(-0.03, 0.03, (200, 3))
-    points[:, 0] = np.where(points[:, 0] > 0, 0.008, -0.008)
-    surface, normal = project_to_surface(SignedDistanceBank([grid]), np.zeros(1, dtype=int), points[None])
-    assert np.all(normal[0, :, 0] * points[:, 0] > 0)
-    assert np.abs(surface[0, :, 0]).max() < 0.0025

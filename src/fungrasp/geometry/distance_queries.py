@@ -106,19 +106,15 @@ def unit_vector(x: float, y: float, z: float):
 
 @compiled_part
 def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
-    """Surface point [m] nearest to a point, by Newton steps ``p - d(p) n(p)`` down the signed distance, and
-    the outward unit normal there: the distance's gradient at the point itself, as a wall thinner than a cell
-    has none of its own in the grid."""
+    """Surface point [m] and outward unit normal nearest to a point, by Newton steps ``p - d(p) n(p)`` down
+    the signed distance. The normal is that at the surface point: *as shown* is defined by it."""
     x, y, z = point
-    distance, gx, gy, gz = signed_distance(grids, grid, point)
-    normal = unit_vector(gx, gy, gz)
-    nx, ny, nz = normal
-    for step in range(iterations):
-        if step > 0:
-            distance, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
-            nx, ny, nz = unit_vector(gx, gy, gz)
+    for _ in range(iterations):
+        distance, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
+        nx, ny, nz = unit_vector(gx, gy, gz)
         x, y, z = x - distance * nx, y - distance * ny, z - distance * nz
-    return (x, y, z), normal
+    _, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
+    return (x, y, z), unit_vector(gx, gy, gz)
 
 
 @compiled
