@@ -80,7 +80,7 @@ def test_ours_touches_where_the_human_did(name: str):
     assert np.all(found.held_as_shown) and found.other_side.max() == 0
     assert found.place_error_mm.mean() < 6
     assert found.contact_gap_mm.mean() < 1
-    assert found.link_direction_error_deg.mean() < 35
+    assert found.link_direction_error_deg.mean() < (40 if name == "inspire" else 30)
     assert found.object_penetration_mm.max() < 2
     assert found.table_penetration_mm.max() < 0.5
     assert found.self_penetration_mm.max() < 1
