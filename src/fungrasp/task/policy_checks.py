@@ -62,7 +62,7 @@ def check_action(action: Any, plan: GraspPlan, observation: Observation) -> None
     goal = np.asarray(action.palm_goal_world)
     if np.abs(np.linalg.norm(goal[:, 3:], axis=1) - 1).max() > 1e-3:
         raise FungraspError(
-            "the policy's palm_goal_world is [x y z qw qx qy qz] with a quaternion of length 1; this one is not"
+            "the policy's palm_goal_world is no pose [x y z qw qx qy qz] with a quaternion of length 1"
         )
     step = np.rint(observation.time / plan.control_period).astype(int)
     local = plan.at(step)[0]
