@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,4 +142,11 @@ def deploy_on_robot(
                 robot.hand_driver.stop(StopKind.POWER_OFF)
                 time.sleep(POWERING_OFF)
             elif not any(observer.hold(robot) for observer in observers):
-                hold_until_told(robot)
+
+                def note(words: str) -> None:
+                    for observer in observers:
+                        # The log may be what has failed.
+                        with suppress(Exception):
+                            observer.note(robot.clock.now(), words)
+
+                hold_until_told(robot, note)

@@ -21,7 +21,7 @@ from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, make_policy
 from fungrasp.robots.assembly import is_twin
-from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
+from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell, plan_speed, slowest_limit
 from fungrasp.task import GraspPlan, Policy
 
 
@@ -93,6 +93,12 @@ def deployment_task(
         raise FungraspError(
             f"the policy '{spec.policy}' watches what it does and acts at 10 Hz: it can't be slowed down to "
             f'{spec.speed:g}; the policies "plan" and "reference" can'
+        )
+    if watches and plan_speed(cell.limits) < 1.0:
+        raise FungraspError(
+            f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of "
+            f"their speed, and the policy '{spec.policy}' watches what it does and can't be slowed down; the "
+            'policies "plan" and "reference" can'
         )
     planner = (
         robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)

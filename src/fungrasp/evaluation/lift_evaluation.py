@@ -36,6 +36,7 @@ from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.sim2real import ProtocolName
 from fungrasp.task import GraspPlan, Outcomes, Policy, PrivilegedPolicy
 from fungrasp.task.outcome import HoldMiddle
+from fungrasp.task.policy_checks import check_policy
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
@@ -100,6 +101,8 @@ def evaluate(
     spec = spec or LiftTestSpec()
     policy = str(policy) if isinstance(policy, Path) else policy
     own = policy if policy is not None and not isinstance(policy, str) else None
+    if own is not None:
+        check_policy(own)
     if policy is not None:
         spec = replace(spec, policy=policy if isinstance(policy, str) else type(policy).__name__)
     if protocol is not None:
