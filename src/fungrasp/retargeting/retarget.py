@@ -16,12 +16,10 @@ from fungrasp.core.parallel import in_chunks
 from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, hand_sides
-from fungrasp.grasps.as_shown import shown_places
 from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.grasp_arguments import HasGrasps, HumanGrasps, Objects, as_human_grasps, resolve_objects
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
-from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandPoints
@@ -151,11 +149,7 @@ def retarget(
         _ = model.signed_distance  # once, not in each worker
     with shown_progress(progress, f"retargeting to {hand.name}", 1.0) as show:
         found = run_job(Retargeting(human, used, hand, spec, threads), store, ray=ray, progress=show)
-    pose, joints, keypoints, contacts = (
-        np.concatenate([part[name] for part in found])
-        for name in ("wrist_pose", "joint_positions", "keypoints", "link_contacts")
-    )
-    places, normals = shown_places(human, used, correspond(hand))
+    whole = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     robot = RobotGraspSet(
         hand=hand.name,
         hand_file=origin,
@@ -163,14 +157,9 @@ def retarget(
         object_mass=human.object_mass,
         object_pose=human.object_pose,
         object_rest_pose=human.object_rest_pose,
-        wrist_pose=pose,
         joint_names=hand.joint_names,
-        joint_positions=joints,
-        keypoints=keypoints,
-        link_contacts=contacts,
         task=human.task,
-        shown_places=places,
-        shown_normals=normals,
+        **whole,
         extra={} if human.object_mass_spread is None else {MASS_SPREAD: human.object_mass_spread},
         objects=used,
     )
@@ -225,7 +214,7 @@ class Retargeting(Job[range]):
         problem = RetargetingProblem.from_grasps(human, self.objects, shared.match)
         done, lock = 0, Lock()
 
-        def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             nonlocal done
             part = problem.rows(rows)
             points = shared.for_hands(len(part))
@@ -236,15 +225,17 @@ class Retargeting(Job[range]):
                 done += len(part)
                 progress(done)
             joints = independent @ kinematics.matrix.T + kinematics.offset
-            return pose, joints, kinematics.points(points.keypoints), part.contacts
+            return pose, joints, kinematics.points(points.keypoints)
 
         chunks = in_chunks(run, len(human), self.threads, CHUNK)
-        pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*chunks, strict=True))
+        pose, joints, keypoints = (np.concatenate(x) for x in zip(*chunks, strict=True))
         whole = {
             "wrist_pose": compose(human.object_pose, pose),
             "joint_positions": joints,
             "keypoints": transform_points(human.object_pose, keypoints),
-            "link_contacts": contacts,
+            "link_contacts": problem.contacts,
+            "shown_places": problem.surface,
+            "shown_normals": problem.normals,
         }
         ends = np.cumsum([len(part) for part in parts])[:-1]
         split = {name: np.split(values, ends) for name, values in whole.items()}
