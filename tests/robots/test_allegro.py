@@ -348,6 +348,18 @@ def test_frames_that_a_full_queue_refuses_drop_nothing():
         assert holds(emulator, driver, plant)
 
 
+def test_a_hand_that_has_cooled_down_opens_as_it_is_told():
+    with emulated() as device:
+        device.driver.connect()
+        reach(device, device.near)
+        device.emulator.inject(Fault.TOO_HOT)
+        assert wait_for(lambda: not device.emulator.servos_on, 3.0)
+        device.driver.stop(StopKind.OPEN)
+        device.emulator.clear()
+        assert wait_for(lambda: device.true_positions().min() < 0.1)
+        assert device.driver.read().status is DeviceStatus.FAULT, "it stays a fault"
+
+
 def test_servos_that_did_not_hear_are_told_again():
     with emulated() as device:
         device.emulator.inject(Fault.UNHEARD)

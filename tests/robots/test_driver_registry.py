@@ -142,6 +142,8 @@ def test_a_robot_of_others_is_guarded_and_stopped(lab, tmp_path: Path) -> None:
     robot.send(home, np.full(6, 0.2))
     sent = len(robot.arm.sent)
     with pytest.raises(SafetyStop, match="far from where the arm is"):
+        # A setpoint's time later.
+        robot.clock.sleep_until(robot.clock.now() + robot.setpoints.period)
         robot.send(home + 0.6, np.full(6, 0.2))
     assert len(robot.arm.sent) == sent and robot.arm.stopped and robot.hand_driver.stopped
     stop.touch()

@@ -104,12 +104,17 @@ def check_setpoint(
             said = f": {joints.message}" if joints.message else ""
             raise SafetyStop(f"the {part} does not follow ({joints.status}{said})")
         check_reading(part, joints, c.silence[part], c.cell)
-    if c.moving and np.abs(command.arm - state.arm.positions).max() > c.cell.limits.setpoint_lead:
-        raise SafetyStop("the arm's setpoint is far from where the arm is")
+    _check_lead(state, command, c)
     problem = check_posture(command.palm, clearance, c.cell.workspace) or _too_fast(command, c)
     if problem:
         raise SafetyStop(problem)
     return within_limits(command, c)
+
+
+def _check_lead(state: RobotState, command: RobotCommand, c: SafetyContext) -> None:
+    """Raises: SafetyStop: a setpoint is far from the arm, clipped or not."""
+    if c.moving and np.abs(command.arm - state.arm.positions).max() > c.cell.limits.setpoint_lead:
+        raise SafetyStop("the arm's setpoint is far from where the arm is")
 
 
 def within_limits(command: RobotCommand, c: SafetyContext) -> RobotCommand:
@@ -294,6 +299,7 @@ class SafetyGuard:
         )
         self._keep_time(state.time)
         if np.isfinite(command.arm).all() and np.isfinite(command.hand).all():
+            _check_lead(state, command, context)
             # What is checked is what will be sent.
             allowed = within_limits(command, context)
             if self._palm is not None and allowed.arm is not command.arm:

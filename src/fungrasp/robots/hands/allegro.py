@@ -443,6 +443,7 @@ class AllegroLoop:
         if self._taken and self._servos_on != info.servos_on:
             # It missed a frame, or was switched off and on.
             self._writes.put(SERVOS, self._servos_on, anew=True)
+        self._fault = ""
         if info.overheated:
             self._fault = f"{self.name} is too hot ({info.temperature} °C): let it cool down"
         elif info.communication_fault:
