@@ -44,8 +44,8 @@ LEVEL = np.concatenate([[0.0, -0.5, 0.4], TURN])
 
 
 METERS = (
-    Meter("agreement", 93.0, 95.0, "%", -0.3),
-    Meter("joints", float("nan"), 90.0, "%", 0.4),
+    Meter("unexplained", 7.0, 30.0, 10.0),
+    Meter("joints", float("nan"), 60.0, 20.0, True),
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,8 @@ from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.builtin_objects import is_plain_shape, plain_shape
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
+
+_log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     import trimesh
@@ -103,12 +106,13 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     nearest one.
 
     Returns:
-        None where the file has no colors.
-
-    Raises:
-        FungraspError: the file can't be read.
+        None where the file has no colors, or none that can be read, which is logged.
     """
-    mesh = None if is_colorless(path) else read_colored_mesh(path)
+    try:
+        mesh = None if is_colorless(path) else read_colored_mesh(path)
+    except FungraspError as problem:
+        _log.warning("%s; the shape is used without colors", problem)
+        return None
     if mesh is None or not model.repairs:
         return mesh
     import trimesh

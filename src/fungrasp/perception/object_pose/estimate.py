@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.acceptance import ACCEPT, SIZES, object_probability
+from fungrasp.perception.acceptance import ACCEPT, SIZES, object_score
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
 from fungrasp.perception.object_pose.object_template import ObjectTemplate, object_template
@@ -126,22 +126,40 @@ def search_object_pose(
     points = view.evidence[owner].points
     rival = best_rival(known, poses, scores.quality)
     evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, rival, rng)
+    if view.given is not None and joints is not None:
+        evidence = _without_mask(evidence, view, poses[0], rng)
     return PoseAnswers(poses, scores, known.surface.median_distance(points, poses[0]), evidence)
 
 
+def _without_mask(
+    evidence: PoseEvidence, view: ObjectView, pose: np.ndarray, rng: np.random.Generator
+) -> PoseEvidence:
+    """What the image says about a pose without the mask that led to it: masks end where a person, a color or
+    another program let them end, and would make the mesh seem too large or too small."""
+    plain, _ = view_of_object(view.known, view.capture.with_object(), view.joints, view.table, rng)
+    if plain is None:
+        return evidence
+    scorer = plain.scorer(RAYS)
+    owners = np.arange(len(plain.masks))
+    owner = int(scorer(np.repeat(pose[None], len(owners), axis=0), owners).quality.argmax())
+    found = pose_evidence(plain, scorer, pose, owner, 0.0, rng)
+    kept = {"hinted": 1.0, "foreign": evidence.foreign, "mask_piece": evidence.mask_piece}
+    return replace(found, rival=evidence.rival, **kept)
+
+
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
-    """The best answer with its probability, and the others."""
+    """The best answer with its score, and the others."""
     poses, first = answers.poses, answers.evidence
     if first is None:
         problem = () if answers.problem is None else (answers.problem,)
         return ObjectEstimate(poses[0], 0.0, False, warnings=problem)
-    score = object_probability(first)
+    score = object_score(first)
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
         # What is not known of another pose is taken to be as with the first.
         explained = float(answers.scores.explained[i] * answers.scores.quality[i] / answers.scores.quality[0])
         other = replace(first, explained=min(explained, first.explained))
-        others.append((poses[i], min(object_probability(other), score)))
+        others.append((poses[i], min(object_score(other), score)))
     return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
 
 
@@ -221,8 +239,8 @@ def score_given_pose(
 ) -> ObjectEstimate:
     """The same answer with the score that the depth gives it, whatever score its program gave.
 
-    The score means what it means for our own answers: the confidence that the mesh is within 10 mm (ADD-S) of
-    the pose. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
+    The score means what it means for our own answers: how clearly the mesh at the pose explains the
+    image. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
 
     Args:
         obj: a pose as another program gave it.
