@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -113,7 +114,8 @@ def checked_grasps(
         mesh = " ('grasps convert --objects FOLDER' computes it)" if missing[0] == "object_rest_pose" else ""
         raise FungraspError(f"{where}: field '{missing[0]}' is missing{mesh}; found: {given}")
     try:
-        return HumanGraspSet(**{n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS})
+        found_fields: Any = {n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS}
+        return HumanGraspSet(**found_fields)
     except FungraspError as error:
         raise FungraspError(f"{where}: {error}") from error
 

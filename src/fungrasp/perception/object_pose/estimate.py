@@ -126,25 +126,7 @@ def search_object_pose(
     points = view.evidence[owner].points
     rival = best_rival(known, poses, scores.quality)
     evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, rival, rng)
-    if view.given is not None and joints is not None:
-        evidence = _without_mask(evidence, view, poses[0], rng)
     return PoseAnswers(poses, scores, known.surface.median_distance(points, poses[0]), evidence)
-
-
-def _without_mask(
-    evidence: PoseEvidence, view: ObjectView, pose: np.ndarray, rng: np.random.Generator
-) -> PoseEvidence:
-    """What the image says about a pose without the mask that led to it: masks end where a person, a color or
-    another program let them end, and would make the mesh seem too large or too small."""
-    plain, _ = view_of_object(view.known, view.capture.with_object(), view.joints, view.table, rng)
-    if plain is None:
-        return evidence
-    scorer = plain.scorer(RAYS)
-    owners = np.arange(len(plain.masks))
-    owner = int(scorer(np.repeat(pose[None], len(owners), axis=0), owners).quality.argmax())
-    found = pose_evidence(plain, scorer, pose, owner, 0.0, rng)
-    kept = {"hinted": 1.0, "foreign": evidence.foreign, "mask_piece": evidence.mask_piece}
-    return replace(found, rival=evidence.rival, **kept)
 
 
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
