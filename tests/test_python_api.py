@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
+from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.retargeting import retarget
 
 
@@ -46,14 +48,62 @@ def test_missing_objects_and_wrong_kinds_are_named(human):
     objects = fungrasp.load_objects(human)
     with pytest.raises(FungraspError, match=r"the object 'mug' .* given: none"):
         retarget(human, {}, "allegro")
-    with pytest.raises(FungraspError, match=r"expected objects by name, .* not list"):
-        retarget(human, list(objects.values()), "allegro")  # type: ignore[arg-type]
+    with pytest.raises(FungraspError, match=r"expected objects .* not a str"):
+        retarget(human, {"mug": "mug"}, "allegro")  # type: ignore[arg-type]
+    with pytest.raises(FungraspError, match=r"the object 'mug' of the grasps is not given; given: can"):
+        retarget(human, fungrasp.load_object("can"), "allegro")
+    unknown = replace(human, object_name=np.array(["my mug"] * len(human)))
+    with pytest.raises(FungraspError, match=r"unknown object 'my mug'.*object_from_mesh"):
+        retarget(unknown)
     with pytest.raises(FungraspError, match="the set is empty"):
         retarget(human[:0], objects, "allegro")
-    with pytest.raises(FungraspError, match="retarget them first"):
-        fungrasp.evaluate(human, objects)  # type: ignore[arg-type]
-    with pytest.raises(FungraspError, match="only human grasps"):
-        retarget(retarget(human, objects, "allegro"), objects, "allegro")  # type: ignore[arg-type]
+    robot = retarget(human, objects, "allegro")
+    with pytest.raises(FungraspError, match=r"only human grasps .* not a RobotGraspSet"):
+        retarget(robot, objects, "allegro")
+    for verb in (retarget, fungrasp.plan, fungrasp.evaluate, fungrasp.deploy):
+        with pytest.raises(FungraspError, match="expected human or robot grasps, not a dict"):
+            verb({"hand_joints": 0})  # type: ignore[arg-type]
+    plans = fungrasp.plan(robot)
+    for wrong, words in (
+        (robot, "expected plans .* not a RobotGraspSet"),
+        (plans.select(np.array([0])), "1 plans for 2 grasps"),
+        (replace(plans, hand="leap"), "of the hand 'leap'"),
+        (replace(plans, object_name=np.array(["mug", "can"])), "row 1: the plan is for the object 'can'"),
+    ):
+        with pytest.raises(FungraspError, match=words):
+            GivenPlans(wrong, robot)  # type: ignore[arg-type]
+
+
+def test_what_one_verb_returns_the_next_one_takes(human):
+    """Neither objects nor hand are given again."""
+    robot = retarget(human[0])
+    assert isinstance(robot, fungrasp.RobotGrasp)
+    whole = retarget(human)
+    np.testing.assert_array_equal(robot.joint_positions, whole.joint_positions[0])
+    plans = fungrasp.plan(robot)
+    slow = replace(plans, palm_goal_object=plans.palm_goal_object[:, :1])
+    for given, held in ((plans, True), (slow, False)):
+        result = fungrasp.evaluate(robot, plans=given)
+        assert result.success.tolist() == [held], result.outcomes.reason
+    own = fungrasp.evaluate(human[0])
+    np.testing.assert_array_equal(own.outcomes.pushed_m, fungrasp.evaluate(robot).outcomes.pushed_m)
+
+
+def test_a_given_plan_is_deployed(human):
+    robot = retarget(fungrasp.builtin_grasps()[50])
+    plans = fungrasp.plan(robot)
+    spec = fungrasp.DeploymentSpec(policy="reference", real_time=False, until="lift")
+    seen = []
+
+    class Watch(fungrasp.DeploymentObserver):
+        def planned(self, robot, prepared):
+            seen.append(prepared.plan)
+
+    fungrasp.deploy(robot, plans=plans, spec=spec, observer=Watch())
+    np.testing.assert_array_equal(seen[0].palm_goal_object, plans.palm_goal_object)
+    assert np.abs(seen[0].object_pose - plans.object_pose).max() > 1e-4
+    with pytest.raises(FungraspError, match=r"one grasp is deployed at a time, not 2"):
+        fungrasp.deploy(human)
 
 
 def test_sets_are_indexed_by_slices_lists_and_masks():

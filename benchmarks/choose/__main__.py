@@ -36,7 +36,7 @@ class Choose:
     interval, by kind of object.
 
     A variant is METHOD[,SECTION.FIELD=VALUE...]: a method of retargeting (contact, angle-copy, dexgraspnet,
-    or a peer: mink, dexi-rs, dex-retargeting) and settings, of retargeting (retarget.likeness=0), of
+    or a peer: mink, dexi-rs, dex-retargeting) and settings, of retargeting (retarget.gap_unit=0.002), of
     the planned motion (motion.press_in=0), of the lift test (lift.adapt=false, lift.policy=plan,
     lift.protocol=reality). With CHECKOUT:: before it, the package of that checkout is measured. What was
     measured before, with the same program, is not measured again."""

@@ -102,7 +102,7 @@ class Measurement(Job[tuple[int, ...]]):
         selection = lift.selection_settings
         planner = make_planner(lift.policy, self.hand, objects, selection, lift.lift, self.threads, motion)
         result = evaluate(
-            robot, objects, spec=lift, hand=self.hand, human=human, planner=planner, threads=self.threads
+            robot, objects, spec=lift, hand=self.hand, human=human, plans=planner, threads=self.threads
         )
         return {name: getattr(result.outcomes, name) for name in OUTCOMES} | {
             name: getattr(quality, name) for name in QUALITY

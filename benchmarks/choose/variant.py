@@ -40,7 +40,7 @@ class Variant:
         """Read a variant; the settings of another checkout are left to the process that measures there.
 
         Args:
-            text: "contact", "mink,lift.adapt=false", "contact,retarget.likeness=0",
+            text: "contact", "mink,lift.adapt=false", "contact,retarget.gap_unit=0.002",
                 "contact,lift.policy=plan", "/other/checkout::contact". Values are JSON, or words.
 
         Raises:

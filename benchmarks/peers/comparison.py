@@ -98,7 +98,7 @@ def compare_method(
             robot,
             objects,
             hand=hand,
-            planner=make_planner("reference", hand, objects, motions=motions, threads=threads),
+            plans=make_planner("reference", hand, objects, motions=motions, threads=threads),
             threads=threads,
         )
         for motions in (None, MotionSettings(adapt=None))

@@ -78,7 +78,7 @@ class PeerProblem:
         human joint; world frame [m], shape [N, S, 3]."""
         match, targets = self.points.match, self.targets
         human = match.human_far
-        surface = targets.surface[:, human] + self.points.far_radius[:, None] * targets.normals[:, human]
+        surface = targets.surface + self.points.far_radius[:, None] * targets.normals
         wanted = targets.contacts[:, 1:, None]
         return transform_points(self.human.object_pose, np.where(wanted, surface, targets.joints[:, human]))
 

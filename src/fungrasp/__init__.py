@@ -26,13 +26,15 @@ _NAMES = {
         "HumanGrasp HumanGraspSet RobotGrasp RobotGraspSet builtin_grasps load_grasps load_human_grasps "
         "load_objects load_robot_grasps save_human_grasps save_robot_grasps"
     ),
+    "grasps.from_arrays": "human_grasp",
     "hands": "Hand load_hand",
     "core.jobs": "PartStore RayCluster",
-    "objects": "ObjectModel load_object",
+    "objects": "ObjectModel load_object object_from_mesh",
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner make_planner plan",
     "policies": "make_policy",
     "retargeting.retarget": "retarget",
+    "retargeting.retargeter": "Retargeter",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
     "training.settings": "TrainSpec",

@@ -19,10 +19,12 @@ from fungrasp.grasps import load_objects as load_objects
 from fungrasp.grasps import load_robot_grasps as load_robot_grasps
 from fungrasp.grasps import save_human_grasps as save_human_grasps
 from fungrasp.grasps import save_robot_grasps as save_robot_grasps
+from fungrasp.grasps.from_arrays import human_grasp as human_grasp
 from fungrasp.hands import Hand as Hand
 from fungrasp.hands import load_hand as load_hand
 from fungrasp.objects import ObjectModel as ObjectModel
 from fungrasp.objects import load_object as load_object
+from fungrasp.objects import object_from_mesh as object_from_mesh
 from fungrasp.perception.pipeline import perceive as perceive
 from fungrasp.planning import MotionPlanner as MotionPlanner
 from fungrasp.planning import Planner as Planner
@@ -30,6 +32,7 @@ from fungrasp.planning import make_planner as make_planner
 from fungrasp.planning import plan as plan
 from fungrasp.policies import make_policy as make_policy
 from fungrasp.retargeting.retarget import retarget as retarget
+from fungrasp.retargeting.retargeter import Retargeter as Retargeter
 from fungrasp.sim2real import Randomization as Randomization
 from fungrasp.simulation import Engine as Engine
 from fungrasp.simulation import build_scene as build_scene

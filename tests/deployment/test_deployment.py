@@ -17,8 +17,9 @@ from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.device import RobotError
+from fungrasp.robots.device import RobotCommand, RobotError, RobotState
 from fungrasp.robots.kinematics.joint_path import FreePath
+from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinArm, TwinHand
 from fungrasp.robots.twin.twin_model import OBJECT
@@ -459,3 +460,35 @@ def test_an_object_that_is_taken_away_is_not_looked_for_elsewhere() -> None:
     outcome = deploy(Told(take), policy=Low(1), attempts=2, spoil=remember)
     assert outcome.attempts == 1 and outcome.missed
     assert outcome.fault == "" and outcome.phase is Phase.DONE
+
+
+@pytest.mark.parametrize(("pause", "stopped"), [(0.1, False), (0.2, False), (0.45, True)])
+@pytest.mark.parametrize("phase", [Phase.MOVE_TO_START, Phase.LIFT])
+def test_a_pause_is_not_caught_up(pause: float, stopped: bool, phase: Phase) -> None:
+    """However long the computer is held up, the palm goes no faster than its limit afterwards."""
+    cell = replace(cell_and_hand()[0], limits=replace(cell_and_hand()[0].limits, palm_speed=0.1))
+    palms: list[tuple[float, np.ndarray]] = []
+    robots: list[Robot] = []
+
+    class Paused(DeploymentObserver):
+        left = 60
+
+        def connected(self, robot: Robot) -> None:
+            robots.append(robot)
+
+        def setpoint(self, now: Phase, state: RobotState, command: RobotCommand) -> None:
+            palms.append((state.time, command.palm[:3]))
+            self.left -= now is phase
+            if self.left == 0:
+                robots[0].clock.sleep_until(robots[0].clock.now() + pause)
+
+    result = deploy(Paused(), cell=cell, until="lift")
+    assert ("overrun" in result.fault) is stopped
+    times = np.array([time for time, _ in palms])
+    places = np.array([place for _, place in palms])
+    # Over windows of 100 ms and longer, as an arm that follows them moves.
+    for i in range(len(times)):
+        later = np.searchsorted(times, times[i] + 0.1)
+        if later < len(times):
+            speed = np.linalg.norm(places[later] - places[i]) / (times[later] - times[i])
+            assert speed <= 0.1 * 1.05, (times[i], speed)

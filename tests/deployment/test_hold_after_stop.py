@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +18,7 @@ from fungrasp.deployment.deploy import deploy_on_robot
 from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.policies import OpenLoopPolicy
-from fungrasp.robots.device import DeviceStatus
+from fungrasp.robots.device import DeviceStatus, JointState, StopKind
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
@@ -120,16 +121,96 @@ def test_an_empty_hand_at_home_needs_nobody(world: TwinWorld) -> None:
     assert not asked and not world.powered
 
 
+def answering(robot: Robot, answers: list[str], monkeypatch: pytest.MonkeyPatch, looks: int = 3) -> None:
+    """Somebody at the keyboard says one answer after the other, after some looks at the robot each."""
+
+    def ask(question: str, meanwhile: Callable[[], None]) -> str:
+        for _ in range(looks):
+            meanwhile()
+        return answers.pop(0)
+
+    monkeypatch.setattr(robot.switch, "ask", ask)
+
+
 def test_the_hand_opens_at_the_word_and_at_no_other(
+    world: TwinWorld, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, answers, said = deploy.wired_robot(switch=StopSwitch()), ["", "no", "open"], []
+    with robot:
+        robot.stop()
+        answering(robot, answers, monkeypatch)
+        hold_after_stop.hold_until_told(robot, said.append)
+    assert not answers and said[0] == "The arm has braked. The hand holds."
+    assert said[-1] == "The hand is open." and said[-1] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["hot", "lost", "slips"])
+def test_what_the_hand_says_while_it_holds_is_said_at_once(
+    what: str, world: TwinWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, said, looks = deploy.wired_robot(switch=StopSwitch()), [], []
+    hand = robot.hand_driver
+    read = hand.read
+
+    def spoiled() -> JointState:
+        state = read()
+        if len(looks) < 5:
+            return state
+        if what == "slips":
+            return replace(state, positions=state.positions + 0.2)
+        status = DeviceStatus.FAULT if what == "hot" else DeviceStatus.DISCONNECTED
+        return replace(state, status=status, message="too hot" if what == "hot" else "silent")
+
+    with robot:
+        robot.stop()
+        monkeypatch.setattr(hand, "read", spoiled)
+        watch = hold_after_stop.HoldWatch(robot, said.append)
+        for _ in range(10):
+            watch.look()
+            looks.append(len(said))
+    assert looks == [1] * 5 + [2] * 5
+    assert said[0].endswith("The hand holds.") and "hand holds" not in said[1]
+    assert {"hot": "says: too hot", "lost": "is not known: silent", "slips": "has moved by"}[what] in said[1]
+
+
+def test_a_hand_that_does_not_open_is_said_and_asked_about_again(
     world: TwinWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hold_after_stop, "OPENING", 0.0)
-    switch, answers, opened = StopSwitch(), ["", "no", "open"], []
-    monkeypatch.setattr(switch, "ask", lambda question: answers.pop(0))
-    robot = deploy.wired_robot(switch=switch)
-    monkeypatch.setattr(robot.hand_driver, "stop", opened.append)
-    hold_after_stop.hold_until_told(robot)
-    assert opened == ["open"] and not answers
+    robot, answers, said = deploy.wired_robot(switch=StopSwitch()), ["open", "open"], []
+    with robot:
+        world.command_hand(robot.hand.open_joints + 0.6)
+        world.advance(world.time + 1.0)
+        robot.stop()
+        stop, stops = robot.hand_driver.stop, []
+
+        def deaf(kind: StopKind = StopKind.HOLD) -> None:
+            stops.append(kind)
+            if len(stops) > 1:
+                stop(kind)
+
+        monkeypatch.setattr(robot.hand_driver, "stop", deaf)
+        answering(robot, answers, monkeypatch)
+        hold_after_stop.hold_until_told(robot, said.append)
+    assert not answers
+    opened = [words for words in said if "open" in words]
+    assert opened[0].startswith("The hand has not opened") and opened[-1] == "The hand is open."
+
+
+def test_a_driver_that_raises_at_a_stop_leaves_the_hold(world: TwinWorld) -> None:
+    held = []
+
+    def break_arm(robot: Robot) -> None:
+        def stop(kind: StopKind = StopKind.HOLD) -> None:
+            raise ValueError("made up")
+
+        robot.arm.stop = stop
+
+    policy = Ending(ENDINGS["fault"])
+    told = Told(connected=break_arm, hold=lambda robot: held.append(robot.hand_driver.read().status))
+    # Closing, it raises again: that is the plug-in's own.
+    with pytest.raises(ValueError, match="made up"):
+        deploy_on_robot(task(policy=policy), [told])
+    assert held == [DeviceStatus.STOPPED]
 
 
 def test_ctrl_c_twice_does_not_drop_what_is_held(
@@ -139,7 +220,7 @@ def test_ctrl_c_twice_does_not_drop_what_is_held(
     monkeypatch.setattr(hold_after_stop, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     robot.switch, asked = switch, []
 
-    def interrupted(question: str) -> str:
+    def interrupted(question: str, meanwhile: Callable[[], None]) -> str:
         asked.append(question)
         raise KeyboardInterrupt
 

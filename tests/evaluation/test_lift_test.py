@@ -162,7 +162,7 @@ def test_a_planner_of_ones_own_is_asked(good, things, allegro):
         things,
         OpenLoopPolicy(),
         spec=LiftTestSpec(seeds=(7,)),
-        planner=Planner(allegro, things),
+        plans=Planner(allegro, things),
     )
     assert asked == [(3, 7), (1, 7)] and result.rollouts.tolist() == [5] * 4
 
@@ -175,7 +175,7 @@ def test_results_are_kept_only_of_what_has_a_name(good, things, allegro, tmp_pat
 
     for policy, planner in ((MyPolicy(), None), ("reference", Nameless())):
         with pytest.raises(FungraspError, match="given by name"):
-            evaluate(good, things, policy, planner=planner, store=store)
+            evaluate(good, things, policy, plans=planner, store=store)
     assert not (tmp_path / "x.partial").exists()
 
 

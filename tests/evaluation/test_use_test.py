@@ -53,7 +53,7 @@ def test_evaluate_adds_the_use_test():
     assert whole["use"]["count"] == tested.sum()
     assert {trial["use_motion"] for trial in whole["trials"]} == set(result.use.motion.tolist())
     planner = MotionPlanner(allegro_hand(), objects, MotionSettings(for_use=True))
-    plain = evaluate(good_grasps(), objects, planner=planner, threads=1)
+    plain = evaluate(good_grasps(), objects, plans=planner, threads=1)
     assert plain.use is None and "use" not in result_json(plain)
     np.testing.assert_array_equal(plain.outcomes.lifted_height_m, result.outcomes.lifted_height_m)
 

@@ -86,8 +86,8 @@ def problem_with(around: CollisionScene, **given: np.ndarray) -> RetargetingProb
     empty = {
         "joints": np.zeros((count, 21, 3)),
         "contacts": np.zeros((count, 16), dtype=bool),
-        "surface": np.zeros((count, 21, 3)),
-        "normals": np.zeros((count, 21, 3)),
+        "surface": np.zeros((count, 15, 3)),
+        "normals": np.zeros((count, 15, 3)),
         "center": np.zeros((count, 3)),
         "extent": np.ones(count),
         "weight": np.ones(count),

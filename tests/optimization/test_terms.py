@@ -45,8 +45,8 @@ class Case:
             around_field(grid, COUNT, table),
             joints=random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
             contacts=np.ones((COUNT, 1 + len(self.match.far)), dtype=bool),
-            surface=random.uniform(-0.1, 0.1, (COUNT, 21, 3)),
-            normals=np.broadcast_to([0.0, 1.0, 0.0], (COUNT, 21, 3)),
+            surface=random.uniform(-0.1, 0.1, (COUNT, len(self.match.far), 3)),
+            normals=np.broadcast_to([0.0, 1.0, 0.0], (COUNT, len(self.match.far), 3)),
         )
 
     @property
@@ -160,6 +160,12 @@ def test_a_few_residuals_are_explained_by_hessian_and_gradient(name: str, hand: 
         case.around_the_ball()
     else:
         case.touch_with(one)
+    if name == "contact":
+        # The rows of two spheres of one link would not be independent: the target is at that which touches.
+        link, surface = case.points.link_members[3], case.problem.surface.copy()
+        nearest = link[np.argmin(case.heights[:, link], axis=1)]
+        surface[:, 2] = case.state.spheres[np.arange(COUNT), nearest] + 0.001
+        case.change(surface=surface - case.points.spheres.radius[nearest][:, None, None] * [0.0, 1.0, 0.0])
     at = {"which": case.match.far[one], "target": np.zeros((COUNT, 1, 3)), "weight": np.full((COUNT, 1), 9.0)}
     term: terms.Term = {
         "key point": partial(terms.keypoint_position, **at),
@@ -235,18 +241,23 @@ def test_link_direction_is_the_chord_between_directions(case: Case):
     )
 
 
-def test_contact_position_stops_a_radius_off_the_surface(case: Case):
-    match, state, contacts = case.match, case.state, np.zeros_like(case.problem.contacts)
+def test_contact_position_acts_where_a_link_touches_and_where_it_should(case: Case):
+    """On the sphere nearest to the wall, and on that nearest to the target, a radius off it."""
+    contacts = np.zeros_like(case.problem.contacts)
     contacts[0] = True
-    surface, normals = np.zeros((COUNT, 21, 3)), np.zeros((COUNT, 21, 3))
-    normals[:, match.human_far] = [0.0, 0.0, 1.0]
-    reached = state.keypoints[:, match.far] - case.points.far_radius[:, None] * np.array([0.0, 0.0, 1.0])
-    surface[:, match.human_far] = reached - [0.004, 0.0, 0.0]
-    case.change(surface=surface, normals=normals, contacts=contacts)
-    cost = case.cost(partial(terms.contact_position, unit=0.002, inner_weight=0.25))
-    last = match.is_last.sum()
-    np.testing.assert_allclose(cost[0], 0.5 * (2.0**2 * last + 0.5**2 * (len(match.far) - last)))
-    assert np.all(cost[1:] == 0)
+    case.change(contacts=contacts)
+    surface, expected = case.problem.surface.copy(), 0.0
+    for s in range(len(case.match.far)):
+        members = case.points.link_members[s + 1]
+        radius = case.points.spheres.radius[members]
+        reached = case.state.spheres[0, members] - np.outer(radius, [0.0, 1.0, 0.0])
+        # The target is near that sphere of the link which is farthest from the wall.
+        surface[:, s] = reached[np.argmax(reached[:, 1])] + [0.0003, 0.0, 0.0]
+        off = np.linalg.norm(reached - surface[0, s], axis=1)
+        expected += 0.5 * sum((off[k] / 0.002) ** 2 for k in {np.argmin(reached[:, 1]), np.argmin(off)})
+    case.change(surface=surface)
+    cost = case.cost(partial(terms.contact_position, unit=0.002))
+    assert cost[0] == pytest.approx(expected, rel=1e-6) and np.all(cost[1:] == 0)
 
 
 def test_contact_gap_is_the_distance_of_the_nearest_ball(case: Case):

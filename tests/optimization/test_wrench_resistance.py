@@ -13,9 +13,15 @@ from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.link_contacts import LinkContacts
+from fungrasp.optimization.link_contacts import LinkContacts, contacts_of_links
 from fungrasp.optimization.problem import RetargetingProblem
-from fungrasp.optimization.wrench_resistance import NO_GRIP, Grip, unresisted_load, unresisted_share
+from fungrasp.optimization.wrench_resistance import (
+    NO_GRIP,
+    Grip,
+    torque_limits,
+    unresisted_load,
+    unresisted_share,
+)
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -82,9 +88,10 @@ def test_shares_of_grasps_and_bounds_between_which_none_is_found(name: str):
     problem = RetargetingProblem.from_grasps(held(), plain_objects(), points.match)
     objective = [terms.contact_position, terms.contact_gap, terms.object_penetration]
     pose, joints, _ = minimize(points, problem, objective, *initial_pose(points, problem), 40)
-    pose[0, :3] = problem.surface[0, 12] - 0.01 * problem.normals[0, 12]
+    pose[0, :3] = problem.surface[0, 2] - 0.01 * problem.normals[0, 2]
     which = np.array([True, True, False, True, True, True])
-    shares = partial(unresisted_share, points.dense, problem, pose, joints)
+    contacts = contacts_of_links(points.dense, problem, pose, joints)
+    shares = partial(unresisted_share, contacts, problem, torque_limits(points.kinematics.hand))
     found = shares(upper=np.where(which, np.inf, 0.0))
     assert found[0] == NO_GRIP and found[2] == np.inf
     assert np.any((found > 1e-3) & (found < NO_GRIP))

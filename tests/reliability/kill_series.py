@@ -111,7 +111,7 @@ def planning(scratch: Path) -> tuple[Work, Result]:
         store = PartStore(folder / "planned.json.partial")
         spec = LiftTestSpec(policy="predictor", lift=replace(LiftProtocol(), hold_time=0.5))
         with parts_of(1):
-            tested = evaluate(grasps, objects, spec=spec, planner=planner, threads=1, store=store)
+            tested = evaluate(grasps, objects, spec=spec, plans=planner, threads=1, store=store)
         write_result(folder / "planned.json", *split_rows(result_json(tested)))
         store.remove()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from time import process_time
+
 import numpy as np
 import pytest
 from retarget_scenes import held, plain_objects
@@ -10,8 +12,12 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.human_hand import OPENPOSE
 from fungrasp.hands import load_hand
+from fungrasp.hands.collisions import self_collision_depth
 from fungrasp.hands.correspondence import correspond
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.retargeting import FollowedPose, Retargeter
 
 FRAMES = 40
@@ -92,3 +98,51 @@ def test_what_is_not_a_hand_is_refused():
         retargeter.follow(grasp.hand_joints[:20], grasp.object_pose)
     with pytest.raises(FungraspError, match="object_pose"):
         retargeter.follow(grasp.hand_joints, np.full(7, np.nan))
+    with pytest.raises(FungraspError, match="only there"):
+        retargeter.follow(grasp.hand_joints)
+    with pytest.raises(FungraspError, match="only there"):
+        Retargeter("allegro").follow(grasp.hand_joints, grasp.object_pose)
+    with pytest.raises(FungraspError, match="unknown order of joints"):
+        Retargeter("allegro", order="mediapip")
+
+
+def gestures(frames: int = 60) -> np.ndarray:
+    """A free hand that opens and closes between the postures of three grasps while it moves and turns [m]."""
+    posture = held().hand_joints[:3] - held().hand_joints[:3, :1]
+    found = []
+    for share in np.linspace(0.0, 1.999, frames):
+        first, part = int(share), share % 1
+        turn = np.array([0.3 * share, 0.0, 0.2, np.cos(0.5 * share), 0.0, 0.0, np.sin(0.5 * share)])
+        found.append(transform_points(turn, (1 - part) * posture[first] + part * posture[first + 1]))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("name", ["allegro", "shadow"])
+def test_a_free_hand_is_followed_at_more_than_100_frames_a_second(name: str):
+    retargeter, seen = Retargeter(name), gestures()
+    retargeter.follow(seen[0])
+    retargeter.follow(seen[1])
+    start = process_time()
+    poses = [retargeter.follow(joints) for joints in seen[2:]]
+    assert len(poses) / (process_time() - start) > 100
+    hand = retargeter.hand
+    joints = np.array([pose.joint_positions for pose in poses])
+    assert np.all((joints >= hand.joint_limits[:, 0] - 1e-9) & (joints <= hand.joint_limits[:, 1] + 1e-9))
+    assert np.abs(np.diff(joints, axis=0)).max() < 0.2
+    points, match = HandPoints(HandKinematics(hand, len(poses))), correspond(hand)
+    points.kinematics.update(np.array([pose.wrist_pose for pose in poses]), hand.independent(joints))
+    tips = points.kinematics.points(points.keypoints)[:, match.far[match.is_last]]
+    wanted = seen[2:][:, match.human_far[match.is_last]]
+    assert np.linalg.norm(tips - wanted, axis=-1).mean() < 0.008
+    assert self_collision_depth(hand.model, joints).max() < 0.004
+
+
+def test_a_free_hand_may_be_anywhere_and_in_any_order():
+    move = np.array([0.5, -0.2, 1.0, 0.5, 0.5, -0.5, 0.5])
+    plain, moved = Retargeter("allegro"), Retargeter("allegro", order="mediapipe")
+    for joints in gestures()[::20]:
+        scattered = np.empty((21, 3))
+        scattered[OPENPOSE] = transform_points(move, joints)
+        one, other = plain.follow(joints), moved.follow(scattered)
+        np.testing.assert_allclose(one.joint_positions, other.joint_positions, atol=1e-3)
+        np.testing.assert_allclose(compose(move, one.wrist_pose)[:3], other.wrist_pose[:3], atol=1e-3)

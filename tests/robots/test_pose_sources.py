@@ -131,6 +131,78 @@ def test_what_stops_coming_grows_old_and_is_refused(fault: str):
         assert wait_for(lambda: not problem(stream))
 
 
+class Elsewhere:
+    """A tracker on another machine: its clock has another origin, and its messages take their time."""
+
+    def __init__(self, address: str, wall: bool):
+        zmq, self.msgpack = pytest.importorskip("zmq"), pytest.importorskip("msgpack")
+        self.socket = zmq.Context.instance().socket(zmq.PUB)
+        self.socket.bind(address)
+        self.wall, self.travel, self.skew = wall, 0.0, 0.0
+        self.waiting: list[tuple[float, bytes]] = []
+        self.ended = threading.Event()
+        self.silent = False
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        while not self.ended.wait(0.02):
+            now = time.monotonic()
+            said = replace(
+                MESSAGE,
+                clock="monotonic:of another machine",
+                captured=now - 1e5 - 0.03,
+                sent=now - 1e5,
+                wall=time.time() + self.skew if self.wall else None,
+            )
+            if not self.silent:
+                self.waiting.append((now + self.travel, self.msgpack.packb(message_entries(said))))
+            while self.waiting and self.waiting[0][0] <= time.monotonic():
+                self.socket.send(self.waiting.pop(0)[1])
+
+    def close(self) -> None:
+        self.ended.set()
+        self.thread.join()
+        self.socket.close()
+
+
+@pytest.mark.parametrize("wall", [True, False])
+def test_a_pose_of_another_machine_ages_though_nobody_looks_and_though_the_network_is_slow(wall: bool):
+    address = f"{ADDRESS}-elsewhere-{wall}"
+    tracker = Elsewhere(address, wall)
+    try:
+        with PoseStream(address, MESSAGE.object_name, timeout=10.0) as stream:
+            assert wait_for(lambda: 0.02 < time.monotonic() - stream.read().captured < 0.2)
+            # Dead for a while, in which nobody reads: planning takes seconds.
+            tracker.silent = True
+            time.sleep(1.2)
+            assert time.monotonic() - stream.read().captured > 1.0
+            tracker.silent = False
+            assert wait_for(lambda: time.monotonic() - stream.read().captured < 0.3)
+            tracker.travel = 0.8
+            time.sleep(1.5)
+            age = time.monotonic() - stream.read().captured
+            assert 0.75 < age < 1.6
+    finally:
+        tracker.close()
+
+
+def test_machines_with_another_time_of_day_are_refused():
+    address = f"{ADDRESS}-skewed"
+    tracker = Elsewhere(address, wall=True)
+    tracker.skew = 2.0
+    try:
+        with pytest.raises(RobotError, match=r"2\.0\d s ahead of ours"):
+            PoseStream(address, MESSAGE.object_name, timeout=10.0).connect()
+    finally:
+        tracker.close()
+
+
+def test_a_pose_from_the_future_is_refused():
+    ahead = TrackedPose(IDENTITY, 5.0, 1.0, TrackingStatus.TRACKING)
+    assert "3000 ms ahead" in check_pose(ahead, IDENTITY, 2.0, CELL)
+
+
 def test_an_object_that_jumps_is_refused():
     with tracked() as (tracker, stream):
         assert wait_for(lambda: not problem(stream))

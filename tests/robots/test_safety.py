@@ -144,6 +144,38 @@ def test_goals_beyond_limits_are_clipped() -> None:
     np.testing.assert_array_equal(check_setpoint(state(), inside, context(), FREE).arm, inside.arm)
 
 
+def test_what_is_checked_is_what_is_sent() -> None:
+    """A joint that is clipped has its palm and its clearance elsewhere than what was asked for."""
+    seen: list[np.ndarray] = []
+
+    def clearance(arm: np.ndarray, fingers: np.ndarray) -> Clearance:
+        seen.append(arm)
+        return FREE
+
+    def palm(arm: np.ndarray) -> np.ndarray:
+        return np.array([0.1 * arm[0], 0.0, 0.3, 1, 0, 0, 0])
+
+    guard = SafetyGuard(CELL, {"arm": ARM, "hand": HAND}, clearance, PERIOD, palm=palm)
+    guard(state(time=1.0), command())
+    wanted = np.full(6, 0.1)
+    sent = guard(state(time=1.02), command(arm=wanted, palm=palm(wanted)))
+    assert sent.arm[0] == pytest.approx(1.5 * PERIOD * TOLERANCE) and seen[-1][0] == sent.arm[0]
+    np.testing.assert_allclose(sent.palm, palm(sent.arm))
+
+
+def test_setpoints_in_a_burst_are_refused() -> None:
+    guard = SafetyGuard(CELL, {"arm": ARM, "hand": HAND}, lambda arm, fingers: FREE, PERIOD)
+
+    def send(now: float) -> None:
+        guard(state(time=now, arm=joints(6, device_time=now), hand=joints(4, device_time=now)), command())
+
+    for now in (0.0, 0.0199, 0.04, 0.079, 0.08, 0.1):
+        send(now)
+    with pytest.raises(SafetyStop, match="in less than 20 ms"):
+        for _ in range(3):
+            send(0.3)
+
+
 def test_a_time_stamp_that_stands_still_stops_the_arm() -> None:
     guard = SafetyGuard(CELL, {"arm": ARM, "hand": HAND}, lambda arm, fingers: FREE, PERIOD)
     for tick in range(10):
@@ -167,7 +199,8 @@ def test_a_time_stamp_that_stands_still_stops_the_arm() -> None:
         (np.array([0.0, 0, 0.1, 1, 0, 0, 0]), 0.6, "600 ms old"),
         (np.array([0.06, 0, 0.1, 1, 0, 0, 0]), 0.1, "jumped by 6.0 cm"),
         (np.array([np.nan, 0, 0.1, 1, 0, 0, 0]), 0.1, "not finite"),
-        (np.array([0.04, 0, 0.1, 1, 0, 0, 0]), 0.4, ""),
+        (np.array([0.03, 0, 0.1, 1, 0, 0, 0]), 0.1, "jumped by 3.0 cm"),
+        (np.array([0.015, 0, 0.1, 1, 0, 0, 0]), 0.4, ""),
     ],
 )
 def test_poses(pose, age, said) -> None:

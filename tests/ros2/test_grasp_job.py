@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +20,7 @@ from fungrasp.deployment import hold_after_stop
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.spec import GraspChoice
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.device import DeviceStatus, JointState, StopKind
+from fungrasp.robots.device import DeviceStatus, JointState, StopKind, WallClock
 from fungrasp_ros2 import grasp_node
 from fungrasp_ros2.grasp_node import GraspJob, GraspRequest
 
@@ -38,8 +41,14 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(GraspChoice, "robot", lambda self, hand, seed=0: (grasp, {"mug": "a mug"}))
     monkeypatch.setattr(grasp_node, "deployment_task", lambda grasp, objects, spec: spec)
     monkeypatch.setattr(hold_after_stop, "OPENING", 0.0)
+    monkeypatch.setattr(hold_after_stop, "LOOK", 0.01)
     stops: list[StopKind] = []
-    robot: Any = SimpleNamespace(state=lambda: None, hand_driver=SimpleNamespace(stop=stops.append))
+    robot: Any = SimpleNamespace(
+        state=lambda: SimpleNamespace(arm=STATE, hand=STATE),
+        hand_driver=SimpleNamespace(stop=stops.append, read=lambda: STATE),
+        hand=SimpleNamespace(open_joints=np.zeros(6)),
+        clock=WallClock(),
+    )
 
     def deploy(spec: Any, observers: Any, switch: Any) -> Any:
         assert (spec.cell, spec.until, spec.speed) == ("lab.toml", "lift", 0.5)
@@ -74,6 +83,58 @@ def test_a_grasp_is_stopped_held_and_released(job: Any) -> None:
     assert not done and words == "fault: the service 'stop' was called" and Path(log).is_file()
     assert job.stops == [StopKind.OPEN] and job.wrong == "the service 'stop' was called"
     assert job.stop() == (False, "nothing is running")
+
+
+def test_cancelling_stops_and_ends_with_the_hold(job: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    node: Any = object.__new__(grasp_node.GraspNode)
+    node._job, node._accept = job, "accepted"
+    node._result = node._feedback = SimpleNamespace
+    monkeypatch.setattr(grasp_node, "fill", lambda message, values: values)
+    ends: list[str] = []
+    goal: Any = SimpleNamespace(
+        request=SimpleNamespace(grasp="mug", grasps="", objects="", until="lift", speed=0.5, dry_run=False),
+        publish_feedback=lambda feedback: None,
+        is_cancel_requested=True,
+        **{name: lambda name=name: ends.append(name) for name in ("canceled", "succeed", "abort")},
+    )
+    thread = threading.Thread(target=node.execute, args=(goal,))
+    thread.start()
+    assert wait_for(lambda: job.states)
+    assert node.cancel(goal) == "accepted"
+    assert wait_for(lambda: job.holding) and not ends
+    assert "The hand holds" in job.wrong
+    job.release()
+    thread.join(10.0)
+    assert ends == ["canceled"] and job.stops == [StopKind.OPEN]
+
+
+@pytest.mark.parametrize("released", [True, False])
+def test_an_interrupt_stops_and_the_node_serves_until_the_hold_ends(job: Any, released: bool) -> None:
+    """In a process of its own signals come to the main thread."""
+    thread = threading.Thread(target=lambda: job.run(MUG, lambda phase: None))
+    thread.start()
+    assert wait_for(lambda: job.states)
+    said: list[str] = []
+    times = []
+
+    def press() -> None:
+        assert wait_for(lambda: signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert wait_for(lambda: job.holding)
+        times.append(job.running)
+        time.sleep(1.2)
+        if released:
+            job.release()
+        else:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    presser = threading.Thread(target=press)
+    presser.start()
+    grasp_node.serve_until_told(job, said.append)
+    presser.join()
+    thread.join(10.0)
+    assert times == [True] and "until 'release'" in said[0] and not job.running
+    assert job.stops == [StopKind.OPEN] * released
 
 
 def test_what_is_refused_is_said(job: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -248,7 +248,9 @@ def test_poses_without_a_stamp_are_refused() -> None:
 class StandInAction:
     """In the place of rclpy's server: the action's type needs a build."""
 
-    def __init__(self, node: Any, kind: Any, name: str, execute: Any, callback_group: Any):
+    def __init__(
+        self, node: Any, kind: Any, name: str, execute: Any, callback_group: Any, cancel_callback: Any
+    ):
         self.name = name
 
 

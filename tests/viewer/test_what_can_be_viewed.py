@@ -12,16 +12,38 @@ import pytest
 import fungrasp
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.poses import compose
 from fungrasp.grasps import builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 from fungrasp.viewer.choose_page import choose_page
 from fungrasp.viewer.episode_stage import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import Worker
+from fungrasp.viewer.plan_page import planned_states
 from fungrasp.viewer.result_page import ShownResult
 from fungrasp.viewer.robot_view import RobotView
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
+
+
+def test_single_grasps_and_plans_have_pages(tmp_path):
+    robot = fungrasp.retarget(builtin_grasps()[50])
+    plans = fungrasp.plan(robot)
+    plans.save(tmp_path / "plan.npz")
+    for what, title in (
+        (builtin_grasps()[0], "Grasps"),
+        (robot, "Robot grasps"),
+        (plans, "Plans"),
+        (tmp_path / "plan.npz", "Plans"),
+    ):
+        assert choose_page(what, None, "allegro").title == title
+    states = planned_states(plans, 0, load_hand("allegro"))
+    first, last = states[0], states[len(states) - 1]
+    start = compose(plans.object_pose, plans.palm_setpoint_object[:, 0])[0]
+    np.testing.assert_allclose(first.palm_pose, start)
+    assert last.phase == "lift" and last.object_pose[2] - first.object_pose[2] == pytest.approx(0.1, abs=0.05)
+    with pytest.raises(FungraspError, match="unknown object 'thing'"):
+        choose_page(replace(plans, object_name=np.array(["thing"])), None, "allegro")
 
 
 def test_a_port_in_use_is_said():

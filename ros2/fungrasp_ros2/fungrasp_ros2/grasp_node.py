@@ -20,7 +20,7 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.deployment.deploy import deploy_on_robot
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.deployment_task import deployment_task
-from fungrasp.deployment.hold_after_stop import open_slowly
+from fungrasp.deployment.hold_after_stop import ONE_PRESS, HoldWatch, endings_as_interrupts
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import LAST_PHASES, Phase
@@ -80,7 +80,7 @@ class GraspJob(DeploymentObserver):
         check_calibrated(cell)
         self.cell, self.hand = cell, load_hand(cell.hand)
         self._name, self._policy, self._logs, self._deploy = name, policy, logs, deploy
-        self._busy, self._released = threading.Lock(), threading.Event()
+        self._busy, self._released, self._left = threading.Lock(), threading.Event(), threading.Event()
         self._switch: StopSwitch | None = None
         self._told: Callable[[str], None] = lambda phase: None
         self.now, self.wrong, self.holding = "", "", False
@@ -101,6 +101,16 @@ class GraspJob(DeploymentObserver):
             return False, "the hand does not hold after a run"
         self._released.set()
         return True, "opening"
+
+    def leave(self) -> None:
+        """Stop, and hold no longer: what the hand does then is the driver's ``lets_go``."""
+        self._left.set()
+        self.stop()
+
+    @property
+    def running(self) -> bool:
+        """Whether a grasp or its hold goes on."""
+        return self._busy.locked()
 
     def run(self, request: GraspRequest, on_phase: Callable[[str], None]) -> tuple[bool, str, str]:
         """Grasp.
@@ -164,14 +174,26 @@ class GraspJob(DeploymentObserver):
         self.states = {"arm": state.arm, "hand": state.hand}
 
     def hold(self, robot: Robot) -> bool:
-        """Hold until ``release``, then open the hand slowly. robot: connected and stopped."""
+        """Hold, watched, until ``release``, and until the hand has opened, or until ``leave``.
+
+        Args:
+            robot: connected and stopped.
+        """
+        watch = HoldWatch(robot, self._say)
         self.holding = True
-        while not self._released.wait(0.1):
-            # A driver that is not heard of stops by itself.
-            robot.state()
+        while not self._left.is_set():
+            watch.look()
+            if self._released.is_set():
+                self._released.clear()
+                if watch.open():
+                    break
         self.holding = False
-        open_slowly(robot)
         return True
+
+    def _say(self, words: str) -> None:
+        """What arm and hand do while they hold, for feedback and diagnostics."""
+        self.wrong = words
+        self._told(words)
 
 
 class GraspNode:
@@ -205,9 +227,18 @@ class GraspNode:
         node.create_service(trigger, "~/release", self._answer(job.release), callback_group=group)
         node.create_timer(PUBLISHING, self.publish, callback_group=group)
         kind = ros_module("fungrasp_msgs.action").Grasp
-        server = action or ros_module("rclpy.action").ActionServer
+        actions = ros_module("rclpy.action")
+        server = action or actions.ActionServer
+        self._accept = actions.CancelResponse.ACCEPT
         self._result, self._feedback = kind.Result, kind.Feedback
-        self._server = server(node, kind, "~/grasp", self.execute, callback_group=group)
+        self._server = server(
+            node, kind, "~/grasp", self.execute, callback_group=group, cancel_callback=self.cancel
+        )
+
+    def cancel(self, goal: Any) -> Any:
+        """Cancelling stops the arm as the service does; the action ends when the hold does."""
+        self._job.stop()
+        return self._accept
 
     def execute(self, goal: Any) -> Any:
         """The action. goal: its handle."""
@@ -221,7 +252,7 @@ class GraspNode:
         done, words, log = self._job.run(
             request, lambda phase: goal.publish_feedback(fill(self._feedback(), {"phase": phase}))
         )
-        (goal.succeed if done else goal.abort)()
+        (goal.canceled if goal.is_cancel_requested else goal.succeed if done else goal.abort)()
         return fill(self._result(), {"done": done, "message": words, "log": log})
 
     def publish(self) -> None:
@@ -244,7 +275,8 @@ class GraspNode:
 def main() -> None:
     """``grasp_node``; parameters: ``cell``, ``policy``, ``logs``."""
     rclpy, executors = ros_module("rclpy"), ros_module("rclpy.executors")
-    rclpy.init()
+    # Ours: with rclpy's, Ctrl-C ends the services, ``release`` among them, while the hand still holds.
+    rclpy.init(signal_handler_options=ros_module("rclpy.signals").SignalHandlerOptions.NO)
     node = rclpy.create_node("fungrasp")
     parameters = {"cell": "", "policy": "plan", "logs": "."}
     given = {name: node.declare_parameter(name, value).value for name, value in parameters.items()}
@@ -258,10 +290,32 @@ def main() -> None:
         raise SystemExit(2) from error
     executor = executors.MultiThreadedExecutor(4)
     executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
     try:
-        executor.spin()
-    except KeyboardInterrupt:
-        job.stop()
+        serve_until_told(job, lambda words: node.get_logger().warning(words))
     finally:
+        executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def serve_until_told(job: GraspJob, say: Callable[[str], object]) -> None:
+    """Wait for Ctrl-C or SIGTERM; then stop what moves, and go on until its hold has ended. A second one, a
+    while later, ends the hold as well.
+
+    Args:
+        say: told in words what is waited for.
+    """
+    with endings_as_interrupts():
+        asked, since = 0, -ONE_PRESS
+        while not asked or job.running:
+            try:
+                time.sleep(PUBLISHING)
+            except KeyboardInterrupt:
+                asked += time.monotonic() - since > ONE_PRESS
+                since = time.monotonic()
+                job.stop()
+                if asked > 1:
+                    job.leave()
+                elif job.running:
+                    say("stopped; the hand holds until 'release' or another Ctrl-C")

@@ -125,7 +125,7 @@ def _terminal(
             print(phase, flush=True)
 
         def fault(self, time: float, reason: str) -> None:
-            print("fault", flush=True)
+            print(f"fault: {reason}", flush=True)
 
     return Terminal(switch)
 

@@ -48,6 +48,7 @@ LEFT: Mapping[str, str] = {
     "demo --refine": "rollouts choose among plans; --policy reference runs one motion without choosing",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the completion script",
+    "retarget --likeness": "contacts are as the person's, as firm there as can be; leave it out",
     "evaluate --refine": "rollouts choose among plans: --policy student, or predictor",
     "export --format urdf": "--format mcap holds the joints and the poses of each step",
     "export --format dexgraspbench": "fg.load_grasps reads a grasp file's poses and joints in Python",

@@ -27,9 +27,6 @@ class Retarget(Answering):
     round. Mirrored objects are named <name>_mirrored."""
     method: str = "contact"
     """Retargeting method: contact, angle-copy or dexgraspnet."""
-    likeness: float = 1.0
-    """How much the person's contact places count against a firm grip, for the method contact: from 0, as firm
-    as possible, to inf, as shown."""
     quality: Path | None = None
     """Write a summary of the quality of the grasps here (.json)."""
     picture: Path | None = None
@@ -50,7 +47,7 @@ class Retarget(Answering):
         from fungrasp.hands import load_hand
         from fungrasp.hands.collisions import self_contact_words
         from fungrasp.media.pictures import draw_grasps
-        from fungrasp.retargeting import RetargetSettings, retarget
+        from fungrasp.retargeting import retarget
 
         hand, cluster = load_hand(self.hand), on_cluster(self.ray)
         human = load_human_grasps(self.grasps)
@@ -65,7 +62,6 @@ class Retarget(Answering):
                     objects,
                     hand,
                     self.method,
-                    RetargetSettings(likeness=self.likeness),
                     threads=self.threads,
                     store=store,
                     ray=cluster,

@@ -36,6 +36,12 @@ class BatchRecord:
         known = ", ".join(name for name in self._rows())
         return f"<{type(self).__name__}: {len(self)} rows of {known}>"
 
+    def __getitem__(self, rows: int | slice | Sequence[int] | np.ndarray) -> Self:
+        """Some rows of the batch; a number gives a batch of one."""
+        if isinstance(rows, slice):
+            return self.select(rows)
+        return self.select(np.atleast_1d(np.asarray(rows)))
+
     def select(self, rows: np.ndarray | slice) -> Self:
         """Some rows of the batch. rows: indices, flags or a slice."""
         return self._with({name: value[rows] for name, value in self._rows().items()})

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fungrasp.core import __version__
+from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.deployment_task import DeploymentTask, deployment_task
@@ -20,23 +21,27 @@ from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.spec import DeploymentSpec
 from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
-from fungrasp.grasps import RobotGraspSet
-from fungrasp.objects import ObjectModel
+from fungrasp.grasps import HumanGraspSet
+from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
+from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.robots.assembly import is_twin, wired_robot
+from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import StopKind
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import cell_twin
+from fungrasp.task import GraspPlan
 
 POWERING_OFF = 0.1
 """Time in which an empty hand's driver takes the torque away [s]."""
 
 
 def deploy(
-    robot: RobotGraspSet,
-    objects: Mapping[str, ObjectModel],
+    grasps: AnyGrasps,
+    objects: Objects = None,
     cell: str | None = None,
     policy: str | None = None,
     *,
+    plans: GraspPlan | None = None,
     spec: DeploymentSpec | None = None,
     log: str | Path | None = None,
     observer: DeploymentObserver | None = None,
@@ -49,9 +54,12 @@ def deploy(
     put where the arm can reach it; on a robot it stands where the tracker sees it.
 
     Args:
-        robot: one grasp, of the cell's hand.
+        grasps: one grasp of the cell's hand, or of a person, which is retargeted to that hand first.
+        objects: its object, as for ``retarget``.
         cell: in the place of the one that ``spec`` names.
         policy: in the place of that of ``spec``.
+        plans: one plan for the grasp (``fungrasp.plan``), which moves along with the object to where the
+            robot sees it; by default the policy's planner makes one.
         spec: what is asked; the defaults if None.
         log: MCAP file to write, which must not exist; no log if None.
         observer: told of everything, and asked before each phase in which the robot moves; nobody if None.
@@ -66,7 +74,14 @@ def deploy(
     """
     spec = spec or DeploymentSpec()
     spec = replace(spec, cell=cell or spec.cell, policy=policy or spec.policy)
-    task = deployment_task(robot, objects, spec)
+    found = as_grasp_set(grasps)
+    if len(found) != 1:
+        raise FungraspError(f"one grasp is deployed at a time, not {len(found)}: select one, as in robot[0]")
+    if isinstance(found, HumanGraspSet):
+        robot, known, _, _ = as_robot_grasps(found, objects, load_cell(spec.cell).hand, spec.threads)
+    else:
+        robot, known = found, resolve_objects(found, objects)
+    task = deployment_task(robot, known, spec, plans)
     with ExitStack() as stack:
         observers = [] if observer is None else [observer]
         if log is not None:
@@ -76,7 +91,8 @@ def deploy(
         switch = stack.enter_context(StopSwitch(task.cell.stop_file)) if switch is None else switch
         if not is_twin(task.cell):
             return deploy_on_robot(task, observers, switch)
-        placement = reachable_placement(task.cell, task.hand, task.obj, robot, spec.seed)
+        given = None if plans is None else task.planner
+        placement = reachable_placement(task.cell, task.hand, task.obj, robot, spec.seed, given)
         truth = cell_twin(task.cell, task.hand, spec.twin)
         result = deploy_on_twin(task, placement, truth, observers, switch=switch)
         if spec.until in ("plan", "approach", "grasp"):
@@ -126,4 +142,11 @@ def deploy_on_robot(
                 robot.hand_driver.stop(StopKind.POWER_OFF)
                 time.sleep(POWERING_OFF)
             elif not any(observer.hold(robot) for observer in observers):
-                hold_until_told(robot)
+
+                def note(words: str) -> None:
+                    for observer in observers:
+                        # The log may be what has failed.
+                        with suppress(Exception):
+                            observer.note(robot.clock.now(), words)
+
+                hold_until_told(robot, note)

@@ -214,7 +214,7 @@ class Deployment:
         """Ask whether a phase may begin; meanwhile the robot stands still, and is watched as in motion. How
         long that took [s]."""
         robot, moving = self.robot, Phase.MOVE_TO_START in self._times
-        asked = when = robot.clock.now()
+        asked = when = robot.now()
 
         def meanwhile() -> None:
             nonlocal when
@@ -229,8 +229,8 @@ class Deployment:
         for observer in self._observers:
             observer.confirm(phase, meanwhile)
         if moving:
-            robot.clock.sleep_until(when)
-        return robot.clock.now() - asked
+            robot.wait(when)
+        return robot.now() - asked
 
     def _follow_policy(self, judge: AttemptJudge | None) -> None:
         """Grasp, lift and hold, as the policy says; the judge looks on, if there is one."""
@@ -238,8 +238,7 @@ class Deployment:
         self._ask(Phase.GRASP)
         self._begin(Phase.GRASP)
         state = robot.state()
-        robot.begin(state, p.lift_height)
-        start, step, held_since = state.time, 0, np.inf
+        start, step, held_since = robot.begin(state, p.lift_height), 0, np.inf
         closing = float(plan.closing_step[0]) * plan.control_period
         while True:
             now = self.scripted.wait_for_tick(start, step)
@@ -275,7 +274,7 @@ class Deployment:
                 action.palm_goal_world, p.lift_height
             ):
                 self._begin(Phase.HOLD)
-                held_since = robot.clock.now()
+                held_since = robot.now()
             self._last_goal = action.palm_goal_world
             step += 1
             self.scripted.check_length(self.machine.phase, step)

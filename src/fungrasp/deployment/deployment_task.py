@@ -17,11 +17,12 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner, make_planner
 from fungrasp.planning.attempts import check_attempts
+from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, make_policy
 from fungrasp.robots.assembly import is_twin
-from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell
-from fungrasp.task import Policy
+from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell, plan_speed, slowest_limit
+from fungrasp.task import GraspPlan, Policy
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +59,16 @@ class DeploymentTask:
 
 
 def deployment_task(
-    robot: RobotGraspSet, objects: Mapping[str, ObjectModel], spec: DeploymentSpec
+    robot: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    spec: DeploymentSpec,
+    plans: GraspPlan | None = None,
 ) -> DeploymentTask:
     """Load what a specification names.
 
     Args:
         robot: one grasp, of the cell's hand.
+        plans: one plan for it, to be followed in the place of one that the policy's planner makes.
 
     Raises:
         FungraspError: several grasps, grasps of another hand, no such cell or policy, a cell that is not
@@ -89,7 +94,17 @@ def deployment_task(
             f"the policy '{spec.policy}' watches what it does and acts at 10 Hz: it can't be slowed down to "
             f'{spec.speed:g}; the policies "plan" and "reference" can'
         )
-    planner = robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)
+    if watches and plan_speed(cell.limits) < 1.0:
+        raise FungraspError(
+            f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of "
+            f"their speed, and the policy '{spec.policy}' watches what it does and can't be slowed down; the "
+            'policies "plan" and "reference" can'
+        )
+    planner = (
+        robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)
+        if plans is None
+        else GivenPlans(plans, robot)
+    )
     return DeploymentTask(spec, cell, hand, obj, robot, policy, planner, dynamics)
 
 

@@ -1,16 +1,19 @@
-"""After a run that did not end with an empty hand: arm and hand hold until a person says open."""
+"""After a run that did not end with an empty hand: arm and hand hold, watched, until a person says open."""
 
 from __future__ import annotations
 
 import logging
 import signal
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from fungrasp.robots.device import StopKind
+import numpy as np
+
+from fungrasp.robots.device import DeviceStatus, JointState, StopKind
 from fungrasp.robots.robot import Robot
 
 _log = logging.getLogger(__name__)
@@ -21,27 +24,110 @@ OPEN = "open"
 OPENING = 4.0
 """Time in which a hand opens [s]."""
 
+OPENED = 0.25
+"""A joint is open this near to where the hand's model is open [rad], or after half of its way there: what was
+held may be in the way."""
+
+MOVED = 0.1
+"""A joint that is farther from where it was as the hold began has moved [rad]."""
+
+LOOK = 0.05
+"""Between two looks at a robot that holds [s]."""
+
 ONE_PRESS = 1.0
 """Interrupts that come sooner after the one before are one and the same [s]."""
 
-QUESTION = f"The arm has braked and the hand holds. Put a hand under the object, then type '{OPEN}': "
+QUESTION = f"Put a hand under the object, then type '{OPEN}': "
 
 ENDINGS = ("SIGTERM", "SIGHUP")
 """Signals that end a program as Ctrl-C does: ``kill``, and a terminal that is closed."""
 
 
-def hold_until_told(robot: Robot) -> None:
-    """Hold until a person says open at the keyboard of the robot's switch, then open the hand slowly. Ctrl-C
-    ends holding without opening: where the hand would let go then (``lets_go``) only a second one does.
+class HoldWatch:
+    """Watches a robot that has stopped, and says what its devices say, as soon as it changes."""
+
+    def __init__(self, robot: Robot, say: Callable[[str], None]):
+        """
+        Args:
+            robot: connected and stopped.
+            say: told each change in words.
+        """
+        self.robot, self._say = robot, say
+        self._places: dict[str, np.ndarray] = {}
+        self._said = ""
+
+    def look(self) -> None:
+        """Read the devices, which hold while they are heard of, and wait a moment."""
+        words = self.words()
+        if words != self._said:
+            self._said = words
+            self._say(words)
+        self.robot.clock.sleep_until(self.robot.clock.now() + LOOK)
+
+    def words(self) -> str:
+        """What arm and hand do now, as their readings show it."""
+        state = self.robot.state()
+        arm, hand = self._of("arm", state.arm, "has braked"), self._of("hand", state.hand, "holds")
+        return f"The arm {arm}. The hand {hand}."
+
+    def open(self) -> bool:
+        """Open the hand slowly; whether its readings show that it is open. Either is said."""
+        robot, target = self.robot, self.robot.hand.open_joints
+        begin = np.abs(robot.hand_driver.read().positions - target)
+        robot.hand_driver.stop(StopKind.OPEN)
+        end = robot.clock.now() + OPENING
+        while True:
+            # Also so that it opens to the end.
+            hand = robot.hand_driver.read()
+            if robot.clock.now() >= end:
+                break
+            robot.state()
+            robot.clock.sleep_until(robot.clock.now() + LOOK)
+        left = np.abs(hand.positions - target)
+        heard = hand.status is not DeviceStatus.DISCONNECTED
+        opened = heard and bool((left <= np.maximum(OPENED, 0.5 * begin)).all())
+        self._places.pop("hand", None)
+        said = f": {hand.message}" if hand.message else ""
+        self._say(
+            "The hand is open."
+            if opened
+            else f"The hand has not opened{said}. Take the object, or switch the hand's supply off."
+        )
+        return opened
+
+    def _of(self, part: str, state: JointState, well: str) -> str:
+        """What a device does, as the rest of a sentence. well: what one does that stands still."""
+        if state.status is DeviceStatus.DISCONNECTED:
+            return f"is not heard, and what it does is not known: {state.message}"
+        place = self._places.setdefault(part, state.positions.copy())
+        moved = float(np.abs(state.positions - place).max())
+        did = f"has moved by more than {MOVED:g} rad" if moved > MOVED else well
+        told = state.status in (DeviceStatus.READY, DeviceStatus.STOPPED)
+        return did if told else f"{'stands still' if did == well else did}, and says: {state.message}"
+
+
+def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: None) -> None:
+    """Hold, watched, until a person says open at the keyboard of the robot's switch and the hand has opened.
+    Ctrl-C ends holding without opening: where the hand would let go then (``lets_go``) only a second one
+    does.
 
     Args:
         robot: connected and stopped.
+        note: told whatever is said on the terminal.
     """
+
+    def say(words: str) -> None:
+        note(words)
+        sys.stderr.write(f"\n{words} {QUESTION if robot.switch.keyboard else ''}")
+        sys.stderr.flush()
+
+    watch = HoldWatch(robot, say)
     lets_go, since, warned = robot.hand_driver.lets_go, time.monotonic(), False
     while True:
         try:
-            _wait_for_the_word(robot)
-            break
+            _wait_for_the_word(watch)
+            if watch.open():
+                return
         except KeyboardInterrupt:
             now, pressed = time.monotonic(), since
             since = now
@@ -52,24 +138,16 @@ def hold_until_told(robot: Robot) -> None:
                 raise
             warned = True
             _log.warning("the hand lets go %s: Ctrl-C once more does it", lets_go)
-    open_slowly(robot)
 
 
-def open_slowly(robot: Robot) -> None:
-    """Open the hand of a stopped robot, and give it the time."""
-    robot.hand_driver.stop(StopKind.OPEN)
-    time.sleep(OPENING)
-
-
-def _wait_for_the_word(robot: Robot) -> None:
+def _wait_for_the_word(watch: HoldWatch) -> None:
     try:
-        while robot.switch.ask(QUESTION).lower() != OPEN:
+        while watch.robot.switch.ask("", watch.look).lower() != OPEN:
             pass
     except EOFError:
         _log.warning("no terminal to ask: the robot holds until this program is interrupted")
         while True:
-            robot.state()
-            time.sleep(0.1)
+            watch.look()
 
 
 @contextmanager

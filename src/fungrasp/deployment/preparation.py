@@ -25,9 +25,10 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
+from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.policies.slip_response import HIGHEST
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
+from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel, outside
 from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.kinematics.reach import PalmPath, Reach, ReachChecker
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
@@ -123,9 +124,7 @@ class GraspPreparer:
         self._rng = np.random.default_rng(seed)
         self._reach = ReachChecker(cell, self._kinematics, self._clearance, self._rng)
         self._starts = StartPoses(hand, [obj])
-        self._protocol = LiftProtocol(
-            wrist_speed=cell.limits.palm_speed, wrist_acceleration=cell.limits.palm_acceleration
-        )
+        self._protocol = LiftProtocol()
 
     def prepare(
         self,
@@ -137,6 +136,9 @@ class GraspPreparer:
         attempt: int = 0,
     ) -> PreparedGrasp:
         """See ``Preparer.prepare``. plans: of as many seeds are tried, 1 or more."""
+        beyond = outside(self._kinematics.palm_pose(arm), self._cell.workspace)
+        if beyond:
+            raise UnreachableError(f"where the arm is now, {beyond}: move it by hand, or widen the box")
         # Before time is spent on planning: can the arm do about this?
         obstacle = self._obstacle(grasp, object_pose, arm)
         if obstacle:
@@ -175,6 +177,8 @@ class GraspPreparer:
         """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
         p, first = self._protocol, np.array([0])
         fingers = start_fingers(self._hand, grasp, p.start_closing)
+        if isinstance(self._planner, GivenPlans):
+            return compose(object_pose, self._planner.plans.palm_setpoint_object[0, 0]), fingers[0]
         start, _ = self._starts.facing(
             grasp, first, object_pose[None], p.start_distance, fingers, np.zeros(1)
         )

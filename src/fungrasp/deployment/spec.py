@@ -34,8 +34,8 @@ class DeploymentSpec:
     """Where to end: "plan" (nothing moves), "approach" (at the start of the grasp), "grasp" (fingers closed),
     "lift" (after the hold, with the object held), "put-down" or "home"."""
     speed: float = 1.0
-    """Share of the cell's speed, 0.02 to 1: slow motion. The hold takes its time. Not for policies that watch
-    (a student)."""
+    """Share of a plan's own speed, 0.02 to 1: slow motion. A cell with low limits is slow by itself. The hold
+    takes its time. Not for policies that watch (a student)."""
     dry_run: bool = False
     """Read everything, decide everything, log everything, and send nothing."""
     gravity_compensation: bool = True

@@ -25,7 +25,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import broad_settled_up
-from fungrasp.planning import MotionPlanner
+from fungrasp.planning import MotionPlanner, Planner
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import RobotCommand, RobotState, WallClock
 from fungrasp.robots.robot import Robot
@@ -45,7 +45,12 @@ PLACEMENTS_PLANNED = 12
 
 
 def reachable_placement(
-    cell: RobotCell, hand: Hand, obj: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+    cell: RobotCell,
+    hand: Hand,
+    obj: ObjectModel,
+    grasp: RobotGraspSet,
+    seed: int = 0,
+    planner: Planner | None = None,
 ) -> np.ndarray:
     """Where a person would put the object so that the arm can grasp it: the first of
     ``reachable_placements``. Arguments and errors: as there.
@@ -53,11 +58,16 @@ def reachable_placement(
     Returns:
         the object, world frame, shape [7].
     """
-    return next(reachable_placements(cell, hand, obj, grasp, seed))
+    return next(reachable_placements(cell, hand, obj, grasp, seed, planner))
 
 
 def reachable_placements(
-    cell: RobotCell, hand: Hand, obj: ObjectModel, grasp: RobotGraspSet, seed: int = 0
+    cell: RobotCell,
+    hand: Hand,
+    obj: ObjectModel,
+    grasp: RobotGraspSet,
+    seed: int = 0,
+    planner: Planner | None = None,
 ) -> Iterator[np.ndarray]:
     """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
     it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the
@@ -68,6 +78,7 @@ def reachable_placements(
 
     Args:
         seed: of the postures that are tried.
+        planner: of the motion that must be followed; one motion without candidates if None.
 
     Yields:
         the object, world frame, shape [7].
@@ -87,7 +98,7 @@ def reachable_placements(
         hand_depth=box.hand_depth - 0.5 * box.table_clearance,
     )
     cell = replace(cell, workspace=roomy)
-    planner = MotionPlanner(hand, {obj.name: obj})
+    planner = planner or MotionPlanner(hand, {obj.name: obj})
     preparer = GraspPreparer(cell, hand, obj, planner, seed=seed, advise=False)
     home = np.asarray(cell.arm.home)
     refused, found = None, False

@@ -20,6 +20,7 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner, make_planner
 from fungrasp.planning.attempts import AttemptSetting, check_attempts, play_attempts
+from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.planning.selection import SearchPlanner
 from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy_files
 from fungrasp.sim2real import Randomization, draw_each, random_stream
@@ -68,8 +69,8 @@ class LiftTest:
     """How they are tried."""
     given_policy: Policy | PrivilegedPolicy | None = None
     """In the place of the one that is named."""
-    given_planner: Planner | None = None
-    """In the place of the policy's."""
+    given_planner: Planner | GivenPlans | None = None
+    """In the place of the policy's, or plans that were made before."""
     record: Path | None = None
     """Folder for the recorded episodes."""
     threads: int = 0
@@ -104,7 +105,7 @@ class LiftTest:
     @cached_property
     def planner(self) -> Planner:
         """Whose plans it follows; one for all conditions: what it has planned for one it knows for others."""
-        if self.given_planner is not None:
+        if self.given_planner is not None and not isinstance(self.given_planner, GivenPlans):
             return self.given_planner
         spec = self.spec
         motions = MotionSettings(for_use=spec.use)
@@ -117,7 +118,7 @@ class LiftTest:
     @cached_property
     def searches(self) -> bool:
         """Whether plans are searched for, which takes ten times as long and more."""
-        return bool(self.policy_digests[1])
+        return bool(self.policy_digests[1]) and not isinstance(self.given_planner, GivenPlans)
 
     @cached_property
     def _scenes(self) -> dict[str, Scene]:
@@ -125,7 +126,8 @@ class LiftTest:
 
     def is_random(self, randomization: Randomization) -> bool:
         """Whether episodes depend on the seed. Of a policy or planner of somebody's own that is not known."""
-        own = self.given_policy is not None or self.given_planner is not None
+        made = self.given_planner is not None and not isinstance(self.given_planner, GivenPlans)
+        own = self.given_policy is not None or made
         return bool(own or randomization.is_random or self.searches)
 
     def files(self, part: Episodes) -> list[Path]:
@@ -158,8 +160,11 @@ class LiftTest:
         environment = LiftEnvironment(self._scene(r), len(rows), r, p, jitter, self.threads)
         belief = environment.settle(grasps, sample)
         # A searching planner takes most of the time: half of the progress is its.
-        half = 0.5 if isinstance(self.planner, SearchPlanner) else 0.0
-        plan = self.planner.plan(grasps, belief, seed, lambda done: progress(half * done))
+        half = 0.5 if self.searches and isinstance(self.planner, SearchPlanner) else 0.0
+        if isinstance(self.given_planner, GivenPlans):
+            plan = self.given_planner.rows(rows, belief)
+        else:
+            plan = self.planner.plan(grasps, belief, seed, lambda done: progress(half * done))
         environment.move_objects()
         recorder = Recorder(environment.task, grasps, r) if files else None
         longest, furthest = p.approach_time + p.hold_time + 1.2, 0.0

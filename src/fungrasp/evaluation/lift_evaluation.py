@@ -14,19 +14,22 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
+from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.results import LiftTestResult
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.as_shown import with_shown_places
+from fungrasp.grasps.grasp_arguments import AnyGrasps, HumanGrasps, Objects, as_human_grasps
 from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner
 from fungrasp.planning.attempts import AttemptRecord
+from fungrasp.planning.given_plans import GivenPlans
+from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.sim2real import ProtocolName
-from fungrasp.task import Outcomes, Policy, PrivilegedPolicy
+from fungrasp.task import GraspPlan, Outcomes, Policy, PrivilegedPolicy
+from fungrasp.task.policy_checks import check_policy
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
@@ -45,31 +48,35 @@ LOSS = 8
 
 
 def evaluate(
-    robot: RobotGraspSet,
-    objects: Mapping[str, ObjectModel],
+    grasps: AnyGrasps,
+    objects: Objects = None,
     policy: str | Path | Policy | PrivilegedPolicy | None = None,
     protocol: ProtocolName | None = None,
     *,
     spec: LiftTestSpec | None = None,
-    hand: Hand | None = None,
-    human: HumanGraspSet | None = None,
-    planner: Planner | None = None,
+    hand: Hand | str | None = None,
+    human: HumanGrasps | None = None,
+    plans: GraspPlan | Planner | None = None,
     record: str | Path | None = None,
     threads: int = 0,
     store: PartStore | None = None,
     ray: RayCluster | None = None,
-    progress: Callable[[float], None] = lambda done: None,
+    progress: ShowProgress = None,
 ) -> LiftTestResult:
     """Try each grasp once for each seed.
 
     Args:
+        grasps: of a robot hand, or of people, which are retargeted first; a set or one alone.
+        objects: their objects, as for ``retarget``.
         policy: in the place of the one that ``spec`` names: its name or file, or a policy of one's own.
         protocol: in the place of that of ``spec``.
         spec: what is asked; the defaults if None.
-        hand: the hand of the grasps, where it has other dynamics than its files say; theirs if None.
-        human: what the grasps were retargeted from: for the static quality, and for grasps that don't know
+        hand: of human grasps, allegro if None; of robot grasps, where it has other dynamics than its files
+            say.
+        human: what robot grasps were retargeted from: for the static quality, and for grasps that don't know
             where the person touched.
-        planner: in the place of the one that belongs to the policy.
+        plans: to follow, one for each grasp (``fungrasp.plan``), or what makes them; by default the policy's
+            planner.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds), and of the use tests, ``<row>_<object>_use.npz``; with several conditions a folder
             of each.
@@ -77,46 +84,49 @@ def evaluate(
         store: keeps finished parts, and knows those of an interrupted run; who calls removes it. Only for a
             policy and a planner that are given by name.
         ray: simulates on a cluster, under the same condition.
-        progress: called with the number of episodes that are done, fractions included.
+        progress: called with the number of episodes that are done, fractions included; True, False: a bar,
+            none; a bar in terminals and notebooks if None.
 
     Raises:
-        FungraspError: human grasps, an unknown policy, grasps of another hand, options that do not go
+        FungraspError: no grasps, an unknown policy, grasps of another hand, options that do not go
             together, or a folder that can't be written to.
     """
-    if not isinstance(robot, RobotGraspSet):
-        raise FungraspError(
-            f"expected robot grasps, not a {type(robot).__name__}: retarget them first (fungrasp.retarget)"
-        )
     spec = spec or LiftTestSpec()
     policy = str(policy) if isinstance(policy, Path) else policy
     own = policy if policy is not None and not isinstance(policy, str) else None
+    if own is not None:
+        check_policy(own)
     if policy is not None:
         spec = replace(spec, policy=policy if isinstance(policy, str) else type(policy).__name__)
     if protocol is not None:
         spec = replace(spec, protocol=protocol)
-    check_objects(robot.object_name.tolist(), objects)
-    if human is not None and robot.shown_places is None:
-        robot = with_shown_places(robot, human, objects, hand)
+    robot, known, used, made_of = as_robot_grasps(grasps, objects, hand, threads)
+    shown = made_of if human is None else as_human_grasps(human)
+    if shown is not None and robot.shown_places is None:
+        robot = with_shown_places(robot, shown, known, used)
+    given = GivenPlans(plans, robot) if isinstance(plans, GraspPlan) else plans
     record = None if record is None else Path(record)
-    job = LiftTestJob(robot, objects, hand or robot.load_hand(), spec, own, planner, record, threads)
+    job = LiftTestJob(robot, known, used, spec, own, given, record, threads)
     if (store is not None or ray is not None) and not job.is_named():
         raise FungraspError(
             "parts are kept, and sent to a cluster, only for a policy that is given by name and a planner "
             "that has a key"
         )
     start = perf_counter()
-    found = run_job(job, store, ray=ray, progress=progress)
+    episodes = sum(len(part.rows) for part in job.parts())
+    with shown_progress(progress, f"lifting with {used.name}", episodes) as show:
+        found = run_job(job, store, ray=ray, progress=show)
     done = list(zip(job.parts(), found, strict=True))
     results = {
         name: _result(job, name, [(part, arrays) for part, arrays in done if part.condition == name])
         for name in spec.conditions
     }
     result = next(iter(results.values()))
-    if spec.static and human is not None:
-        result = replace(result, quality=static_quality(robot, human, objects, job.hand))
+    if spec.static and shown is not None:
+        result = replace(result, quality=static_quality(robot, shown, known, used))
     conditions = results if len(results) > 1 else {}
     seconds = perf_counter() - start
-    return replace(result, conditions=conditions, grasps=robot, objects=objects, seconds=seconds)
+    return replace(result, conditions=conditions, grasps=robot, objects=known, seconds=seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +136,9 @@ class LiftTestJob(LiftTest, Job[Episodes]):
     def is_named(self) -> bool:
         """Whether policy and planner have names, so that what they do can be kept and done elsewhere."""
         return self.given_policy is None and (
-            self.given_planner is None or hasattr(self.given_planner, "key")
+            self.given_planner is None
+            or hasattr(self.given_planner, "key")
+            or isinstance(self.given_planner, GivenPlans)
         )
 
     def parts(self) -> list[Episodes]:
@@ -149,7 +161,7 @@ class LiftTestJob(LiftTest, Job[Episodes]):
             grasps,
             {name: self.objects[name] for name in np.unique(grasps.object_name).tolist()},
             (spec.policy, self.policy_digests),
-            getattr(self.planner, "key", ""),
+            getattr(self.given_planner or self.planner, "key", ""),
             (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
             (part.rows, part.seed),
             [str(file.absolute()) for file in self.files(part)],

@@ -107,7 +107,7 @@ def unit_vector(x: float, y: float, z: float):
 @compiled_part
 def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
     """Surface point [m] and outward unit normal nearest to a point, by Newton steps ``p - d(p) n(p)`` down
-    the signed distance."""
+    the signed distance. The normal is that at the surface point: *as shown* is defined by it."""
     x, y, z = point
     for _ in range(iterations):
         distance, gx, gy, gz = signed_distance(grids, grid, (x, y, z))

@@ -114,8 +114,8 @@ def checked_grasps(
         mesh = " ('grasps convert --objects FOLDER' computes it)" if missing[0] == "object_rest_pose" else ""
         raise FungraspError(f"{where}: field '{missing[0]}' is missing{mesh}; found: {given}")
     try:
-        found_fields: Any = {n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS}
-        return HumanGraspSet(**found_fields)
+        rows: dict[str, Any] = {n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS}
+        return HumanGraspSet(**rows)
     except FungraspError as error:
         raise FungraspError(f"{where}: {error}") from error
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.grasps.grasp_arguments import resolve_objects
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
-from fungrasp.objects import ObjectModel, load_object
+from fungrasp.objects import ObjectModel
 
 
 def picked_rows(
@@ -57,13 +56,12 @@ def picked_rows(
 def load_objects(
     grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None
 ) -> dict[str, ObjectModel]:
-    """The objects of a grasp set, by name, each with the mass of its first grasp.
+    """The objects of a grasp set, by name: those that it carries, else each with the mass of its first grasp.
+
+    Args:
+        folder: of meshes ``<name>.obj``, which come before other objects of their name.
 
     Raises:
         FungraspError: an object can't be found or read.
     """
-    names, rows = np.unique(grasps.object_name, return_index=True)
-    return {
-        str(n): load_object(str(n), float(grasps.object_mass[r]), folder)
-        for n, r in zip(names, rows, strict=True)
-    }
+    return resolve_objects(grasps, folder)

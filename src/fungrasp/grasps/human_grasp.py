@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -48,6 +49,10 @@ class HumanGrasp:
     """Standard deviation of the logarithm of the object's mass, where that was guessed."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, where the grasp carries them; files of grasps do not."""
+
+    def save(self, path: str | Path) -> None:
+        """Write a file of one grasp, see ``HumanGraspSet.save``."""
+        HumanGraspSet.of([self]).save(path)
 
     def __repr__(self) -> str:
         return f"<HumanGrasp: object {self.object_name!r}, task {self.task!r}>"

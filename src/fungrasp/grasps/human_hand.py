@@ -129,6 +129,9 @@ ORDERS = {
 }
 """Index, by order, of each of ``HUMAN_JOINTS``."""
 
+SAME_ORDER: dict[str, str] = dict.fromkeys(("mediapipe", "hamer", "wilor", "freihand", "hocap"), "openpose")
+"""Further names of orders."""
+
 
 def joint_order(name: str) -> np.ndarray:
     """Where each of ``HUMAN_JOINTS`` is in an order, shape [21].
@@ -136,8 +139,9 @@ def joint_order(name: str) -> np.ndarray:
     Raises:
         FungraspError: no such order.
     """
+    name = SAME_ORDER.get(name, name)
     if name not in ORDERS:
-        raise UnknownNameError("order of joints", name, ORDERS)
+        raise UnknownNameError("order of joints", name, [*ORDERS, *SAME_ORDER])
     return ORDERS[name]
 
 

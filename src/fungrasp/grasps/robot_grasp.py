@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows, checked_extra
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 
@@ -64,6 +66,11 @@ class RobotGrasp:
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, where the grasp carries them; files of grasps do not."""
 
+    @property
+    def wrist_pose_object(self) -> np.ndarray:
+        """Pose of the palm body in the frame of the object, shape [7]."""
+        return compose(invert(self.object_pose), self.wrist_pose)
+
     def joint_dict(self) -> dict[str, float]:
         """Angle of each joint of the hand's model by name [rad], coupled ones included."""
         return dict(zip(self.joint_names, self.joint_positions.tolist(), strict=True))
@@ -75,6 +82,10 @@ class RobotGrasp:
             FungraspError: the hand has no such joint.
         """
         return self.joint_positions[_columns(self.joint_names, names)]
+
+    def save(self, path: str | Path) -> None:
+        """Write a file of one grasp, see ``RobotGraspSet.save``."""
+        RobotGraspSet.of([self]).save(path)
 
     def __repr__(self) -> str:
         return f"<RobotGrasp: hand {self.hand!r}, object {self.object_name!r}, task {self.task!r}>"
@@ -165,6 +176,15 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         check_rows(
             "wrist_pose", distance <= MAX_HAND_DISTANCE, "is far from the object; the distance [m]", distance
         )
+
+    @property
+    def wrist_pose_object(self) -> np.ndarray:
+        """Poses of the palm body in the frame of the object, shape [N, 7]."""
+        return compose(invert(self.object_pose), self.wrist_pose)
+
+    def joint_dict(self) -> dict[str, np.ndarray]:
+        """Angles of each joint of the hand's model by name [rad], shape [N], coupled ones included."""
+        return dict(zip(self.joint_names, self.joint_positions.T, strict=True))
 
     def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
         """Angles of joints in the order of another model [rad], shape [N, len(names)].

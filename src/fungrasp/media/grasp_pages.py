@@ -17,13 +17,14 @@ from fungrasp.core.provenance import page_provenance
 from fungrasp.evaluation import LiftTestResult, StaticQuality, Trajectory
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_objects
+from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, resolve_objects
 from fungrasp.hands import Hand
 from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp, view_angles
 from fungrasp.media.page import Contact, GraspReport, Page, Quantity, figure, text_card, write_page
 from fungrasp.media.perception_page import write_perception_page
 from fungrasp.media.pictures import DRAWN_GRASPS, grasp_picture, grid, spread_rows
 from fungrasp.media.render import render
-from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.objects import ObjectModel
 from fungrasp.perception.perceived import Perceived
 from fungrasp.task import GraspPlan
 from fungrasp.task.use import UseOutcomes
@@ -54,13 +55,13 @@ MEANINGS: dict[str, tuple[str, str, str]] = {
 """Name, unit and meaning of the numbers of ``StaticQuality`` that a page shows."""
 
 
-def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | Path) -> Path:
+def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
     """Write a page about grasps, the result of a lift test, or what was perceived.
 
     Args:
         what: human or robot grasps, of which a few of different objects are drawn; a result, of which some
             episodes of either outcome are; or what ``perceive`` returned.
-        objects: those of grasps, by name; built-in objects if None. A result has its own.
+        objects: those of grasps, as for ``retarget``. A result has its own.
         out: HTML file to write; it needs no other file and no network.
 
     Returns:
@@ -74,9 +75,9 @@ def write_view(what: Any, objects: Mapping[str, ObjectModel] | None, out: str | 
         write_perception_page(path, what, page_provenance({}, 0))
     elif isinstance(what, LiftTestResult):
         _write_result(path, what)
-    elif isinstance(what, HumanGraspSet | RobotGraspSet):
-        known = load_objects(what) if objects is None else objects
-        check_objects(what.object_name.tolist(), known)
+    elif isinstance(what, HumanGraspSet | RobotGraspSet | HumanGrasp | RobotGrasp):
+        what = as_grasp_set(what)
+        known = resolve_objects(what, objects)
         rows = spread_rows(what.object_name)
         reports = [_report(what, row, known) for row in rows]
         hand = what.load_hand().title if isinstance(what, RobotGraspSet) else "Human hand"

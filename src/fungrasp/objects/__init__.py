@@ -21,7 +21,7 @@ from fungrasp.objects.object_variants import (
     shifted_mass,
     with_sizes,
 )
-from fungrasp.objects.resolved_object import ResolvedObject, resolve_object
+from fungrasp.objects.resolved_object import ResolvedObject, object_from_mesh, resolve_object
 
 __all__ = [
     "MIRRORED",
@@ -38,6 +38,7 @@ __all__ = [
     "mirrored_name",
     "mirrored_object",
     "object_from_file",
+    "object_from_mesh",
     "object_names",
     "plain_shape",
     "resolve_object",

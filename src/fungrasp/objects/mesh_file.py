@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.formats.checks import check_file
 from fungrasp.core.formats.mesh_file import LARGEST, read_mesh
 from fungrasp.core.formats.numpy_files import read_npz
@@ -85,10 +85,38 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         "meshes",
         f"{MESH_FORMAT} {version('trimesh')} {path.suffix.lower()} {repair} {content}",
         _kept,
-        lambda kept: _keep(kept, *_surface(path, repair)),
+        lambda kept: _keep(kept, *_surface(path, *read_mesh(path), repair)),
     )
     for phrase in repairs:
         _log.warning("%s: %s", path, phrase)
+    return vertices, faces, repairs
+
+
+def mend_mesh(
+    vertices: np.ndarray, faces: np.ndarray, name: str = "the mesh"
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """A closed surface in meters, from arrays; as ``load_mesh``.
+
+    Args:
+        vertices: [m], shape [V, 3].
+        faces: triangles, shape [F, 3] int.
+        name: begins the messages.
+    """
+    vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.isfinite(vertices).all():
+        raise FungraspError(f"{name}: vertices must be finite numbers of shape (V, 3), not {vertices.shape}")
+    if faces.ndim != 2 or faces.shape[1:] != (3,) or faces.dtype.kind not in "iu" or not len(faces):
+        raise FungraspError(f"{name}: faces must be indices of shape (F, 3), not {faces.shape} {faces.dtype}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise FungraspError(f"{name}: faces refer to vertices that are not there")
+    vertices, faces, repairs = cached_on_disk(
+        "meshes",
+        f"{MESH_FORMAT} {version('trimesh')} arrays {digest(vertices, faces)}",
+        _kept,
+        lambda kept: _keep(kept, *_surface(name, vertices, faces, True)),
+    )
+    for phrase in repairs:
+        _log.warning("%s: %s", name, phrase)
     return vertices, faces, repairs
 
 
@@ -102,9 +130,11 @@ def _kept(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
     return data["vertices"], data["faces"], tuple(data["repairs"].tolist())
 
 
-def _surface(path: Path, repair: bool) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """What ``load_mesh`` returns, of a file that was not read before."""
-    mesh = _read(path)
+def _surface(
+    path: Path | str, vertices: np.ndarray, faces: np.ndarray, repair: bool
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """What ``load_mesh`` returns, of a mesh that was not met before."""
+    mesh = _merged(path, vertices, faces)
     _check_size(path, float(np.max(mesh.extents)))
     repairs: list[str] = []
     if not _closed(mesh) or _volume(mesh) <= 0:
@@ -129,10 +159,9 @@ def _surface(path: Path, repair: bool) -> tuple[np.ndarray, np.ndarray, tuple[st
     return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int32), tuple(repairs)
 
 
-def _read(path: Path) -> trimesh.Trimesh:
+def _merged(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
     import trimesh
 
-    vertices, faces = read_mesh(path)
     merged = trimesh.Trimesh(vertices, faces, process=True)
     if not _closed(merged):
         # Files without shared vertices (.stl): where two parts of a closed surface touch, more than two faces
@@ -148,7 +177,7 @@ def _read(path: Path) -> trimesh.Trimesh:
     return merged
 
 
-def _check_size(path: Path, length: float) -> None:
+def _check_size(path: Path | str, length: float) -> None:
     if length > TABLE_SIDE:
         fitting = [
             f"{1e3 * length * size:.0f} mm if it is in {unit} (scale the mesh by {size:g})"
@@ -191,7 +220,7 @@ def _volume(mesh: trimesh.Trimesh) -> float:
     return float(np.sum(a * np.cross(b, c)) / 6)
 
 
-def _mend(path: Path, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
+def _mend(path: Path | str, mesh: trimesh.Trimesh, repairs: list[str]) -> trimesh.Trimesh:
     if not mesh.is_winding_consistent:
         mesh = consistent_winding(mesh)
         repairs.append("made neighboring faces wind the same way")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.mesh_file import is_colorless, read_colored_mesh
 from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.builtin_objects import is_plain_shape, plain_shape
+from fungrasp.objects.mesh_file import load_mesh, mend_mesh
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
 
@@ -21,6 +22,8 @@ _log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
     import trimesh
+
+_log = logging.getLogger(__name__)
 
 DENSITY = 500.0
 """Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
@@ -58,12 +61,14 @@ class ResolvedObject:
         return float(np.log(self.mass_range[1] / self.mass_range[0])) / (2 * EIGHT_OF_TEN)
 
 
-def resolve_object(obj: ObjectModel | str | Path, mass: float | None = None) -> ResolvedObject:
+def resolve_object(
+    obj: ObjectModel | trimesh.Trimesh | str | Path, mass: float | None = None
+) -> ResolvedObject:
     """The object by its mesh file or its name.
 
     Args:
         obj: a mesh file [m], the name of a built-in object, or a shape, "box:60x28x30"; a file of that name
-            comes first. Or the object itself.
+            comes first. Or the object itself, or its mesh as arrays.
         mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
 
     Raises:
@@ -74,6 +79,11 @@ def resolve_object(obj: ObjectModel | str | Path, mass: float | None = None) -> 
         if mass is not None:
             raise FungraspError(f"'{obj.name}' has its mass, {obj.mass:.4g} kg: give a mass with a mesh only")
         return ResolvedObject(obj)
+    if not isinstance(obj, str | Path):
+        model = object_from_mesh(obj, mass)
+        volume = volume_and_center(model.hull)[0]
+        between = None if mass is not None else (DENSITIES[0] * volume, DENSITIES[1] * volume)
+        return ResolvedObject(model, mass_range=between)
     mesh = str(obj)
     is_file = Path(mesh).is_file()
     shape = not is_file and is_plain_shape(mesh)
@@ -90,13 +100,54 @@ def resolve_object(obj: ObjectModel | str | Path, mass: float | None = None) -> 
             "--mass if you know it",
         )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
-    density = mass / volume_and_center(model.hull)[0]
+    _check_density(model, volume_and_center(model.hull)[0])
+    return ResolvedObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
+
+
+def object_from_mesh(
+    mesh: trimesh.Trimesh | str | Path, mass: float | None = None, name: str = ""
+) -> ObjectModel:
+    """An object from a mesh, which is mended if it is not closed.
+
+    Args:
+        mesh: [m]: anything with ``vertices`` and ``faces``, as trimesh has them, or a file.
+        mass: [kg]; None: guessed from the size of the mesh, with a warning.
+        name: by which grasps refer to the object; a file's own name, or "object", if empty.
+
+    Raises:
+        FungraspError: the file can't be read, the surface can't be mended or is not in meters, or no possible
+            mass.
+    """
+    if isinstance(mesh, str | Path):
+        vertices, faces, repairs = load_mesh(mesh)
+        name, source = name or Path(mesh).stem, str(mesh)
+    elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
+        name, source = name or "object", "arrays"
+        vertices, faces, repairs = mend_mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), name)
+    else:
+        raise FungraspError(
+            f"expected a mesh (trimesh.Trimesh) or the path of one, not {type(mesh).__name__}"
+        )
+    model = ObjectModel(name, 1.0 if mass is None else mass, vertices, faces, repairs=repairs, source=source)
+    volume = volume_and_center(model.hull)[0]
+    if mass is None:
+        model = replace(model, mass=DENSITY * volume)
+        _log.warning("%s: the mass was guessed from its size, %.2g kg: give mass=", name, model.mass)
+    _check_density(model, volume)
+    return model
+
+
+def _check_density(model: ObjectModel, volume: float) -> None:
+    """
+    Raises:
+        FungraspError: nothing is so dense.
+    """
+    density = model.mass / volume
     if density > DENSEST:
         raise FungraspError(
-            f"'{model.name}': {mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
+            f"'{model.name}': {model.mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
             f"({DENSEST:,.0f}): is the mass in grams?"
         )
-    return ResolvedObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
 
 
 def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:

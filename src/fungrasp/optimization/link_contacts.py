@@ -1,4 +1,5 @@
-"""Where the links of hands touch their objects, or would, and the term that closes their gaps."""
+"""Where the links of hands touch their objects, or would, and the terms that close their gaps and draw them
+to where the person touched."""
 
 from __future__ import annotations
 
@@ -148,6 +149,70 @@ def _add_gaps(frames: Frames, equations: Equations, shapes: Shapes, wanted: np.n
                 point = place(frames, i, body, spheres.offset[nearest])
                 add_point(row, frames, i, body, point, (nx / unit, ny / unit, nz / unit))
                 finish_row(row, equations, i, least / unit)
+
+
+def contact_position(points: HandPoints, problem: RetargetingProblem, unit: float = 0.005) -> AddTerm:
+    """L_pos of IV.A, on the surface and where the link really touches: c_j (x - (s_j + r n_j)) / unit, x and
+    r the center and radius of two spheres of link j, once where they are one: that which is nearest to the
+    object, and that which is nearest to its target.
+
+    s_j is the surface point nearest to the human joint at the far end of link j, n_j the outward normal
+    there: thick robot fingers touch where thin human ones did, from the same side. The sphere at the target
+    comes through a wall that the link is behind; the one at the object keeps other parts of a link from
+    touching elsewhere. unit: [m].
+    """
+    wanted = plain(problem.contacts[:, 1:], bool)
+    target = plain(problem.surface), plain(problem.normals)
+    shapes, scale = shapes_of(points, problem), 1.0 / unit
+    return lambda frames, equations, *_: _add_positions(frames, equations, shapes, wanted, target, scale)
+
+
+@compiled
+def _add_positions(
+    frames: Frames,
+    equations: Equations,
+    shapes: Shapes,
+    wanted: np.ndarray,
+    target: tuple[np.ndarray, np.ndarray],
+    scale: float,
+) -> None:
+    """Add ``contact_position``. wanted: shape [N, S]; target: places [m] and normals, shape [N, S, 3]
+    each."""
+    (spheres, groups, grids, grid), (at, normal) = shapes, target
+    row, pair = empty_row(equations.gradient.shape[1]), np.empty(2, np.int64)
+    for i in range(len(wanted)):
+        if not equations.active[i]:
+            continue
+        for s in range(wanted.shape[1]):
+            if not wanted[i, s]:
+                continue
+            pair[0] = nearest_sphere(frames, i, spheres, groups, s + 1, grids, grid[i], math.inf)[0]
+            pair[1] = _sphere_at(frames, i, spheres, groups, s + 1, at[i, s], normal[i, s])
+            for m in range(2):
+                ball = pair[m]
+                if ball < 0 or (m == 1 and ball == pair[0]):
+                    continue
+                point, r = place(frames, i, spheres.body[ball], spheres.offset[ball]), spheres.radius[ball]
+                for k in range(3):
+                    push = (scale * (k == 0), scale * (k == 1), scale * (k == 2))
+                    add_point(row, frames, i, spheres.body[ball], point, push)
+                    finish_row(row, equations, i, scale * (point[k] - at[i, s, k] - r * normal[i, s, k]))
+
+
+@compiled_part
+def _sphere_at(frames: Frames, i: int, spheres: Spheres, groups: Groups, link: int, at, normal):
+    """The sphere of a link that is nearest to touching a surface at a place [m] with this normal; -1 if the
+    link has none."""
+    found, least = np.int64(-1), math.inf
+    for k in range(groups.start[groups.link_start[link]], groups.start[groups.link_start[link + 1]]):
+        ball = groups.members[k]
+        point, r = place(frames, i, spheres.body[ball], spheres.offset[ball]), spheres.radius[ball]
+        apart = 0.0
+        for d in range(3):
+            apart += (point[d] - at[d] - r * normal[d]) ** 2
+        if apart < least:
+            found, least = ball, apart
+    return found
 
 
 @compiled_part

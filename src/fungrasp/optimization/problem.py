@@ -12,8 +12,8 @@ from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.distance_queries import gradient_derivatives
 from fungrasp.geometry.poses import invert, rotate, transform_points
-from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.grasps import HumanGraspSet
+from fungrasp.grasps.as_shown import shown_places
 from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import settled_up
@@ -94,9 +94,10 @@ class RetargetingProblem(CollisionScene):
     contacts: np.ndarray
     """Which robot links should touch, palm first, shape [N, L] bool."""
     surface: np.ndarray
-    """Surface point nearest to each human joint [m], shape [N, 21, 3]."""
+    """Surface point nearest to the human joint at the far end of what each finger link stands for [m], shape
+    [N, S, 3]."""
     normals: np.ndarray
-    """Outward surface normal there, shape [N, 21, 3]."""
+    """Outward surface normal there, shape [N, S, 3]."""
     center: np.ndarray
     """Center of mass of each object [m], shape [N, 3]."""
     extent: np.ndarray
@@ -118,7 +119,7 @@ class RetargetingProblem(CollisionScene):
         names = grasps.object_name.tolist()
         scene = CollisionScene.measured_and_settled(names, grasps.object_rest_pose, objects)
         joints = transform_points(invert(grasps.object_pose), grasps.hand_joints)
-        surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+        surface, normals = shown_places(grasps, objects, match)
         return cls(
             **{f.name: getattr(scene, f.name) for f in fields(scene)},
             joints=joints,

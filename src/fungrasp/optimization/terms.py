@@ -28,14 +28,13 @@ from fungrasp.optimization.frames import (
     place,
 )
 from fungrasp.optimization.hand_state import HandPoints, HandState
-from fungrasp.optimization.link_contacts import contact_gap
+from fungrasp.optimization.link_contacts import contact_gap, contact_position
 from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 __all__ = [
     "Residual",
     "ResidualTerm",
     "Term",
-    "contact_error",
     "contact_gap",
     "contact_position",
     "fingertip_position",
@@ -83,50 +82,6 @@ def fingertip_position(points: HandPoints, problem: RetargetingProblem, unit: fl
     target = problem.joints[:, match.human_far[match.is_last]]
     weight = np.full(target.shape[:2], 1.0 / unit)
     return keypoint_position(points, problem, match.far[match.is_last], target, weight)
-
-
-def contact_position(
-    points: HandPoints, problem: RetargetingProblem, unit: float = 0.005, inner_weight: float = 0.4
-) -> AddTerm:
-    """L_pos of IV.A, on the surface: c_j (p_j - (s_j + rho_j n_j)) / unit.
-
-    p_j is the far key point of robot link j, s_j the surface point nearest to the corresponding human joint,
-    n_j the normal there and rho_j the robot finger's radius, so that thick robot fingers touch where thin
-    human fingers did.
-
-    Args:
-        unit: [m].
-        inner_weight: factor for links that don't end in a fingertip.
-    """
-    match = points.match
-    weight = problem.contacts[:, 1:] * np.where(match.is_last, 1.0, inner_weight) / unit
-    return keypoint_position(points, problem, match.far, _contact_targets(points, problem), weight)
-
-
-def contact_error(
-    points: HandPoints, problem: RetargetingProblem, wrist_pose: np.ndarray, independent: np.ndarray
-) -> np.ndarray:
-    """Mean distance of what ``contact_position`` compares, links that should touch [m], shape [N]; zero where
-    none should.
-
-    Args:
-        points: kinematics made for N hands; they are moved.
-        problem: N grasps.
-        wrist_pose: object frame, shape [N, 7].
-        independent: joints [rad], shape [N, U].
-    """
-    points.kinematics.update(wrist_pose, independent)
-    found = points.kinematics.points(points.keypoints)[:, points.match.far]
-    error = np.linalg.norm(found - _contact_targets(points, problem), axis=2)
-    wanted = problem.contacts[:, 1:]
-    return (wanted * error).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
-
-
-def _contact_targets(points: HandPoints, problem: RetargetingProblem) -> np.ndarray:
-    """Where the far key point of each link would be if it touched where the person's did [m], shape
-    [N, S, 3]."""
-    human = points.match.human_far
-    return problem.surface[:, human] + points.far_radius[:, None] * problem.normals[:, human]
 
 
 def keypoint_position(

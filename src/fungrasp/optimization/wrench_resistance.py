@@ -102,10 +102,9 @@ def lift_loads(up: np.ndarray, weight: np.ndarray, disturbance: float = DISTURBA
 
 
 def unresisted_share(
-    points: HandPoints,
+    contacts: LinkContacts,
     problem: RetargetingProblem,
-    wrist_pose: np.ndarray,
-    independent: np.ndarray,
+    torque_limit: np.ndarray,
     lower: float = 0.0,
     upper: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -114,21 +113,18 @@ def unresisted_share(
     contacts and where the hand goes into the object by more than ``DEEPEST``.
 
     Args:
-        points: kinematics made for N hands; the denser, the less goes into the object unseen.
-        problem: N grasps, object frame.
-        wrist_pose: object frame, shape [N, 7].
-        independent: joints [rad], shape [N, U].
+        contacts: of N hands; the denser their spheres, the less goes into the object unseen.
+        problem: N grasps.
+        torque_limit: of the independent joints [N m], shape [U].
         lower, upper: as for ``unresisted_load``; where upper is no more than lower, the share is infinite.
     """
-    which = None if upper is None else upper > lower
-    contacts = contacts_of_links(points, problem, wrist_pose, independent, CONTACT_DISTANCE, which)
+    which = np.ones(len(problem), dtype=bool) if upper is None else upper > lower
     inside = contacts.clearance.min(axis=1) < -DEEPEST
-    used = np.isfinite(contacts.clearance) & problem.contacts & ~inside[:, None]
-    limits = torque_limits(points.kinematics.hand)
-    grip = Grip(contacts, used, problem.center, problem.extent, limits)
+    used = (contacts.clearance < CONTACT_DISTANCE) & problem.contacts & (which & ~inside)[:, None]
+    grip = Grip(contacts, used, problem.center, problem.extent, torque_limit)
     force, torque = unresisted_load(grip, problem.weight, problem.up[:, -1], LOAD_ITERATIONS, lower, upper)
     share = np.where(inside, NO_GRIP, np.hypot(force, torque / problem.extent) / problem.weight)
-    return share if which is None else np.where(which, share, np.inf)
+    return np.where(which, share, np.inf)
 
 
 def unresisted_load(

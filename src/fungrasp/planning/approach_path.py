@@ -9,7 +9,7 @@ tried; the clearest wins.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -206,11 +206,15 @@ class _CollisionResolution:
         wrist, fingers, _ = minimize(
             self._points, self._around, [*self._terms, stay], wrist, fingers, iterations
         )
-        state = HandState(self._points, self._around, wrist, fingers)
-        intrusion = np.maximum(
+        return Approach(wrist[:, None], fingers[:, None], self.intrusion(wrist, fingers))
+
+    def intrusion(self, wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
+        """How deep hands are in the margins around object and table [m], shape [N]."""
+        s, state = self.settings, HandState(self._points, self._around, wrist, fingers)
+        deepest = np.maximum(
             s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
         )
-        return Approach(wrist[:, None], fingers[:, None], np.maximum(intrusion, 0.0))
+        return np.maximum(deepest, 0.0)
 
 
 def _withdraw(
@@ -222,6 +226,10 @@ def _withdraw(
         wrist[:, :3] += (retreat - before) * direction
         before = retreat
         path.append(resolve(wrist, path[-1].fingers[:, 0], iterations))
+        # Fingers may go through the object between two waypoints that are clear of it.
+        (a, b), (c, d) = ((p.wrist_pose[:, 0], p.fingers[:, 0]) for p in path[-2:])
+        halfway = resolve.intrusion(_between(a, c, 0.5), 0.5 * (b + d))
+        path[-1] = replace(path[-1], collision=np.maximum(path[-1].collision, halfway))
     return Approach(
         np.concatenate([point.wrist_pose for point in path], axis=1),
         np.concatenate([point.fingers for point in path], axis=1),

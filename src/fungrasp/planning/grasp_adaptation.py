@@ -72,11 +72,10 @@ def adapt_to_settled_object(
     names = grasps.object_name.tolist()
     around = CollisionScene.settled(names, settled_pose, objects)
     count, shared = len(grasps), HandPoints(HandKinematics(hand, 1))
-    surface, normals = np.zeros((2, count, 21, 3))
-    known = grasps.shown_places is not None and grasps.shown_normals is not None
-    if known:
-        surface[:, shared.match.human_far] = grasps.shown_places
-        normals[:, shared.match.human_far] = grasps.shown_normals
+    surface, normals = grasps.shown_places, grasps.shown_normals
+    known = surface is not None and normals is not None
+    if surface is None or normals is None:
+        surface = normals = np.zeros((count, len(shared.match.far), 3))
     problem = RetargetingProblem(
         **{f.name: getattr(around, f.name) for f in fields(around)},
         joints=np.zeros((count, 21, 3)),
@@ -112,7 +111,7 @@ def adapt_to_settled_object(
                 partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
             ]
             if known:
-                grip.append(partial(terms.contact_position, unit=s.place_unit, inner_weight=1.0))
+                grip.append(partial(terms.contact_position, unit=s.place_unit))
             solutions.append(
                 minimize(points, part, [*collisions, *grip, stay], wrist, grasp[rows], s.iterations)
             )

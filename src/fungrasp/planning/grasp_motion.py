@@ -56,9 +56,9 @@ class MotionSettings:
     """Time in which they then squeeze [s]."""
     pause: float = 0.2
     """Time before the lift [s]."""
-    press_down: float = 0.006
+    press_down: float = 0.003
     """How far the wrist goes below its target while the fingers close, as the fingers yield upwards [m]."""
-    press_in: float = 0.008
+    press_in: float = 0.006
     """How far it goes beyond its target along the palm's normal [m]."""
     lookahead: float = 0.06
     """How far ahead on its path the wrist aims, at most [m]."""

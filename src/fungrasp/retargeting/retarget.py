@@ -6,22 +6,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
-from typing import Self
+from typing import Self, overload
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.core.parallel import in_chunks
+from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.geometry.poses import compose, transform_points
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet, hand_sides
-from fungrasp.grasps.as_shown import shown_places
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, hand_sides
 from fungrasp.grasps.diagnosis import checked_grasps
+from fungrasp.grasps.grasp_arguments import HasGrasps, HumanGrasps, Objects, as_human_grasps, resolve_objects
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
-from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
-from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting.angle_copy import retarget_by_angle_copy
@@ -75,9 +75,10 @@ class RetargetSpec:
         object.__setattr__(self, "method", method_name(self.method))
 
 
+@overload
 def retarget(
-    human: HumanGraspSet,
-    objects: Mapping[str, ObjectModel],
+    human: HumanGrasp,
+    objects: Objects = None,
     hand: Hand | str | Path = RetargetSpec.hand,
     method: str = RetargetSpec.method,
     settings: RetargetSettings | None = None,
@@ -85,59 +86,84 @@ def retarget(
     threads: int = 0,
     store: PartStore | None = None,
     ray: RayCluster | None = None,
-    progress: Callable[[float], None] = lambda done: None,
-) -> RobotGraspSet:
+    progress: ShowProgress = None,
+) -> RobotGrasp: ...
+@overload
+def retarget(
+    human: HumanGraspSet | HasGrasps,
+    objects: Objects = None,
+    hand: Hand | str | Path = RetargetSpec.hand,
+    method: str = RetargetSpec.method,
+    settings: RetargetSettings | None = None,
+    *,
+    threads: int = 0,
+    store: PartStore | None = None,
+    ray: RayCluster | None = None,
+    progress: ShowProgress = None,
+) -> RobotGraspSet: ...
+def retarget(
+    human: HumanGrasps,
+    objects: Objects = None,
+    hand: Hand | str | Path = RetargetSpec.hand,
+    method: str = RetargetSpec.method,
+    settings: RetargetSettings | None = None,
+    *,
+    threads: int = 0,
+    store: PartStore | None = None,
+    ray: RayCluster | None = None,
+    progress: ShowProgress = None,
+) -> RobotGraspSet | RobotGrasp:
     """Retarget human grasps to a robot hand.
 
     Args:
-        human: N human grasps.
-        objects: each object of the grasps, by name.
+        human: a set of N human grasps, one alone, or what ``perceive`` returned.
+        objects: the objects of the grasps, by name, as models or as a folder of meshes; those that the
+            grasps carry, or built-in ones, if None.
         hand: the robot hand, its name, or the path of its TOML file.
         method: one of ``METHODS``.
         settings: weights and iterations; the defaults if None.
         threads: 0 means all processors. The result does not depend on it.
         store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
         ray: solves the parts on a cluster. The result is the same.
-        progress: called with the share of the grasps that is done, 0 to 1.
+        progress: called with the share of the grasps that is done, 0 to 1; True, False: a bar, none; a bar in
+            terminals and notebooks if None.
 
     Returns:
-        Robot grasps that know their hand (``RobotGraspSet.load_hand``).
+        Robot grasps, which know their hand (``RobotGraspSet.load_hand``) and carry their objects; one robot
+        grasp for one human grasp.
 
     Raises:
         FungraspError: no such hand or method, no grasps, a missing object, or a grasp of a left hand for a
             right one or the other way round.
     """
+    single = isinstance(human, HumanGrasp)
+    human = as_human_grasps(human)
     hand = as_hand(hand)
     origin = hand_origin(hand)
     spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
-    _check(human, objects, hand)
-    human = checked_grasps(vars(human), objects, "the human grasps", read=True)
-    used = {name: objects[name] for name in np.unique(human.object_name).tolist()}
+    _check(human, hand)
+    known = resolve_objects(human, objects)
+    human = checked_grasps(vars(human), known, "the human grasps", read=True)
+    used = {name: known[name] for name in np.unique(human.object_name).tolist()}
     for model in used.values():
         _ = model.signed_distance  # once, not in each worker
-    found = run_job(Retargeting(human, used, hand, spec, threads), store, ray=ray, progress=progress)
-    pose, joints, keypoints, contacts = (
-        np.concatenate([part[name] for part in found])
-        for name in ("wrist_pose", "joint_positions", "keypoints", "link_contacts")
-    )
-    places, normals = shown_places(human, used, correspond(hand))
-    return RobotGraspSet(
+    with shown_progress(progress, f"retargeting to {hand.name}", 1.0) as show:
+        found = run_job(Retargeting(human, used, hand, spec, threads), store, ray=ray, progress=show)
+    whole = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    robot = RobotGraspSet(
         hand=hand.name,
         hand_file=origin,
         object_name=human.object_name,
         object_mass=human.object_mass,
         object_pose=human.object_pose,
         object_rest_pose=human.object_rest_pose,
-        wrist_pose=pose,
         joint_names=hand.joint_names,
-        joint_positions=joints,
-        keypoints=keypoints,
-        link_contacts=contacts,
         task=human.task,
-        shown_places=places,
-        shown_normals=normals,
+        **whole,
         extra={} if human.object_mass_spread is None else {MASS_SPREAD: human.object_mass_spread},
+        objects=used,
     )
+    return robot[0] if single else robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +214,7 @@ class Retargeting(Job[range]):
         problem = RetargetingProblem.from_grasps(human, self.objects, shared.match)
         done, lock = 0, Lock()
 
-        def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        def run(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             nonlocal done
             part = problem.rows(rows)
             points = shared.for_hands(len(part))
@@ -199,31 +225,30 @@ class Retargeting(Job[range]):
                 done += len(part)
                 progress(done)
             joints = independent @ kinematics.matrix.T + kinematics.offset
-            return pose, joints, kinematics.points(points.keypoints), part.contacts
+            return pose, joints, kinematics.points(points.keypoints)
 
         chunks = in_chunks(run, len(human), self.threads, CHUNK)
-        pose, joints, keypoints, contacts = (np.concatenate(x) for x in zip(*chunks, strict=True))
+        pose, joints, keypoints = (np.concatenate(x) for x in zip(*chunks, strict=True))
         whole = {
             "wrist_pose": compose(human.object_pose, pose),
             "joint_positions": joints,
             "keypoints": transform_points(human.object_pose, keypoints),
-            "link_contacts": contacts,
+            "link_contacts": problem.contacts,
+            "shown_places": problem.surface,
+            "shown_normals": problem.normals,
         }
         ends = np.cumsum([len(part) for part in parts])[:-1]
         split = {name: np.split(values, ends) for name, values in whole.items()}
         return [{name: values[i] for name, values in split.items()} for i in range(len(parts))]
 
 
-def _check(human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand) -> None:
+def _check(human: HumanGraspSet, hand: Hand) -> None:
     """
     Raises:
-        FungraspError: something else than human grasps, none, missing objects, or grasps of the other hand.
+        FungraspError: there are no grasps, or grasps of the other hand.
     """
-    if not isinstance(human, HumanGraspSet):
-        raise FungraspError(f"only human grasps can be retargeted, not a {type(human).__name__}")
     if not len(human):
         raise FungraspError("there are no grasps to retarget: the set is empty")
-    check_objects(human.object_name.tolist(), objects)
     other = np.flatnonzero(hand_sides(human.hand_joints) != hand.side)
     if len(other):
         raise FungraspError(

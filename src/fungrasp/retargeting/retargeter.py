@@ -1,4 +1,4 @@
-"""A robot hand that follows a moving human hand around one object, frame by frame."""
+"""A robot hand that follows a moving human hand, free or around one object, frame by frame."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.geometry import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -19,7 +21,8 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.geometry.signed_distance import project_to_surface
-from fungrasp.hands import Hand
+from fungrasp.grasps.human_hand import joint_order
+from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization import terms
@@ -27,6 +30,9 @@ from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 from fungrasp.retargeting.contact_optimization import initial_pose
+
+NO_OBJECT = SignedDistanceBank([SignedDistanceGrid(np.zeros(3), 1.0, np.ones((2, 2, 2), dtype=np.float32))])
+"""Stands for the object of a free hand; no term asks for it."""
 
 
 @dataclass(frozen=True)
@@ -81,24 +87,41 @@ class FollowedPose(NamedTuple):
 
 
 class Retargeter:
-    """Follows a human hand near one object, which may move as well.
+    """Follows a human hand, which may be near one object; the object may move as well.
 
     Each frame starts from the last one's result and stays near it, and the change is bounded, so that a
     small motion of the person is a small motion of the robot. Fingertips and joints go where the human's
-    are; near the object, onto the surface where the human's touch it. ``fungrasp.retargeting.retarget`` takes
-    more time over a single grasp, with wanted contacts and the balance of forces.
+    are, within the limits of the joints and without the hand touching itself; near the object, onto the
+    surface where the human's touch it. ``fungrasp.retarget`` takes more time over a single grasp, with
+    wanted contacts and the balance of forces.
     """
 
-    def __init__(self, hand: Hand, model: ObjectModel, settings: RetargeterSettings | None = None):
+    def __init__(
+        self,
+        hand: Hand | str,
+        model: ObjectModel | None = None,
+        settings: RetargeterSettings | None = None,
+        *,
+        order: str = "fungrasp",
+    ):
         """
         Args:
+            hand: the robot hand, or its name.
+            model: the object; None for a free hand.
             settings: weights and iterations; the defaults if None.
+            order: of the joints that ``follow`` gets: "mediapipe", "openpose", "mano" and others.
+
+        Raises:
+            FungraspError: no such hand or order.
         """
-        self._settings = settings or RetargeterSettings()
-        self._points = HandPoints(HandKinematics(hand, 1))
-        self._scene = CollisionScene.settled(
-            [model.name], np.array([[0, 0, 0, 1.0, 0, 0, 0]]), {model.name: model}
-        )
+        self.hand = as_hand(hand)
+        """The robot hand; results are in the order of its ``joint_names``."""
+        self._settings, self._order = settings or RetargeterSettings(), joint_order(order)
+        self._points = HandPoints(HandKinematics(self.hand, 1))
+        self._scene = None
+        if model is not None:
+            origin = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
+            self._scene = CollisionScene.settled([model.name], origin, {model.name: model})
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         self._joints = np.zeros((1, 21, 3))
 
@@ -106,29 +129,31 @@ class Retargeter:
         """Forget the last frame: the next one is solved anew."""
         self._last = None
 
-    def follow(self, hand_joints: np.ndarray, object_pose: np.ndarray) -> FollowedPose:
+    def follow(self, hand_joints: np.ndarray, object_pose: np.ndarray | None = None) -> FollowedPose:
         """The robot hand at the next frame.
 
         Args:
-            hand_joints: human joints of the robot hand's side [m], world frame, shape [21, 3].
-            object_pose: world frame, shape [7]; the table is the plane z = 0.
+            hand_joints: human joints of the robot hand's side [m], world frame, shape [21, 3]. Any frame
+                that stays will do for a free hand.
+            object_pose: world frame, shape [7]; the table is the plane z = 0. None for a free hand.
 
         Raises:
-            FungraspError: an array of another shape, or one that is not finite.
+            FungraspError: an array of another shape, or one that is not finite; a pose without an object, or
+                an object without its pose.
         """
+        if (object_pose is None) != (self._scene is None):
+            raise FungraspError("object_pose is given where the retargeter has an object, and only there")
         for name, array, shape in (
             ("hand_joints", hand_joints, (21, 3)),
-            ("object_pose", object_pose, (7,)),
+            ("object_pose", np.zeros(7) if object_pose is None else object_pose, (7,)),
         ):
             if np.shape(array) != shape or not np.all(np.isfinite(array)):
                 raise FungraspError(f"{name} must be finite numbers of shape {shape}")
-        pose = np.asarray(object_pose, dtype=float)
-        inverse = invert(pose)
-        joints = transform_points(inverse, np.asarray(hand_joints, dtype=float))[None]
-        scene = replace(
-            self._scene, up=rotate(inverse[3:], np.array([0.0, 0.0, 1.0]))[None, None], height=pose[None, 2:3]
-        )
-        problem = self._problem(scene, joints)
+        world = np.asarray(hand_joints, dtype=float)[self._order]
+        # What moves with the person's palm does not hold a free hand back.
+        pose = _palm_frame(world) if object_pose is None else np.asarray(object_pose, dtype=float)
+        joints = transform_points(invert(pose), world)[None]
+        problem = self._problem(joints, pose)
         first = self._last is None
         start = initial_pose(self._points, problem) if self._last is None else self._last
         wrist, independent, _ = minimize(
@@ -144,8 +169,15 @@ class Retargeter:
         self._last, self._joints = (wrist, independent), joints
         return FollowedPose(compose(pose, wrist[0]), self._points.kinematics.hand.all_joints(independent[0]))
 
-    def _problem(self, scene: CollisionScene, joints: np.ndarray) -> RetargetingProblem:
-        surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+    def _problem(self, joints: np.ndarray, pose: np.ndarray) -> RetargetingProblem:
+        up = rotate(quaternion_conjugate(pose[3:]), np.array([0.0, 0.0, 1.0]))[None, None]
+        far = joints[:, self._points.match.human_far]
+        if self._scene is None:
+            scene = CollisionScene(NO_OBJECT, np.zeros(1, dtype=int), up, pose[None, 2:3])
+            surface, normals = far, np.zeros_like(far)
+        else:
+            scene = replace(self._scene, up=up, height=pose[None, 2:3])
+            surface, normals = project_to_surface(scene.bank, scene.grid, far)
         return RetargetingProblem(
             **{f.name: getattr(scene, f.name) for f in fields(CollisionScene)},
             joints=joints,
@@ -184,10 +216,13 @@ class Retargeter:
         objective = [
             partial(terms.keypoint_position, which=match.far, target=self._targets(problem), weight=weight),
             partial(terms.link_direction, unit=s.direction_unit),
-            partial(terms.object_penetration, unit=s.object_unit),
-            partial(terms.table_penetration, unit=s.table_unit),
             partial(terms.self_penetration, unit=s.self_unit),
         ]
+        if self._scene is not None:
+            objective += [
+                partial(terms.object_penetration, unit=s.object_unit),
+                partial(terms.table_penetration, unit=s.table_unit),
+            ]
         if last is not None:
             units = {"unit": s.joint_unit, "position_unit": s.position_unit, "rotation_unit": s.rotation_unit}
             objective.append(partial(terms.stay_near, start=last, **units))
@@ -196,10 +231,29 @@ class Retargeter:
     def _targets(self, problem: RetargetingProblem) -> np.ndarray:
         """Where the far key points of the links should be [m], shape [1, S, 3]."""
         s, human = self._settings, self._points.match.human_far
-        joints, surface, normals = (x[:, human] for x in (problem.joints, problem.surface, problem.normals))
+        if self._scene is None:
+            return problem.joints[:, human]
+        joints, surface, normals = problem.joints[:, human], problem.surface, problem.normals
         touching = surface + self._points.far_radius[:, None] * normals
         distance = np.sum((joints - surface) * normals, axis=-1, keepdims=True)
         share = np.clip((s.far - distance) / (s.far - s.near), 0.0, 1.0)
         # Without a corner at either end, so that a hand that approaches is not jerked.
         share = share * share * (3 - 2 * share)
         return joints + share * (touching - joints)
+
+
+def _palm_frame(joints: np.ndarray) -> np.ndarray:
+    """A frame that moves with the palm: its origin at the wrist, an axis to the middle finger, one across.
+
+    Args:
+        joints: human joints, shape [21, 3].
+
+    Returns:
+        In the frame of the joints, shape [7].
+    """
+    fingers, across = joints[5] - joints[0], joints[1] - joints[13]
+    x = fingers / np.linalg.norm(fingers)
+    z = np.cross(x, across)
+    z = z / np.linalg.norm(z)
+    turn = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=-1))
+    return np.concatenate([joints[0], turn.as_quat(scalar_first=True)])

@@ -30,6 +30,10 @@ RETIRED = ("limits.arm_torque", "arm.options.torque_limits")
 NEW_CELL = SHIPPED / "new.template"
 """What ``write_new_cell`` fills in."""
 
+PLANNED_SPEEDS = ("palm_speed", "palm_rotation_speed", "arm_speed", "hand_speed")
+PLANNED_ACCELERATIONS = ("palm_acceleration", "palm_rotation_acceleration")
+"""Limits that decide how fast a plan is carried out."""
+
 LARGEST_LIMITS = {
     "palm_speed": 0.25,
     "palm_acceleration": 0.3,
@@ -184,7 +188,7 @@ class Watchdog:
     pose_stale: float = 0.5
     """Before planning and until the fingers close, the arm stops where the tracked pose is older than this
     [s]."""
-    pose_jump: float = 0.05
+    pose_jump: float = 0.02
     """The same where the tracked object jumps farther than this [m]."""
     pose_turn: float = 0.52
     """The same where it turns farther than this [rad]: trackers flip what looks alike from two sides."""
@@ -301,6 +305,24 @@ def check_calibrated(cell: RobotCell) -> None:
             f"cell '{cell.name}': no calibration of the camera: run 'fungrasp robots calibrate' and name its "
             "file as 'calibration' under [tracker]"
         )
+
+
+def plan_speed(limits: MotionLimits) -> float:
+    """Share of their own speed at which plans are carried out within a cell's limits. Plans are made at the
+    speeds of the default limits: where a cell has lower ones, the same motion takes longer. Speeds go down
+    with that share, accelerations with its square."""
+    full = MotionLimits()
+    shares = [getattr(limits, name) / getattr(full, name) for name in PLANNED_SPEEDS]
+    shares += [np.sqrt(getattr(limits, name) / getattr(full, name)) for name in PLANNED_ACCELERATIONS]
+    return float(min(1.0, *shares))
+
+
+def slowest_limit(limits: MotionLimits) -> str:
+    """The limit that ``plan_speed`` follows from, as a phrase: "limits.palm_speed = 0.05"."""
+    full = MotionLimits()
+    names = (*PLANNED_SPEEDS, *PLANNED_ACCELERATIONS)
+    lowest = min(names, key=lambda n: plan_speed(replace(full, **{n: getattr(limits, n)})))
+    return f"limits.{lowest} = {getattr(limits, lowest):g}"
 
 
 def is_wired(cell: RobotCell) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
-from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.cell import MotionLimits, RobotCell, plan_speed
 from fungrasp.robots.device import (
     Clock,
     DeviceStatus,
@@ -72,16 +72,10 @@ class Robot:
         self.arm, self.hand_driver, self.tracker = arm, hand_driver, tracker
         self.dry_run, self.compensate = dry_run, compensate
         self.kinematics = ArmKinematics(cell, hand)
-        limits = cell.limits
-        self.protocol = LiftProtocol(
-            wrist_speed=limits.palm_speed,
-            wrist_acceleration=limits.palm_acceleration,
-            wrist_rotation_speed=limits.palm_rotation_speed,
-            wrist_rotation_acceleration=limits.palm_rotation_acceleration,
-        )
+        self.protocol = _protocol(cell.limits)
         """Limits of the palm's motion, and the numbers of the task."""
-        servo_limits = np.stack([hand_driver.limits.lower, hand_driver.limits.upper], axis=1)
-        self.setpoints = SetpointGenerator(servo_limits, 1, self.protocol)
+        self._servo_limits = np.stack([hand_driver.limits.lower, hand_driver.limits.upper], axis=1)
+        self.setpoints = SetpointGenerator(self._servo_limits, 1, self.protocol)
         self.switch = StopSwitch(cell.stop_file) if switch is None else switch
         """Stops the robot."""
         self.guard = SafetyGuard(
@@ -90,6 +84,7 @@ class Robot:
             ClearanceModel(cell, hand).measure,
             self.setpoints.period,
             moving=not dry_run,
+            palm=self.kinematics.palm_pose,
         )
         """Sees every command before it is sent."""
         self.watch: Callable[[RobotState, RobotCommand], None] = lambda state, command: None
@@ -101,8 +96,11 @@ class Robot:
         servos = np.array([servo.kp for servo in hand.actuators.values()])
         self._stiffness = servos if stiffness is None else stiffness
         self._seen: TrackedPose | None = None
-        self._began = 0.0
+        self._began = self._paused = 0.0
+        self._next = -np.inf
         self._count = self.setpoints.number
+        self.leg_speed = 1.0
+        """Share of the cell's limits at which the arm goes from posture to posture."""
         self.lift_time = np.inf
         """When the lift began, on the plan's clock [s]; infinite before."""
         self.lift_height = 0.0
@@ -152,11 +150,13 @@ class Robot:
         self.close()
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """End motion: the arm brakes and holds, the hand does as asked. Never raises, if no driver does."""
-        try:
-            self.arm.stop(StopKind.HOLD)
-        finally:
-            self.hand_driver.stop(kind)
+        """End motion: the arm brakes and holds, the hand does as asked. Never raises."""
+        for device, how in ((self.arm, StopKind.HOLD), (self.hand_driver, kind)):
+            try:
+                device.stop(how)
+            except Exception:
+                # A driver of others: the other device is stopped all the same, and the hold begins.
+                _log.exception("%s does not stop", device.name)
 
     def state(self) -> RobotState:
         """What all devices say now, without waiting."""
@@ -165,14 +165,23 @@ class Robot:
             self._seen = seen
         return RobotState(self.clock.now(), self.arm.read(), self.hand_driver.read(), self._seen)
 
-    def begin(self, state: RobotState, lift_height: float = 0.0) -> None:
+    def now(self) -> float:
+        """Time of the motion: that of the robot's clock, which stands still while the computer is held up
+        [s]."""
+        return self.clock.now() - self._paused
+
+    def begin(self, state: RobotState, lift_height: float = 0.0) -> float:
         """Begin a plan where the robot stands: its clock is zero from now on.
 
         Args:
             lift_height: by how much the palm's goal rises once an action lifts [m].
+
+        Returns:
+            time of the motion at which it begins [s].
         """
-        self._began = state.time
+        self._began = state.time - self._paused
         self.lift_time, self.lift_height = np.inf, lift_height
+        return self._began
 
     def place_setpoints(self, arm: np.ndarray, fingers: np.ndarray) -> None:
         """Setpoints are at rest here, as after a motion of joints.
@@ -195,9 +204,9 @@ class Robot:
         return self._follower.joints
 
     def slow_down(self, speed: float) -> None:
-        """Carry plans out more slowly from now on: their time is stretched by adding setpoints between
-        theirs, at the same rate. What watches the devices, their silence and the age of poses, stays on the
-        robot's clock.
+        """Carry plans out more slowly from now on, as slowly as the cell's limits ask at least: their time is
+        stretched by adding setpoints between theirs, at the same rate. What watches the devices, their
+        silence and the age of poses, stays on the robot's clock.
 
         Args:
             speed: share of the plans' speed, above 0 and at most 1. A control period becomes whole setpoint
@@ -208,7 +217,12 @@ class Robot:
         """
         if not LEAST_SPEED <= speed <= 1.0:
             raise FungraspError(f"the speed is a share of the plan's, {LEAST_SPEED:g} to 1, not {speed:g}")
-        self._count = int(np.ceil(self.setpoints.number / speed - 1e-9))
+        allowed = plan_speed(self.cell.limits)
+        self.leg_speed = min(1.0, speed / allowed)
+        # What is stretched is the plan's own motion.
+        self.protocol = _protocol(MotionLimits())
+        self.setpoints = SetpointGenerator(self._servo_limits, 1, self.protocol)
+        self._count = int(np.ceil(self.setpoints.number / min(speed, allowed) - 1e-9))
 
     @property
     def speed(self) -> float:
@@ -222,7 +236,7 @@ class Robot:
 
     def plan_time(self, time: float) -> float:
         """Time since the plan began, on the plan's clock [s]. time: of the robot's clock [s]."""
-        return (time - self._began) * self.speed
+        return (time - self._paused - self._began) * self.speed
 
     def stand_still(self, seconds: float) -> None:
         """Take a time in which the robot stood still out of the plan's clock. seconds: [s]."""
@@ -257,7 +271,8 @@ class Robot:
         Returns when the last one is sent, 80 ms after the first at full speed.
 
         Args:
-            start: time of the robot's clock at which the control period begins [s]; now if None.
+            start: time of the motion at which the control period begins [s]; if None now, or a setpoint's
+                period after the last one.
 
         Returns:
             what was really sent: the palm's last setpoint, the fingers' last setpoint, and whether the lift
@@ -269,9 +284,9 @@ class Robot:
         """
         if not all(np.isfinite(v).all() for v in (action.palm_goal_world, action.finger_targets)):
             raise RobotError("the policy's action is not finite: its file may be damaged")
-        start = self.clock.now() if start is None else start
+        start = max(self.now(), self._next) if start is None else start
         if action.lift[0] and not np.isfinite(self.lift_time):
-            self.lift_time = self.plan_time(start)
+            self.lift_time = self.plan_time(start + self._paused)
         goal = action.palm_goal_world.copy()
         goal[:, 2] += self.lift_height * np.isfinite(self.lift_time)
         palm, joints = self.setpoints.wrist.pose[0].copy(), self.setpoints.fingers[0].copy()
@@ -296,10 +311,30 @@ class Robot:
             lift=np.array([np.isfinite(self.lift_time)]),
         )
 
+    def sleep_until(self, when: float) -> None:
+        """Return at a time of the motion [s], at once if it has passed."""
+        self.clock.sleep_until(when + self._paused)
+
     def wait(self, when: float) -> None:
-        """Wait for a setpoint's turn. when: time of the robot's clock [s]."""
-        self.clock.sleep_until(when)
-        self.due(when)
+        """Wait for a setpoint's turn. What is later than ``watchdog.late_tick`` is not caught up: all that
+        follows is as much later.
+
+        Args:
+            when: time of the motion [s].
+
+        Raises:
+            SafetyStop: it is later than ``watchdog.overrun``; the robot was stopped.
+        """
+        dog = self.cell.watchdog
+        self.sleep_until(when)
+        self.due(when + self._paused)
+        late = self.now() - when
+        if late > dog.overrun:
+            self.stop()
+            raise SafetyStop(f"the control period was overrun by {1e3 * late:.0f} ms", StopKind.HOLD)
+        if late > dog.late_tick:
+            self._paused += late
+        self._next = when + self.setpoints.period
 
     def send(self, arm: np.ndarray, fingers: np.ndarray) -> RobotCommand:
         """Send one setpoint to all servos.
@@ -355,3 +390,12 @@ class Robot:
     def ready(self) -> bool:
         """Whether both arm and hand follow commands."""
         return all(d.read().status is DeviceStatus.READY for d in (self.arm, self.hand_driver))
+
+
+def _protocol(limits: MotionLimits) -> LiftProtocol:
+    return LiftProtocol(
+        wrist_speed=limits.palm_speed,
+        wrist_acceleration=limits.palm_acceleration,
+        wrist_rotation_speed=limits.palm_rotation_speed,
+        wrist_rotation_acceleration=limits.palm_rotation_acceleration,
+    )

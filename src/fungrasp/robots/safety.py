@@ -18,7 +18,7 @@ robot's own controller, with its limits set, and an emergency stop within reach.
 | device reports that it does not follow | hold |
 | time stamp of a device stands still | hold |
 | tracked pose stale, lost, doubtful, jumping or turning until the fingers close | hold |
-| control period overrun | hold |
+| setpoints in a burst, control period overrun | hold |
 
 "Hold": the arm brakes and keeps its position, the hand keeps its targets. "Open": the arm holds and the hand
 opens. After either the robot is in the state of fault until a person starts anew.
@@ -52,6 +52,9 @@ _log = logging.getLogger(__name__)
 
 TOLERANCE = 1.02
 """Commanded speeds may exceed their limits by this factor, for rounding."""
+
+AHEAD = 0.02
+"""A pose that was captured so far in the future [s] has a time stamp of another clock."""
 
 LONGEST_STEP = 0.1
 """A goal of a device alone is as far from the one before as the joints get within this time, however long ago
@@ -103,6 +106,11 @@ def check_setpoint(
     problem = check_posture(command.palm, clearance, c.cell.workspace) or _too_fast(command, c)
     if problem:
         raise SafetyStop(problem)
+    return within_limits(command, c)
+
+
+def within_limits(command: RobotCommand, c: SafetyContext) -> RobotCommand:
+    """A setpoint of arm and hand within the limits of position and speed; the same one where it is."""
     parts = {}
     for part, limits in c.limits.items():
         given = getattr(command, part)
@@ -111,7 +119,7 @@ def check_setpoint(
             allowed = within_speed(part, allowed, getattr(c.previous, part), c.period, limits, c.cell)
         if np.abs(allowed - given).max(initial=0.0) > 1e-9:
             parts[part] = allowed
-    return replace(command, **parts)
+    return replace(command, **parts) if parts else command
 
 
 def check_reading(part: str, state: JointState, silence: float, cell: RobotCell) -> None:
@@ -190,6 +198,8 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
     if not np.isfinite([*tracked.pose_world_object, tracked.captured, tracked.score]).all():
         return "the tracked pose is not finite"
     age = time - tracked.captured
+    if age < -AHEAD:
+        return f"the tracked pose is {-1e3 * age:.0f} ms ahead of the robot's clock"
     if age > cell.watchdog.pose_stale:
         return f"the tracked pose is {1e3 * age:.0f} ms old"
     if tracked.score < cell.watchdog.pose_score:
@@ -246,14 +256,16 @@ class SafetyGuard:
         clearance: Callable[[np.ndarray, np.ndarray], Clearance] = lambda arm, fingers: Clearance(),
         period: float = SETPOINT_PERIOD,
         moving: bool = True,
+        palm: Callable[[np.ndarray], np.ndarray] | None = None,
     ):
         """
         Args:
             limits: what the drivers of "arm" and "hand" accept, or that of one alone.
             clearance: of a posture: joints of the arm [A] and of the hand [U].
             period: time between setpoints [s].
+            palm: where it is with joints of the arm [A], world frame, shape [7]; if None, where commands say.
         """
-        self._cell, self._limits, self._clearance = cell, limits, clearance
+        self._cell, self._limits, self._clearance, self._palm = cell, limits, clearance, palm
         self._period, self._moving = period, moving
         self.longest_silence = dict.fromkeys(limits, 0.0)
         """Longest time that a device's time stamp has stood still between setpoints [s]."""
@@ -264,6 +276,7 @@ class SafetyGuard:
         self._sent: tuple[RobotCommand | None, RobotCommand | None] = (None, None)
         self._stamps = {part: StandingStamp() for part in self._limits}
         self._last: tuple[np.ndarray, float] | None = None
+        self._when, self._credit = 0.0, np.inf
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
         """What may be sent of a command. Raises: SafetyStop: nothing may."""
@@ -273,6 +286,13 @@ class SafetyGuard:
         context = SafetyContext(
             self._cell, self._limits, previous, before, self._period, silence, self._moving
         )
+        self._keep_time(state.time)
+        if np.isfinite(command.arm).all() and np.isfinite(command.hand).all():
+            # What is checked is what will be sent.
+            allowed = within_limits(command, context)
+            if self._palm is not None and allowed.arm is not command.arm:
+                allowed = replace(allowed, palm=self._palm(allowed.arm))
+            command = allowed
         # Targets of squeezing fingers lie inside what they touch: where the fingers are is what counts.
         fingers = state.hand.positions
         finite = np.isfinite(command.arm).all() and np.isfinite(fingers).all()
@@ -283,6 +303,15 @@ class SafetyGuard:
         allowed = check_setpoint(state, command, context, gap)
         self._sent = previous, allowed
         return allowed
+
+    def _keep_time(self, now: float) -> None:
+        """Limits of speed are those of a step only where steps are not made up for in a burst. now: time of
+        the robot's clock [s]. Raises: SafetyStop: setpoints come too fast."""
+        most = self._period + self._cell.watchdog.late_tick
+        self._credit = min(self._credit + now - self._when, most) - self._period
+        self._when = now
+        if self._credit < -1e-3:
+            raise SafetyStop(f"setpoints come in less than {1e3 * self._period:.0f} ms")
 
     def joints(self, part: str, state: JointState, goal: np.ndarray, now: float) -> np.ndarray:
         """What may be sent of the goal of one device alone, whenever it comes [rad], shape [U].

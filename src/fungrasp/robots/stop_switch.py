@@ -84,8 +84,12 @@ class StopSwitch:
     def _listen(self, readline: Callable[[], str]) -> None:
         line = "first"
         while line:
-            line = readline()
+            try:
+                line = readline()
+            except OSError:
+                # Of a terminal that was hung up.
+                line = ""
             if self._asking or not line:
                 self._answers.put(line)
-            else:
-                self.press("the stop key was pressed")
+            if not self._asking:
+                self.press("the stop key was pressed" if line else "the terminal is gone, and its stop key")

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_multiply
-from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -267,13 +266,13 @@ def _problem(
     """The specifications as a retargeting problem: the links that must touch, the human hand at its start."""
     contacts = np.array([[link in spec.links for link in HUMAN_LINKS] for spec in specs])
     joints = HandState(points, scene, pose, independent).keypoints
-    surface, normals = project_to_surface(scene.bank, scene.grid, joints)
+    nowhere = np.zeros((len(specs), len(points.match.far), 3))
     return RetargetingProblem(
         **{f.name: getattr(scene, f.name) for f in fields(scene)},
         joints=joints,
         contacts=contacts,
-        surface=surface,
-        normals=normals,
+        surface=nowhere,
+        normals=nowhere,
         center=np.array([objects[spec.object].center_of_mass for spec in specs]),
         extent=np.array([0.5 * np.linalg.norm(objects[spec.object].size) for spec in specs]),
         weight=GRAVITY * np.array([objects[spec.object].mass for spec in specs]),

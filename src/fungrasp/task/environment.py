@@ -22,6 +22,7 @@ from fungrasp.task.lift import LiftTask
 from fungrasp.task.object_placement import Placement, on_drawn_table, resting_shift, where_seen
 from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Action, Observation, Policy, Privileged, PrivilegedPolicy
+from fungrasp.task.policy_checks import check_action, check_policy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import Jitter, SimulatedSensors
 
@@ -348,16 +349,23 @@ def play(
         end_lost: episodes end as soon as their object is lost, as failures.
         watch: called after each setpoint, to record.
         look: called with each observation.
+
+    Raises:
+        FungraspError: the policy lacks a method, or its first action is none.
     """
+    check_policy(policy)
     task, lost = environment.task, np.zeros(len(environment), dtype=bool)
     observation = environment.observe()
     look(observation)
     policy.reset(plan, observation)
+    first = observation
     while not task.done.all():
         if isinstance(policy, PrivilegedPolicy):
             action = policy.act_privileged(observation, environment.privileged())
         else:
             action = policy.act(observation)
+        if observation is first:
+            check_action(action, plan, observation)
         environment.step(action, watch)
         if end_lost:
             gone = task.lost

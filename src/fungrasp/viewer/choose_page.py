@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,10 +14,18 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.evaluation import LiftTestResult, Trajectory, read_result, replay
-from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_grasps, load_objects
+from fungrasp.grasps import (
+    HumanGrasp,
+    HumanGraspSet,
+    RobotGrasp,
+    RobotGraspSet,
+    load_grasps,
+    load_objects,
+)
+from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, named_objects, resolve_objects
 from fungrasp.hands import Hand, hand_origin, load_hand
 from fungrasp.hands.hand_registry import hand_files
-from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.task import GraspPlan
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -41,13 +49,13 @@ class ChosenPage:
     """Loads what is to be there when the first browser comes; None if nothing is."""
 
 
-def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str | Hand) -> ChosenPage:
+def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
     """The page of something. Everything is read here, so that mistakes are met before the
     server runs.
 
     Args:
         what: see ``view``.
-        objects: those of grasps, by name; built-in objects if None.
+        objects: those of grasps or plans, as for ``retarget``.
         hand: that imitates human grasps at first.
 
     Raises:
@@ -57,6 +65,8 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
         what = _read(what)
     if what is None:
         what = load_grasps("builtin")
+    if isinstance(what, HumanGrasp | RobotGrasp):
+        what = as_grasp_set(what)
     if isinstance(what, HumanGraspSet):
         from fungrasp.viewer.grasp_page import GraspPage, PickableGrasps
 
@@ -64,7 +74,7 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
             raise FungraspError("there are no grasps to view: the set is empty")
         name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
         load_hand(name)
-        choice = PickableGrasps(what, _objects(what, objects), name)
+        choice = PickableGrasps(what, resolve_objects(what, objects), name)
         return ChosenPage("Grasps", partial(GraspPage, choice=choice), partial(_load_solver, choice))
     if isinstance(what, RobotGraspSet):
         from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
@@ -72,7 +82,7 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
         if not len(what):
             raise FungraspError("there are no grasps to view: the set is empty")
         what.load_hand()
-        make = partial(RobotGraspsPage, grasps=what, objects=_objects(what, objects))
+        make = partial(RobotGraspsPage, grasps=what, objects=resolve_objects(what, objects))
         return ChosenPage("Robot grasps", make)
     if isinstance(what, LiftTestResult):
         from fungrasp.viewer.result_page import ResultPage, ShownResult
@@ -81,7 +91,14 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
     if isinstance(what, Trajectory):
         from fungrasp.viewer.result_page import RecordingPage
 
-        return ChosenPage("Episode", partial(RecordingPage, trajectory=what, objects=objects))
+        known = named_objects([what.object_name], [what.object_mass], objects)
+        return ChosenPage("Episode", partial(RecordingPage, trajectory=what, objects=known))
+    if isinstance(what, GraspPlan):
+        from fungrasp.viewer.plan_page import PlanPage
+
+        load_hand(what.hand)
+        known = named_objects(what.object_name.tolist(), what.object_mass.tolist(), objects)
+        return ChosenPage("Plans", partial(PlanPage, plans=what, objects=known))
     from fungrasp.perception.perceived import Perceived
 
     if isinstance(what, Perceived):
@@ -95,8 +112,8 @@ def choose_page(what: Any, objects: Mapping[str, ObjectModel] | None, hand: str 
     if isinstance(what, ChosenPage):
         return what
     raise FungraspError(
-        "grasps, a result, a recorded episode, what was perceived, a hand, or the path of one of their "
-        f"files, of a deployment's log or of a capture can be viewed, not a {type(what).__name__}"
+        "grasps, plans, a result, a recorded episode, what was perceived, a hand, or the path of one of "
+        f"their files, of a deployment's log or of a capture can be viewed, not a {type(what).__name__}"
     )
 
 
@@ -107,14 +124,6 @@ def _load_solver(choice: PickableGrasps) -> None:
     with contextlib.suppress(FungraspError, RuntimeError):
         first = choice.grasps.select(np.array([choice.row]))
         retarget(first, choice.objects, choice.hand, threads=1)
-
-
-def _objects(
-    grasps: HumanGraspSet | RobotGraspSet, objects: Mapping[str, ObjectModel] | None
-) -> Mapping[str, ObjectModel]:
-    known = load_objects(grasps) if objects is None else objects
-    check_objects(grasps.object_name.tolist(), known)
-    return known
 
 
 def _read(what: str | Path) -> Any:
@@ -144,12 +153,15 @@ def _read(what: str | Path) -> Any:
         check_log(log, path)
         return ChosenPage("Deployment", partial(LogPage, log=log))
     if path.suffix == ".npz":
-        if "qpos" in read_npz(path, "file", lambda name: name == "qpos"):
+        fields = read_npz(path, "file", ("qpos", "closing_step").__contains__)
+        if "qpos" in fields:
             return replay(path)
+        if "closing_step" in fields:
+            return GraspPlan.load(path)
         return load_grasps(path)
     raise FungraspError(
-        f"{path}: a .npz of grasps or of an episode, a result .json, a log .mcap, a hand .toml or the folder "
-        "of a capture can be viewed"
+        f"{path}: a .npz of grasps, plans or an episode, a result .json, a log .mcap, a hand .toml or the "
+        "folder of a capture can be viewed"
     )
 
 

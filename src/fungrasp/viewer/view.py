@@ -12,7 +12,7 @@ import threading
 import time
 import warnings
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeAlias
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from viser import ClientHandle, SceneApi
 
     from fungrasp.evaluation import LiftTestResult, Trajectory
-    from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+    from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects
     from fungrasp.hands import Hand
-    from fungrasp.objects import ObjectModel
     from fungrasp.perception.perceived import Perceived
+    from fungrasp.task import GraspPlan
 
 _log = logging.getLogger(__name__)
 
@@ -200,16 +200,14 @@ def _free_port(host: str, port: int) -> int:
         raise FungraspError(f"the page can't be served at {host}:{port}: {words}; choose --port") from error
 
 
-Viewable: TypeAlias = (
-    "HumanGraspSet | RobotGraspSet | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
-)
-"""What can be looked at; a path is that of a file of grasps, a result, a recorded episode, a deployment's
-log, a capture or a hand."""
+Viewable: TypeAlias = "AnyGrasps | GraspPlan | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
+"""What can be looked at; a path is that of a file of grasps, plans, a result, a recorded episode, a
+deployment's log, a capture or a hand."""
 
 
 def view(
     what: Viewable | None = None,
-    objects: Mapping[str, ObjectModel] | None = None,
+    objects: Objects = None,
     *,
     out: str | Path | None = None,
     hand: str | Hand = "allegro",
@@ -221,9 +219,10 @@ def view(
     """Look at something in a browser, where it can be dragged, played and compared; or write a page.
 
     Args:
-        what: grasps, a result, a recorded episode, what ``perceive`` returned, a hand, or the path of one of
-            their files, of a deployment's log or of a capture; the built-in grasps if None.
-        objects: those of grasps, by name; built-in objects if None. A result has its own.
+        what: grasps (a set or one alone), plans, a result, a recorded episode, what ``perceive`` returned, a
+            hand, or the path of one of their files, of a deployment's log or of a capture; the built-in
+            grasps if None.
+        objects: those of grasps or plans, as for ``retarget``. A result has its own.
         out: HTML file to write in place of it, which needs no other file and no server; of grasps, a result
             or what was perceived.
         hand: that imitates human grasps at first.

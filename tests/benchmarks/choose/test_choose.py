@@ -21,9 +21,9 @@ from fungrasp.evaluation.statistics import wilson_interval
 
 def test_a_variant_sets_fields_of_retargeting_motion_and_test():
     variant = Variant.parse(
-        "contact,retarget.likeness=0,motion.approach.object_margin=0.004,lift.adapt=false"
+        "contact,retarget.gap_unit=0.002,motion.approach.object_margin=0.004,lift.adapt=false"
     )
-    assert variant.method == "contact" and variant.retarget.likeness == 0
+    assert variant.method == "contact" and variant.retarget.gap_unit == 0.002
     assert variant.motion.approach.object_margin == 0.004 and variant.lift.adapt is False
     assert Variant.parse("contact,lift.policy=plan").lift.policy == "plan"
 
@@ -33,7 +33,7 @@ def test_a_variant_sets_fields_of_retargeting_motion_and_test():
     [
         ("contcat", "Did you mean 'contact'"),
         ("contact,firm=1", "'firm=1' is no option"),
-        ("contact,retarget.likenes=0", "did you mean 'likeness'"),
+        ("contact,retarget.gap_unti=0", "did you mean 'gap_unit'"),
         ("contact,lift.protocol=robustness", "under one condition"),
         ("/nowhere::contact", "/nowhere is no checkout"),
     ],

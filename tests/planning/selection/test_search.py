@@ -116,7 +116,8 @@ def test_without_rollouts_the_predictor_alone_decides():
     best = planner(settings).plan(grasps, belief())
     assert best.rollouts is not None and best.rollouts.tolist() == [0, 0]
     single = MotionPlanner(hand(), objects).plan(grasps, belief())
-    assert (Liking()(best)[:, 1] >= Liking()(single)[:, 1] - 1e-6).all()
+    # A search rounds beliefs to tenths of a millimeter.
+    assert (Liking()(best)[:, 1] >= Liking()(single)[:, 1] - 1e-4).all()
     np.testing.assert_allclose(best.expected_success, Liking()(best)[:, 0], atol=1e-9)
     again = planner(replace(settings, chunk=4)).plan(grasps, belief())
     np.testing.assert_allclose(again.grasp_palm_pose, best.grasp_palm_pose, atol=1e-6)

@@ -117,7 +117,7 @@ def test_a_finger_presses_with_the_force_it_is_asked_for():
     environment, held = lifted()
     soft = play_use(environment, [still(1.0, trigger=TriggerPress("index", "", 0.5))] * 2, held)
     environment, held = lifted()
-    hard = play_use(environment, [still(1.0, trigger=TriggerPress("index", "", 5.0))] * 2, held)
+    hard = play_use(environment, [still(1.0, trigger=TriggerPress("index", "", 2.0))] * 2, held)
     assert (hard.trigger_force_n > soft.trigger_force_n).any()
     environment, held = lifted()
     missing = play_use(environment, [still(trigger=TriggerPress("pinky", "", 5.0))] * 2, held)

@@ -25,7 +25,6 @@ FIRST_WAIT = 5000  # Longest time that the first images may take [ms]: a camera 
 WAIT = 2000  # Longest time that each further one may take [ms]; a recording that gives none is at its end.
 # Formats of color that are understood, and where red, green and blue are in them.
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-LARGEST_AGE = 1.0  # A time stamp of longer ago [s] is of a clock that was set meanwhile.
 DISTORTION = 1e-6  # Coefficients below this are none.
 
 _log = logging.getLogger(__name__)
@@ -253,11 +252,10 @@ def _distorted(frames: Any) -> bool:
 
 
 def _taken(rs: Any, depth: Any) -> float:
-    """When a depth image was taken, ``time.monotonic`` [s]: by its time stamp, if that is of this computer's
-    clock, else now."""
+    """When a depth image was taken, ``time.monotonic`` [s]: by its time stamp, however old that is, if it is
+    of this computer's clock, else now."""
     now = time.monotonic()
     domain = depth.get_frame_timestamp_domain()
     if domain not in (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time):
         return now
-    age = time.time() - 0.001 * float(depth.get_timestamp())
-    return now - age if 0.0 <= age < LARGEST_AGE else now
+    return now - (time.time() - 0.001 * float(depth.get_timestamp()))

@@ -7,7 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector
+from fungrasp.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    quaternion_from_rotation_vector,
+    rotate,
+    transform_points,
+)
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -21,17 +27,18 @@ from fungrasp.task import Belief, GraspPlan
 class VariationSpread:
     """How much variations differ, one standard deviation unless said."""
 
-    position: float = 0.008
+    position: float = 0.004
     """Standard deviation of the wrist's shift along each axis [m]."""
-    rotation: float = 0.08
-    """Standard deviation of the wrist's turn about each axis [rad]."""
-    joints: float = 0.05
+    rotation: float = 0.15
+    """Standard deviation of the wrist's turn about each axis through the middle of the wanted places
+    [rad]."""
+    joints: float = 0.03
     """Standard deviation of each joint by itself [rad]."""
-    closing: float = 0.08
+    closing: float = 0.05
     """Standard deviation of a change of all joints in proportion to their angle [fraction]."""
     force: float = 0.4
     """Standard deviation of the logarithm of the squeeze."""
-    press: float = 0.012
+    press: float = 0.006
     """Range of how far the wrist goes beyond its target [m]."""
 
 
@@ -45,6 +52,18 @@ def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None)
         "press_in": np.full(count, s.press_in),
     }
     return replace(grasps, extra={**defaults, **grasps.extra})
+
+
+def _touched_points(grasps: RobotGraspSet) -> np.ndarray:
+    """Mean of where the links touch that should, world frame [m], shape [N, 3]; of the key points where the
+    person's places are not known, or none is wanted."""
+    middle = grasps.keypoints.mean(axis=1)
+    if grasps.shown_places is None:
+        return middle
+    places = transform_points(grasps.object_pose, grasps.shown_places)
+    wanted = grasps.link_contacts[:, 1:, None]
+    mean = (places * wanted).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
+    return np.where(wanted.any(axis=1), mean, middle)
 
 
 def vary(
@@ -73,10 +92,10 @@ def vary(
         ]
     )
     noise *= (attempts > 0)[:, None]
-    shift = np.concatenate(
-        [spread.position * noise[:, :3], quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])],
-        axis=1,
-    )
+    # The wrist turns about where the fingers touch, so that they stay there: x -> center + turn (x - center).
+    center = inverse_transform_points(grasps.wrist_pose, _touched_points(grasps)[:, None])[:, 0]
+    turn = quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])
+    shift = np.concatenate([center - rotate(turn, center) + spread.position * noise[:, :3], turn], axis=1)
     fingers = independent * (1 + spread.closing * noise[:, 6:7]) + spread.joints * noise[:, 10:]
     fingers = np.clip(fingers, kinematics.lower, kinematics.upper)
     extra = dict(grasps.extra)

@@ -10,8 +10,7 @@ from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
 from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName
 from fungrasp.simulation import BufferSizes, Device
 
-WIDE_SPREAD = VariationSpread(position=0.015, rotation=0.2, joints=0.1, closing=0.15, force=0.5, press=0.02)
-
+WIDE_SPREAD = VariationSpread(position=0.008, rotation=0.35, joints=0.06, closing=0.1, force=0.5, press=0.01)
 
 OTHER_PLACES = 0.3
 """What is as shown in one rollout of three is preferred to what never is and always holds."""

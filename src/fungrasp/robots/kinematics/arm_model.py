@@ -100,7 +100,10 @@ class Clearance:
         if self.table < box.table_clearance + room:
             return "the arm would touch the table"
         if self.hand < -box.hand_depth:
-            return "the hand would press into the table, or come too near to it"
+            return (
+                "the hand would press into the table, or come too near to it (workspace.hand_depth = "
+                f"{box.hand_depth:g})"
+            )
         if self.obstacle < box.table_clearance + room:
             return "the arm or the hand would touch an obstacle"
         return "the arm or the hand would touch the arm" if self.itself < apart else ""
@@ -108,8 +111,19 @@ class Clearance:
 
 def outside(palm: np.ndarray, box: Workspace) -> str:
     """What is wrong with where a palm is, as a phrase; "" for nothing. palm: world frame, shape [..., 7]."""
-    beyond = (palm[..., :3] < box.lower).any() or (palm[..., :3] > box.upper).any()
-    return "the palm would leave the workspace box" if beyond else ""
+    places = palm[..., :3].reshape(-1, 3)
+    for side, corner, beyond in (
+        ("lower", box.lower, box.lower - places),
+        ("upper", box.upper, places - np.array(box.upper)),
+    ):
+        row, axis = np.unravel_index(np.argmax(beyond), beyond.shape)
+        if beyond[row, axis] > 0:
+            place, limit = places[row, axis], corner[axis]
+            return (
+                f"the palm would leave the workspace box ({'xyz'[axis]} = {place:.2f} m, and workspace.{side}"
+                f" has {limit:g})"
+            )
+    return ""
 
 
 class ClearanceModel:

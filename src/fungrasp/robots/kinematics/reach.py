@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.cell import RobotCell, plan_speed
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel, outside
 from fungrasp.robots.kinematics.inverse import PalmFollower, arm_postures, random_starts
 from fungrasp.robots.kinematics.joint_path import CLEAR
@@ -24,6 +24,9 @@ the palm by some millimeters."""
 
 LARGEST_ERROR = 0.002
 """Error of the palm on the path beyond which it does not follow [m, and rad for ten times as much]."""
+
+PATIENT = 50
+"""An arm that gets there in so many times the time is too slow, not too short."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +67,8 @@ class ReachChecker:
             rng: of the postures that solutions are sought from.
         """
         self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
-        self._follower = PalmFollower(kinematics, cell.limits.arm_speed)
+        # A plan that takes longer moves the arm more slowly.
+        self._follower = PalmFollower(kinematics, cell.limits.arm_speed / plan_speed(cell.limits))
 
     def possible(self, path: PalmPath, home: np.ndarray) -> str:
         """What is in the way of a path from every posture, whatever the hand does to the table, as a phrase;
@@ -137,7 +141,7 @@ class ReachChecker:
             posture: at its beginning [rad], shape [M].
             hand_matters: whether the hand must not press into the table.
         """
-        k, box = self._kinematics, self._cell.workspace
+        k, c, box = self._kinematics, self._cell, self._cell.workspace
         follower, margin, joints = self._follower, np.inf, posture
         follower.begin(posture)
         for step, (palm, fingers) in enumerate(zip(path.palm, path.fingers, strict=True)):
@@ -147,7 +151,10 @@ class ReachChecker:
             ends = float(np.minimum(joints - k.lower, k.upper - joints).min())
             obstacle = ""
             if place > LARGEST_ERROR or turn > 10 * LARGEST_ERROR:
-                obstacle = "the arm doesn't reach so far, or would have to move too fast"
+                _, place, turn = follower.follow(palm, PATIENT * path.period)
+                far = place > LARGEST_ERROR or turn > 10 * LARGEST_ERROR
+                speed = f"a joint of the arm would move faster than limits.arm_speed = {c.limits.arm_speed:g}"
+                obstacle = "the arm doesn't reach so far" if far else speed
             elif near := (gap if hand_matters else replace(gap, hand=MARGIN)).fault(box, TABLE_ROOM, CLEAR):
                 obstacle = near
             elif share < LEAST_MANIPULABILITY:

@@ -6,6 +6,7 @@
 | sequence | counts the tracker's answers |
 | clock | identifies the clock of the two times; the same text on both sides: the same clock |
 | captured, sent | when the image was taken, and when the message was sent, by that clock [s] |
+| wall | when the message was sent, by the time of day [s since 1970]; may be missing |
 | object, frame | names |
 | position, rotation | [m], and unit quaternion wxyz: object in frame |
 | score, status | 0 to 1; "tracking", "lost" or "initializing" |
@@ -50,6 +51,8 @@ class PoseMessage:
     """Confidence, 0 to 1."""
     status: TrackingStatus
     """Whether the pose may be used."""
+    wall: float | None = None
+    """When the message was sent, by the time of day [s since 1970]; None where the sender does not say it."""
 
 
 def message_entries(message: PoseMessage) -> dict[str, Any]:
@@ -67,6 +70,7 @@ def message_entries(message: PoseMessage) -> dict[str, Any]:
         "rotation": list(message.pose[3:]),
         "score": message.score,
         "status": message.status.value,
+        "wall": message.wall,
     }
 
 
@@ -92,10 +96,11 @@ def read_message(entries: Any) -> PoseMessage:
             pose,
             float(entries["score"]),
             TrackingStatus(entries["status"]),
+            None if entries.get("wall") is None else float(entries["wall"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise RobotError(f"a pose message is incomplete or wrong: {error!r}") from error
-    numbers = (*pose, message.captured, message.sent, message.score)
+    numbers = (*pose, message.captured, message.sent, message.score, message.wall or 0.0)
     if len(pose) != 7 or not all(math.isfinite(v) for v in numbers):
         raise RobotError("a pose message holds values that are not finite, or not seven of them")
     if abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
@@ -107,11 +112,19 @@ FUTURE = 0.005
 """A capture this far ahead of our clock [s] was stamped by a clock that has jumped."""
 LONGEST_DELAY = 10.0
 """A tracker that says it took longer [s] has a clock that has jumped."""
+SKEW = 0.02
+"""Two machines that keep the same time of day are apart by less [s]."""
 
 
 class PoseStream:
-    """``PoseSource`` of a publisher. A message whose time stamps can't be is ignored, so that the pose before
-    it grows old: only the age of the capture says whether a pose may be used."""
+    """``PoseSource`` of a publisher. A message whose time stamps can't be is ignored, and so is one that is
+    no newer than the one before, so that the pose before it grows old: only the age of the capture says
+    whether a pose may be used.
+
+    Of a tracker on another machine, whose clock has another origin, the age is told by the time of day, which
+    both machines keep (NTP). Where its messages don't say that, the one that came soonest after it was sent
+    counts as having taken no time: what is later than that one, or waits to be read, is as much older.
+    """
 
     def __init__(
         self,
@@ -142,6 +155,7 @@ class PoseStream:
         """Messages that could not be used."""
         self._address, self._object, self._frame, self._timeout = address, object_name, frame, timeout
         self._clock = clock_name()
+        self._sender, self._sent, self._offset = "", -np.inf, np.inf
         self._socket: Any = None
         self._zmq: Any = None
         self._msgpack: Any = None
@@ -152,6 +166,7 @@ class PoseStream:
         self._zmq = import_client("zmq", "pose", "a pose stream")
         self._msgpack = import_client("msgpack", "pose", "a pose stream")
         self.close()
+        self._sender = ""
         self._socket = self._zmq.Context.instance().socket(self._zmq.SUB)
         # Before connecting, or it has no effect: only the newest message is kept.
         self._socket.setsockopt(self._zmq.CONFLATE, 1)
@@ -214,14 +229,34 @@ class PoseStream:
         delay = message.sent - message.captured
         if not 0 <= delay <= LONGEST_DELAY:
             raise RobotError("the tracker's clock has jumped")
-        # Another machine's clock has another origin: there the way of the message is taken for instantaneous.
-        captured = message.captured if message.clock == self._clock else now - delay
+        if message.clock != self._sender:
+            self._sender, self._sent, self._offset = message.clock, -np.inf, np.inf
+        if message.sent <= self._sent:
+            raise RobotError("a message came again")
+        captured = self._captured(message, now, time.time())
         if captured > now + FUTURE:
             raise RobotError("the tracker's clock is ahead of ours")
+        self._sent = message.sent
         pose = np.array(message.pose)
         if self._camera is not None:
             pose = compose(self._camera, pose)
         return TrackedPose(pose, captured, message.score, message.status)
+
+    def _captured(self, message: PoseMessage, now: float, wall: float) -> float:
+        """When the image was taken, by our clock [s]. now, wall: our clock and the time of day [s]."""
+        if message.clock == self._clock:
+            return message.captured
+        delay = message.sent - message.captured
+        if message.wall is not None:
+            travel = wall - message.wall
+            if travel < -SKEW:
+                raise RobotError(
+                    f"the time of day on the tracker's machine is {-travel:.2f} s ahead of ours: let both "
+                    "keep the same (NTP)"
+                )
+            return now - max(travel, 0.0) - delay
+        self._offset = min(self._offset, now - message.sent)
+        return message.captured + self._offset
 
 
 class PosePublisher:
@@ -273,6 +308,7 @@ class PosePublisher:
             numbers,
             score,
             status,
+            time.time(),
         )
         self._sequence += 1
         self.send_bytes(self._msgpack.packb(message_entries(message)))

@@ -1,0 +1,147 @@
+"""One human grasp from what a tracker gives: joints, a mesh and a pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.poses import transform_points
+from fungrasp.grasps.contacts import link_points
+from fungrasp.grasps.diagnosis import checked_grasps
+from fungrasp.grasps.human_grasp import HumanGrasp
+from fungrasp.grasps.human_hand import HUMAN_LINKS, LINK_RADII, joint_order
+from fungrasp.objects import ObjectModel, resolve_object
+
+if TYPE_CHECKING:
+    import trimesh
+
+CONTACT_REACH = 0.03
+"""Largest distance of a contact point from the skin of the link that it is a point of [m]."""
+
+
+def human_grasp(
+    joints: ArrayLike,
+    mesh: ObjectModel | trimesh.Trimesh | str | Path,
+    *,
+    order: str = "fungrasp",
+    object_pose: ArrayLike | None = None,
+    contacts: ArrayLike | None = None,
+    mass: float | None = None,
+    task: str = "",
+) -> HumanGrasp:
+    """A human grasp from arrays, after the checks that files of grasps go through.
+
+    Args:
+        joints: of a right hand [m], shape [21, 3]: in the world frame (z up, table top at z = 0), or, without
+            ``object_pose``, in the frame of the mesh.
+        mesh: the object: a mesh [m], as trimesh or as a file; a built-in object's name; or a model
+            (``object_from_mesh``, ``load_object``).
+        order: of the joints: "mediapipe", "openpose", "mano" and others
+            (``fungrasp.grasps.human_hand.ORDERS``).
+        object_pose: of the object in the world when grasped, ``[x y z qw qx qy qz]`` or a 4 x 4 matrix. None:
+            it stands on the table, with the z axis of its mesh up.
+        contacts: which of ``HUMAN_LINKS`` touch the object, bool, shape [16]; or points of contact [m], shape
+            [P, 3], in the frame of the joints. None: they are computed from the distance of hand and mesh.
+        mass: of the object [kg]; None: a model's or built-in object's own, or guessed from the mesh's size.
+        task: what the grasp is for: "drink", "cut", ...; empty if not known.
+
+    Returns:
+        The grasp, which carries its object: ``fungrasp.retarget(grasp)`` needs nothing else.
+
+    Raises:
+        FungraspError: arrays of another shape, joints in another order or unit, a left hand, a hand that is
+            not at the object, or a mesh that can't be read; it says what was found and what to do.
+    """
+    obj = resolve_object(mesh, mass)
+    model = obj.model
+    ordered = _finite("joints", joints, (21, 3))[joint_order(order)]
+    points = None if contacts is None else np.asarray(contacts)
+    if object_pose is None:
+        pose = model.rest_pose()
+        ordered = transform_points(pose, ordered)
+    else:
+        pose = as_pose(object_pose)
+    if points is None:
+        flags = np.zeros(len(HUMAN_LINKS), dtype=bool)
+    elif points.dtype == bool:
+        if points.shape != (len(HUMAN_LINKS),):
+            raise FungraspError(f"contacts have shape {points.shape}: expected one flag for each of 16 links")
+        flags = points
+    else:
+        places = _finite("contacts", points, (None, 3))
+        flags = touched_links(ordered, places if object_pose is not None else transform_points(pose, places))
+    fields = {
+        "object_name": np.array([model.name]),
+        "object_mass": np.array([model.mass]),
+        "object_pose": pose[None],
+        "hand_joints": ordered[None],
+        "link_contacts": flags[None],
+        "task": np.array([task]),
+    }
+    if obj.mass_spread is not None:
+        fields["object_mass_spread"] = np.array([obj.mass_spread])
+    if object_pose is None:
+        fields["object_rest_pose"] = pose[None]
+    grasps = checked_grasps(fields, {model.name: model}, "the grasp")
+    return replace(grasps, objects={model.name: model})[0]
+
+
+def as_pose(pose: ArrayLike) -> np.ndarray:
+    """A pose as ``[x y z qw qx qy qz]``, shape [7].
+
+    Args:
+        pose: the same, or a 4 x 4 matrix.
+
+    Raises:
+        FungraspError: something else.
+    """
+    array = np.asarray(pose, dtype=float)
+    if array.shape == (4, 4):
+        rotation = array[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+            raise FungraspError("object_pose: the upper left 3 x 3 block of the matrix is no rotation")
+        from scipy.spatial.transform import Rotation
+
+        x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+        return np.array([*array[:3, 3], w, x, y, z])
+    return _finite("object_pose", array, (7,))
+
+
+def touched_links(hand_joints: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Links on which points of contact lie: of each point the nearest.
+
+    Args:
+        hand_joints: [m], shape [21, 3].
+        points: in the same frame [m], shape [P, 3].
+
+    Returns:
+        bool, shape [16].
+
+    Raises:
+        FungraspError: a point is farther than ``CONTACT_REACH`` from the hand.
+    """
+    axes = link_points(hand_joints[None])[0]
+    apart = np.linalg.norm(points[:, None, None] - axes[None], axis=-1).min(axis=2) - LINK_RADII
+    far = np.flatnonzero(apart.min(axis=1, initial=np.inf) > CONTACT_REACH) if len(points) else []
+    if len(far):
+        distance = 1e3 * apart[far[0]].min()
+        raise FungraspError(
+            f"contact point {far[0]} is {distance:.0f} mm from the hand: points are in the frame of the "
+            "joints [m]"
+        )
+    return np.isin(np.arange(len(HUMAN_LINKS)), apart.argmin(axis=1))
+
+
+def _finite(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> np.ndarray:
+    array = np.asarray(values, dtype=float)
+    if array.ndim != len(shape) or any(b not in (a, None) for a, b in zip(array.shape, shape, strict=True)):
+        wanted = ", ".join("P" if n is None else str(n) for n in shape)
+        raise FungraspError(f"{name} have shape {array.shape}, expected ({wanted})")
+    if not np.isfinite(array).all():
+        raise FungraspError(f"{name} are not all finite")
+    return array

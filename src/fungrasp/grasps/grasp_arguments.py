@@ -1,0 +1,117 @@
+"""What verbs take as grasps and as objects, in the form in which they work with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol, TypeAlias
+
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
+from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
+from fungrasp.objects import ObjectModel, check_objects, load_object
+
+Objects: TypeAlias = "Mapping[str, ObjectModel] | Iterable[ObjectModel] | ObjectModel | str | Path | None"
+"""The objects of grasps: by name, several, one, or a folder of meshes; None for those that the grasps carry
+and built-in ones."""
+
+
+class HasGrasps(Protocol):
+    """What a verb returns about grasps: a perceived one, the result of a lift test."""
+
+    @property
+    def grasps(self) -> HumanGraspSet | RobotGraspSet | None:
+        """Those grasps."""
+        ...
+
+
+AnyGrasps: TypeAlias = "HumanGraspSet | RobotGraspSet | HumanGrasp | RobotGrasp | HasGrasps"
+"""Grasps of a person or of a robot hand, in a set or one alone, or what was found out about them."""
+
+HumanGrasps: TypeAlias = "HumanGraspSet | HumanGrasp | HasGrasps"
+"""Grasps of people, in a set or one alone, or a perceived one."""
+
+
+def as_grasp_set(grasps: AnyGrasps) -> HumanGraspSet | RobotGraspSet:
+    """Grasps as a set.
+
+    Raises:
+        FungraspError: it is something else.
+    """
+    grasps = getattr(grasps, "grasps", grasps)
+    if isinstance(grasps, HumanGrasp):
+        return HumanGraspSet.of([grasps])
+    if isinstance(grasps, RobotGrasp):
+        return RobotGraspSet.of([grasps])
+    if isinstance(grasps, HumanGraspSet | RobotGraspSet):
+        return grasps
+    raise FungraspError(
+        f"expected human or robot grasps, not a {type(grasps).__name__}: fungrasp.human_grasp makes one of "
+        "arrays, fungrasp.load_grasps reads a file"
+    )
+
+
+def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
+    """Grasps of people as a set.
+
+    Raises:
+        FungraspError: robot grasps, or something else.
+    """
+    found = as_grasp_set(grasps)
+    if isinstance(found, RobotGraspSet):
+        raise FungraspError(
+            f"only human grasps can be retargeted, not a {type(grasps).__name__} (of the hand '{found.hand}')"
+        )
+    return found
+
+
+def resolve_objects(grasps: HumanGraspSet | RobotGraspSet, objects: Objects = None) -> dict[str, ObjectModel]:
+    """The objects of grasps by name, and what else was given.
+
+    Raises:
+        FungraspError: an object is missing; it says which is needed, and what was given.
+    """
+    return named_objects(grasps.object_name.tolist(), grasps.object_mass.tolist(), objects, grasps.objects)
+
+
+def named_objects(
+    names: Sequence[str],
+    masses: Sequence[float],
+    objects: Objects = None,
+    carried: Mapping[str, ObjectModel] = MappingProxyType({}),
+) -> dict[str, ObjectModel]:
+    """Objects of these names, and what else was given.
+
+    Args:
+        names: of the objects that are needed; one may occur several times.
+        masses: theirs [kg]; the first counts where an object is loaded.
+        objects: as verbs take them.
+        carried: those that come with what is asked about.
+
+    Raises:
+        FungraspError: an object is missing; it says which is needed, and what was given.
+    """
+    needed = {}
+    for name, mass in zip(names, masses, strict=True):
+        needed.setdefault(name, float(mass))
+    if objects is None or isinstance(objects, str | Path):
+        known = {} if objects is not None else dict(carried)
+        try:
+            return known | {n: load_object(n, m, objects) for n, m in needed.items() if n not in known}
+        except UnknownNameError as error:
+            raise FungraspError(
+                f"{error} Give the grasps' objects: a folder of meshes, or fungrasp.object_from_mesh(...)"
+            ) from None
+    if isinstance(objects, ObjectModel) or not isinstance(objects, Iterable):
+        objects = [objects]
+    given = dict(objects) if isinstance(objects, Mapping) else {getattr(o, "name", ""): o for o in objects}
+    for model in given.values():
+        if not isinstance(model, ObjectModel):
+            raise FungraspError(
+                "expected objects (fungrasp.load_object, fungrasp.object_from_mesh) or a folder of meshes, "
+                f"not a {type(model).__name__}"
+            )
+    known = {**carried, **given}
+    check_objects(names, known)
+    return known

@@ -1,0 +1,57 @@
+"""Plans that were made before, for grasps that are tried or deployed now."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import digest
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.task import Belief, GraspPlan
+
+
+class GivenPlans:
+    """A planner that knows the plans already: each moves along with its object, to where that is believed to
+    be."""
+
+    def __init__(self, plans: GraspPlan, grasps: RobotGraspSet):
+        """
+        Args:
+            plans: one for each of the grasps, in their order.
+
+        Raises:
+            FungraspError: plans for other grasps.
+        """
+        if not isinstance(plans, GraspPlan):
+            raise FungraspError(f"expected plans as fungrasp.plan returns, not a {type(plans).__name__}")
+        if len(plans) != len(grasps):
+            raise FungraspError(f"there are {len(plans)} plans for {len(grasps)} grasps")
+        if plans.hand != grasps.hand:
+            raise FungraspError(f"the plans are of the hand '{plans.hand}', the grasps of '{grasps.hand}'")
+        other = np.flatnonzero(plans.object_name != grasps.object_name)
+        if len(other):
+            row = int(other[0])
+            raise FungraspError(
+                f"row {row}: the plan is for the object '{plans.object_name[row]}', the grasp for "
+                f"'{grasps.object_name[row]}'"
+            )
+        self.plans = plans
+        self.key = digest(plans.arrays())
+        """Says which plans they are."""
+
+    def plan(
+        self,
+        grasps: RobotGraspSet,
+        belief: Belief,
+        seed: int = 0,
+        progress: Callable[[float], None] = lambda done: None,
+    ) -> GraspPlan:
+        """The plans for where the objects are. grasps: all of them, in the order of the plans."""
+        return replace(self.plans, object_pose=belief.object_pose.copy())
+
+    def rows(self, rows: np.ndarray, belief: Belief) -> GraspPlan:
+        """Those of some grasps. rows: indices [I]; belief: I rows."""
+        return replace(self.plans.select(rows), object_pose=belief.object_pose.copy())

@@ -1,0 +1,49 @@
+"""What verbs about robot grasps take: human grasps are retargeted first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
+from fungrasp.hands import Hand, as_hand
+from fungrasp.objects import ObjectModel
+from fungrasp.retargeting.retarget import RetargetSpec, retarget
+
+
+class RobotGrasps(NamedTuple):
+    """Robot grasps with all that belongs to them."""
+
+    robot: RobotGraspSet
+    """N grasps."""
+    objects: dict[str, ObjectModel]
+    """Their objects by name."""
+    hand: Hand
+    """Their hand."""
+    human: HumanGraspSet | None
+    """What they were made of, where they were made here."""
+
+
+def as_robot_grasps(
+    grasps: AnyGrasps, objects: Objects = None, hand: Hand | str | Path | None = None, threads: int = 0
+) -> RobotGrasps:
+    """Robot grasps, whatever was given.
+
+    Args:
+        grasps: of a robot hand, or of people: these are retargeted with the defaults of ``retarget``.
+        objects: as for ``retarget``.
+        hand: of human grasps, allegro if None; it must be that of robot grasps.
+        threads: 0 means all processors.
+
+    Raises:
+        FungraspError: something else than grasps, a missing object, no such hand, or grasps of another.
+    """
+    found = as_grasp_set(grasps)
+    known = resolve_objects(found, objects)
+    if isinstance(found, HumanGraspSet):
+        used = as_hand(RetargetSpec.hand if hand is None else hand)
+        return RobotGrasps(retarget(found, known, used, threads=threads), known, used, found)
+    used = found.load_hand() if hand is None else as_hand(hand)
+    found.check_hand(used)
+    return RobotGrasps(found, known, used, None)
