@@ -23,7 +23,6 @@ _log = logging.getLogger(__name__)
 if TYPE_CHECKING:
     import trimesh
 
-_log = logging.getLogger(__name__)
 
 DENSITY = 500.0
 """Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the

@@ -102,9 +102,9 @@ class Meter:
     def excess(self) -> float:
         """How far the value is beyond its limit, in tolerances; negative within."""
         if isnan(self.value):
-            return -np.inf
+            return float("-inf")
         beyond = (self.limit - self.value) if self.least else (self.value - self.limit)
-        return beyond / self.tolerance
+        return float(beyond / self.tolerance)
 
     @property
     def met(self) -> bool:
@@ -190,20 +190,23 @@ def joint_probabilities(
     """
     pixels = capture.intrinsics.project(hand.joints_camera)
     away = np.linalg.norm(pixels - hand.pixels, axis=1) * hand.joints_camera[:, 2] / capture.intrinsics.fx
-    # A landmark that is off takes those of its finger with it.
+    # A landmark that is off takes those of its finger with it, and makes the others doubtful.
     of_finger = away.copy()
     of_finger[1:] = np.repeat(away[1:].reshape(5, 4).max(axis=1), 4)
-    # Joints are about 10 mm behind the skin; what is much nearer hides them, and tells nothing.
+    # Joints are about 10 mm behind the skin; where a finger is hidden another thing's depth is measured.
     behind = hand.joints_camera[:, 2] - _median_depth(capture.depth, pixels) - 0.01
-    behind = np.where(np.abs(behind) < HIDDEN, np.nan_to_num(behind), 0.0)
-    variance = np.trace(fitted.covariance, axis1=1, axis2=2) / 3 + of_finger**2 / 2 + behind**2 / 3
+    behind = np.clip(np.nan_to_num(behind), -DEPTH_ERROR, DEPTH_ERROR)
+    variance = (
+        np.trace(fitted.covariance, axis1=1, axis2=2) / 3
+        + (of_finger**2 + 0.5 * np.mean(away**2) + behind**2) / 3
+    )
     variance = variance + (0.0 if object_known else UNHELD**2 / 3)
     found = chi2.cdf(WITHIN**2 / np.maximum(variance, 1e-8), 3)
     return np.asarray(found) * (1.0 if edge_of_hand(capture, hand) is None else CUT)
 
 
-HIDDEN = 0.04
-"""Depth that differs more from a joint's is that of another thing [m]."""
+DEPTH_ERROR = 0.01
+"""Depth that differs more from a joint's is that of another thing, and tells no more [m]."""
 
 UNHELD = 0.018
 """Standard deviation of the depth of a hand that is not fitted to an object [m]: of real images."""

@@ -138,10 +138,9 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
     score = object_score(first)
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
-        # What is not known of another pose is taken to be as with the first.
-        explained = float(answers.scores.explained[i] * answers.scores.quality[i] / answers.scores.quality[0])
-        other = replace(first, explained=min(explained, first.explained))
-        others.append((poses[i], min(object_score(other), score)))
+        # Poses of a near-symmetry share most of their pixels: the root of how well it fits, relative.
+        relative = float(answers.scores.quality[i] / max(answers.scores.quality[0], 1e-6))
+        others.append((poses[i], score * min(relative, 1.0) ** 0.5))
     return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
 
 
