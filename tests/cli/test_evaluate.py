@@ -160,7 +160,9 @@ def test_robustness_tries_every_condition(human, tmp_path, capsys, monkeypatch):
     assert numbers["protocol"] == "robustness"
     assert list(conditions) == list(SOME)
     rates = [condition["success_rate"] for condition in conditions.values()]
-    assert lines[4] == f"mean over the 2 disturbed conditions: {(rates[1] + rates[2]) / 2:.1%}"
+    shown = [condition["held_as_shown"] for condition in conditions.values()]
+    mean = f"success {(rates[1] + rates[2]) / 2:.1%}, held as shown {(shown[1] + shown[2]) / 2:.1%}"
+    assert lines[4] == f"mean over the 2 disturbed conditions: {mean}"
     assert "8 episodes in" in lines[5]
     assert conditions["light, moved"]["randomization"]["object_shift"] == [0.01, 0.01]
     moved = conditions["light, moved"]["trials"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -38,3 +39,5 @@ def test_rates_have_their_counts():
         "held", ["mug", "box"], np.array([0.5, 1.0]), np.array([[0.2, 0.8], [0.7, 1.0]]), ["1 of 2", "3 of 3"]
     )
     assert {"held", "mug", "box", "1 of 2", "3 of 3", "100 %"} <= texts(rates_svg(bars))
+    behind = replace(bars, behind=np.array([1.0, 1.0]))
+    assert rates_svg(behind).count("#bcd0e6") > rates_svg(bars).count("#bcd0e6")

@@ -16,7 +16,8 @@ from fungrasp.evaluation import evaluate
 from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet, save_human_grasps, save_robot_grasps
-from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge, with_shown_places
+from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge, place_marks, with_shown_places
+from fungrasp.hands.correspondence import correspond
 
 TOOL = Path(__file__).parents[3] / "shared" / "tools" / "as_shown.py"
 MOVED = {
@@ -34,6 +35,10 @@ def judged(grasps: RobotGraspSet, touching: bool | None = None) -> AsShown:
     palm = compose(invert(grasps.object_pose), grasps.wrist_pose)
     flags = None if touching is None else np.full(contacts.wanted.shape, touching)
     return ShownJudge(allegro_hand(), grasped_objects())(palm, grasps.joint_positions, contacts, flags)
+
+
+def of_thumb() -> np.ndarray:
+    return correspond(allegro_hand()).is_thumb
 
 
 def at_its_own_places() -> RobotGraspSet:
@@ -80,6 +85,23 @@ def test_the_thumb_and_two_thirds_of_the_links_are_needed():
         found = judged(replace(asked, shown_places=moved), True)
         np.testing.assert_allclose(found.share, 2 / 3)
         assert found.holds.all() == holds
+        assert set(found.reason) == {"" if holds else "the thumb is more than 20 mm off"}
+    assert set(judged(asked, False).reason) == {"the thumb does not touch"}
+    assert set(judged(replace(asked, link_contacts=np.zeros_like(wanted))).reason) == {"no link is wanted"}
+    fingers = replace(asked, shown_normals=np.where(of_thumb()[:, None], 1.0, -1.0) * asked.shown_normals)
+    assert set(judged(fingers, True).reason) == {"fingers are on the other side"}
+
+
+def test_what_is_drawn_are_the_wanted_links():
+    grasps, objects = at_its_own_places(), grasped_objects()
+    wanted = good_grasps().link_contacts
+    asked = replace(grasps, link_contacts=wanted)
+    marks, found = place_marks(asked, 1, objects), judged(asked)
+    assert marks is not None
+    np.testing.assert_allclose(marks.points, found.points[1, wanted[1, 1:]], atol=1e-12)
+    np.testing.assert_array_equal(marks.shown, found.shown[1, wanted[1, 1:]])
+    assert marks.words == f"{marks.shown.sum()} of {wanted[1, 1:].sum()} links, 0 mm"
+    assert place_marks(replace(asked, shown_places=None, shown_normals=None), 1, objects) is None
 
 
 @pytest.mark.skipif(not TOOL.is_file(), reason="the reference implementation is not beside this clone")

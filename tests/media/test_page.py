@@ -129,6 +129,17 @@ def test_a_failure_is_called_one():
     assert "1 of 2 lifted and held" in checker.text
 
 
+def test_held_otherwise_than_shown_is_said():
+    grasps = [_grasp(as_shown=True), _grasp(as_shown=False), _grasp(success=False, as_shown=False)]
+    html = page_html(Page("Grasps", grasps))
+    text = _check(html).text
+    assert "1 of 3 held as shown · 2 of 3 lifted and held" in text
+    assert (
+        text.count("✓ Held as shown") == text.count("✗ Held, not as shown") == text.count("✗ Not held") == 1
+    )
+    assert html.count('badge good">') == 2, "as many in the list"
+
+
 def test_use_is_judged_by_itself(tmp_path):
     (tmp_path / "use.mp4").write_bytes(b"film")
     failed = _grasp(use_success=False, use_outcome="It slipped.", use_film=tmp_path / "use.mp4")

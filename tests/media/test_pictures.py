@@ -5,8 +5,10 @@ import trimesh
 from flat_hand import FLAT_HAND
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.grasps.as_shown import PlaceMarks
 from fungrasp.hands import load_hand
 from fungrasp.media import Renderer, look_at_grasp
+from fungrasp.media.camera import orbit_camera
 from fungrasp.media.grasp_scenes import (
     CONTACT,
     OBJECT_BODY,
@@ -15,7 +17,7 @@ from fungrasp.media.grasp_scenes import (
     robot_scene_colors,
     robot_scene_states,
 )
-from fungrasp.media.pictures import captioned, four_views, grid
+from fungrasp.media.pictures import AS_SHOWN, NOT_SHOWN, captioned, draw_place_marks, four_views, grid
 from fungrasp.objects import ObjectModel
 
 _BOX = trimesh.creation.box((0.06, 0.06, 0.04))
@@ -52,6 +54,24 @@ def test_a_contact_sheet_holds_every_picture():
         row, column = divmod(i, 3)
         y, x = 4 + row * 24, 4 + column * 34
         np.testing.assert_array_equal(plain[y : y + 20, x : x + 30], images[i])
+
+
+def test_places_are_marked_where_they_are():
+    camera = orbit_camera(POSE[:3], 0.5, 30.0, 20.0, width=640, height=480)
+    places = np.array([[0.03, 0.0, 0.0], [0.0, 0.03, 0.02]])
+    marks = PlaceMarks(
+        places, places + np.array([[0.0, 0.0, 0.01], [0.0, -0.05, 0.0]]), np.array([True, False])
+    )
+    before = np.full((480, 640, 3), 128, np.uint8)
+    after = draw_place_marks(before, camera, POSE, marks)
+    at = np.round(camera.project(marks.points + POSE[:3])[0]).astype(int)
+    for (u, v), color in zip(at, (AS_SHOWN, NOT_SHOWN), strict=True):
+        np.testing.assert_array_equal(after[v, u], color)
+    u, v = np.round(camera.project(places[1] + POSE[:3])[0]).astype(int)
+    off = np.abs(after.astype(int) - NOT_SHOWN).max(axis=2)
+    assert off[v - 5, u] < 40 and off[v - 2, u] > 150, "a ring is open"
+    changed = np.any(after != before, axis=2)
+    assert changed.mean() < 0.02, "marks hide what is below them"
 
 
 def test_contact_sheets_check_what_they_get():

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.poses import compose, invert
+from fungrasp.grasps.as_shown import ShownContacts, ShownJudge
+from fungrasp.media.grasp_pages import in_the_hold
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +42,38 @@ def test_grasps_are_drawn(human, robot, objects, tmp_path):
 def test_a_result_shows_its_table_and_how_episodes_ended(robot, objects, tmp_path):
     result = fungrasp.evaluate(robot, objects)
     page = fungrasp.view(result, out=tmp_path / "result.html").read_text()
-    assert f"{int(result.success.sum())} of 2 episodes lifted and held" in page
+    shown = result.outcomes.held_as_shown
+    assert f"{int(result.success.sum())} of 2 held, {int(shown.sum())} as shown" in page
     assert "mean over objects" in page and page.count("data:image/png;base64,") == 2
     assert "at the first try" in page or "It did not hold" in page
+    assert page.count("✓ Held as shown") == page.count(" Held as shown: ") == shown.sum()
+
+
+def test_a_result_shows_the_person_beside_what_was_held(human, robot, objects, tmp_path):
+    result = fungrasp.evaluate(robot, objects, human=human)
+    o = result.outcomes
+    assert result.success[0] and robot.shown_places is not None
+    # As if the thumb had slipped off its place.
+    o.held_as_shown[0], o.not_as_shown[0] = False, "the thumb is more than 20 mm off"
+    page = fungrasp.view(result, out=tmp_path / "result.html").read_text()
+    assert page.count("data:image/png;base64,") == 4
+    assert "Held, but not as shown: the thumb is more than 20 mm off (" in page
+    assert f" links, {o.place_error_mm[0]:.0f} mm)" in page
+    assert repr(result).endswith(f"{o.success.sum()} of 2 held, {o.held_as_shown.sum()} as shown>")
+    assert "not as shown:   1 the thumb is more than 20 mm off" in result.table()
+
+
+def test_the_hand_is_drawn_as_it_held(robot, objects):
+    result = fungrasp.evaluate(robot, objects)
+    held, row = in_the_hold(result), int(np.flatnonzero(result.success)[0])
+    assert result.hold is not None
+    judge = ShownJudge(robot.load_hand(), objects)
+    shown = ShownContacts.of(held)
+    assert shown is not None
+    palm = compose(invert(held.object_pose), held.wrist_pose)
+    found = judge(palm, held.joint_positions, shown, result.hold.touching[:, 1:])
+    np.testing.assert_allclose(1e3 * found.place_error[row], result.outcomes.place_error_mm[row], atol=1e-6)
+    assert np.abs(held.joint_positions - robot.joint_positions)[row].max() > 1e-3
 
 
 def test_what_can_not_be_viewed_is_said(robot, tmp_path):

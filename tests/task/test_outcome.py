@@ -53,6 +53,19 @@ def test_success_takes_10_cm(rise, success, reason, touching):
     assert outcomes.lifted_height_m[0] == pytest.approx(rise, abs=3e-3)
 
 
+def test_an_episode_that_is_counted_as_failed_is_not_held_as_shown_either(touching):
+    task = ready([CUBE, CUBE])
+    pose = task.settled_pose.copy()
+    pose[:, :3] += [0.3, 0.0, 0.15]
+    run(task, lift_from=0.0, after=held_at(task, pose))
+    outcomes = task.outcomes()
+    assert outcomes.success.all()
+    outcomes.held_as_shown[:], outcomes.not_as_shown[:] = [True, False], ["", "the thumb does not touch"]
+    outcomes.fail(np.array([True, False]), "held too low")
+    assert outcomes.success.tolist() == [False, True] and outcomes.reason.tolist() == ["held too low", ""]
+    assert not outcomes.held_as_shown.any()
+
+
 def test_a_thrown_object_is_not_held():
     task = ready([CUBE])
     pose = task.settled_pose.copy()

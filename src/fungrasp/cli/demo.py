@@ -95,7 +95,7 @@ class Demo(Answering):
             f"{report.title}: {' '.join(filter(None, (report.outcome, report.use_outcome)))}"
             for report in made.grasps
         ]
-        told = ("title", "success", "outcome", "use_success", "use_outcome")
+        told = ("title", "success", "as_shown", "outcome", "use_success", "use_outcome")
         grasps = [
             {"object_name": grasp.object_name, "task": grasp.task}
             | {name: getattr(report, name) for name in told}

@@ -117,7 +117,9 @@ class Evaluate(LiftTestSpec):
                 result.save(self.out, compact=True)
         print_use(cluster)
         if self.picture is not None:
-            captions = [reason or "success" for reason in result.outcomes.reason.tolist()]
+            o, held = result.outcomes, "held as shown" if result.knows_places else "held"
+            reasons = zip(o.reason.tolist(), o.not_as_shown.tolist(), strict=True)
+            captions = [failed or (f"held, but {why}" if why else held) for failed, why in reasons]
             with progress_bar("drawing", 1.0) as show:
                 draw_grasps(self.picture, robot, objects, captions=captions, progress=show)
         lines = [result.table(), f"{result.episodes} episodes in {result.seconds:.1f} s"]

@@ -468,12 +468,14 @@ def _draw(grasps: HumanGraspSet | RobotGraspSet, row: int, path: Path, objects: 
     from PIL import Image
 
     from fungrasp.core.files import atomic_path
-    from fungrasp.media.pictures import grasp_picture
+    from fungrasp.grasps.as_shown import place_marks
+    from fungrasp.media.pictures import grasp_pictures
     from fungrasp.objects import load_object
 
     name = str(grasps.object_name[row])
     obj = load_object(name, float(grasps.object_mass[row]), objects)
-    picture = grasp_picture(grasps, row, {name: obj}, WIDTH, HEIGHT)
+    marks = place_marks(grasps, row, {name: obj}) if isinstance(grasps, RobotGraspSet) else None
+    (picture,) = grasp_pictures(grasps, row, {name: obj}, (WIDTH, HEIGHT), marks=marks)
     with atomic_path(path) as temporary:
         Image.fromarray(picture).save(temporary, format="PNG")
 

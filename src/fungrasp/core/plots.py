@@ -66,6 +66,8 @@ class RateBars:
     """Lower and upper end of each, shape [N, 2]."""
     counts: Sequence[str] = field(default_factory=tuple)
     """Words at the end of each bar, length N."""
+    behind: np.ndarray | None = None
+    """Larger rates, drawn pale behind them, shape [N]."""
 
 
 def panels_svg(panels: Sequence[PlotPanel], columns: int = 1, width: float = 9.0, height: float = 2.3) -> str:
@@ -98,6 +100,8 @@ def rates_svg(bars: RateBars, width: float = 9.0) -> str:
         place = np.arange(count)[::-1]
         rates, ends = np.asarray(bars.rates, dtype=float), np.asarray(bars.intervals, dtype=float)
         reach = np.abs(ends - rates[:, None]).T
+        if bars.behind is not None:
+            axes.barh(place, bars.behind, color="#bcd0e6", height=0.7)
         axes.barh(place, rates, xerr=reach, color="#3b78b5", ecolor="#555555", capsize=2, height=0.7)
         axes.set_yticks(place, [str(name) for name in bars.names])
         axes.set_xlim(0, 1.0)

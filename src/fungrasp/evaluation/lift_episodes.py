@@ -37,6 +37,9 @@ USE_FILE = "{}_use.npz"
 ATTEMPT_PREFIX = "attempts."
 """The same of ``AttemptRecord``."""
 
+HOLD_PREFIX = "hold."
+"""The same of ``HoldMiddle``."""
+
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
@@ -150,7 +153,7 @@ class LiftTest:
 
         Returns:
             fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, ``expected_as_shown``, with several
-            attempts those of ``AttemptRecord``, each of shape [W].
+            attempts those of ``AttemptRecord``, each of shape [W], and those of ``HoldMiddle``.
         """
         rows, seed, files, spec = part.rows, part.seed, self.files(part), self.spec
         r, p = spec.conditions[part.condition], spec.lift
@@ -191,12 +194,14 @@ class LiftTest:
         if recorder is not None:
             for trajectory, file in zip(recorder.trajectories(rows), files, strict=True):
                 trajectory.save(file)
+        middle = environment.task.measurements.middle.arrays()
         use = {}
         if spec.use:
             use = self._use(environment, grasps, rows, outcomes.success, files)
         return (
             outcomes.arrays()
             | estimates.arrays()
+            | {HOLD_PREFIX + name: values for name, values in middle.items()}
             | use
             | tries
             | {

@@ -17,7 +17,13 @@ from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run
 from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import static_quality
-from fungrasp.evaluation.lift_episodes import ATTEMPT_PREFIX, USE_PREFIX, Episodes, LiftTest
+from fungrasp.evaluation.lift_episodes import (
+    ATTEMPT_PREFIX,
+    HOLD_PREFIX,
+    USE_PREFIX,
+    Episodes,
+    LiftTest,
+)
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.results import LiftTestResult
 from fungrasp.grasps.as_shown import with_shown_places
@@ -29,6 +35,7 @@ from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.sim2real import ProtocolName
 from fungrasp.task import GraspPlan, Outcomes, Policy, PrivilegedPolicy
+from fungrasp.task.outcome import HoldMiddle
 from fungrasp.task.policy_checks import check_policy
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
@@ -126,7 +133,7 @@ def evaluate(
         result = replace(result, quality=static_quality(robot, shown, known, used))
     conditions = results if len(results) > 1 else {}
     seconds = perf_counter() - start
-    return replace(result, conditions=conditions, grasps=robot, objects=known, seconds=seconds)
+    return replace(result, conditions=conditions, grasps=robot, human=shown, objects=known, seconds=seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,6 +233,7 @@ def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays
         object_name=grasps.object_name[index],
         task=grasps.task[index],
         outcomes=Outcomes.from_arrays(merged),
+        hold=HoldMiddle.from_arrays(_without(merged, HOLD_PREFIX)),
         rollouts=merged["rollouts"],
         expected_as_shown=merged["expected_as_shown"],
         contact_estimates=ContactEstimates.from_arrays(merged),

@@ -24,11 +24,12 @@ from fungrasp.evaluation.lift_test_spec import LiftTestSpec
 from fungrasp.evaluation.result_files import save_result
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
-from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.sim2real import Randomization, protocol_name
 from fungrasp.task import DIVERGED, Outcomes
+from fungrasp.task.outcome import HoldMiddle
 from fungrasp.task.use import UseOutcomes
 
 LEGACY_PERIOD = 0.0289
@@ -45,6 +46,8 @@ MEANS = (
 """Fields of ``Outcomes`` that are averaged."""
 SHOWN_MEANS = ("shown_share", "place_error_mm", "other_side", "strays")
 """Fields of ``Outcomes`` that are averaged over the held objects, where the person's places are known."""
+CONDITION_COLUMNS = ("success", "held_as_shown", "reason", "not_as_shown")
+"""Fields of ``Outcomes`` that are kept of each episode under several conditions."""
 UNLIKELY = 0.5
 """A plan of which less is expected is not taken to hold as shown."""
 HEAD = (
@@ -88,6 +91,8 @@ class LiftTestResult:
     expected_as_shown: np.ndarray | None = None
     """Probability of success as shown that the planner expected, shape [N]; NaN or None where it expected
     nothing."""
+    hold: HoldMiddle | None = None
+    """State in the middle of the hold, N rows; not written to files."""
     use: UseOutcomes | None = None
     """Outcomes of the use tests that followed; None if there were none."""
     attempts: AttemptRecord | None = None
@@ -98,6 +103,8 @@ class LiftTestResult:
     """By name, this one included; empty where there is only one."""
     grasps: RobotGraspSet | None = None
     """The grasps that were tried; not written to files."""
+    human: HumanGraspSet | None = None
+    """What they were retargeted from, if that is known; not written to files."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Theirs, by name; not written to files."""
     seconds: float = 0.0
@@ -156,11 +163,22 @@ class LiftTestResult:
                 return import_module(name).DataFrame(rows)
         raise FungraspError("a frame needs pandas or Polars: pip install pandas")
 
-    def __repr__(self) -> str:
-        held = int(np.sum(self.success))
+    @property
+    def knows_places(self) -> bool:
+        """Whether the person's places are known, without which nothing is held as shown."""
+        return bool(np.isfinite(self.outcomes.strays).any())
+
+    def count(self, which: np.ndarray | None = None) -> str:
+        """How many of some episodes are held, and held as shown where that is known, in words. which: shape
+        [N] bool; all if None."""
+        flags = np.ones(len(self.index), dtype=bool) if which is None else which
+        held = f"{int(self.success[flags].sum())} of {int(flags.sum())} held"
         return (
-            f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {held} of {len(self.index)} held>"
+            f"{held}, {int(self.outcomes.held_as_shown[flags].sum())} as shown" if self.knows_places else held
         )
+
+    def __repr__(self) -> str:
+        return f"<LiftTestResult: hand {self.hand!r}, policy {self.policy!r}, {self.count()}>"
 
 
 def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str, Any]:
@@ -226,7 +244,7 @@ def mean_over_objects(result: LiftTestResult) -> dict[str, float]:
     columns = {"success_rate": result.outcomes.success} | {
         name: getattr(result.outcomes, name) for name in MEANS
     }
-    if np.isfinite(result.outcomes.strays).any():
+    if result.knows_places:
         columns = {"held_as_shown": result.outcomes.held_as_shown} | columns
     return {name: mean_over_groups(values, result.object_name) for name, values in columns.items()}
 
@@ -289,14 +307,9 @@ def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
                 **summary(result),
                 "mean_over_objects": mean_over_objects(result),
                 "trials": [
-                    {"index": index, "seed": seed, "success": success, "reason": reason}
-                    for index, seed, success, reason in zip(
-                        result.index.tolist(),
-                        result.seed.tolist(),
-                        result.outcomes.success.tolist(),
-                        result.outcomes.reason.tolist(),
-                        strict=True,
-                    )
+                    {"index": int(result.index[i]), "seed": int(result.seed[i])}
+                    | {name: getattr(result.outcomes, name)[i] for name in CONDITION_COLUMNS}
+                    for i in range(len(result.index))
                 ],
             }
         )
@@ -333,8 +346,9 @@ def _object_table(result: LiftTestResult) -> str:
         )
         lines.append(f"held as shown / held / all by task: {', '.join(tasks)}")
     lines += attempt_lines(numbers.get("attempts"))
-    reasons = Counter(reason for reason in result.outcomes.reason.tolist() if reason)
-    lines += [f"failed: {count:3d} {reason}" for reason, count in reasons.most_common()]
+    for what, column in (("failed", result.outcomes.reason), ("not as shown", result.outcomes.not_as_shown)):
+        reasons = Counter(reason for reason in column.tolist() if reason)
+        lines += [f"{what}: {count:3d} {reason}" for reason, count in reasons.most_common()]
     return "\n".join([table(rows), *lines])
 
 
@@ -402,8 +416,11 @@ def _use_table(use: UseOutcomes, task: np.ndarray) -> str:
 
 def robustness_table(results: Mapping[str, LiftTestResult]) -> str:
     """Conditions side by side, and the mean of their rates of success; the first is undisturbed."""
-    rates = [float(result.outcomes.success.mean()) for result in results.values()]
-    mean = f"mean over the {len(rates) - 1} disturbed conditions: {sum(rates[1:]) / (len(rates) - 1):.1%}"
+    disturbed = list(results.values())[1:]
+    mean = f"mean over the {len(disturbed)} disturbed conditions: success "
+    mean += f"{np.mean([each.success.mean() for each in disturbed]):.1%}"
+    if all(each.knows_places for each in disturbed):
+        mean += f", held as shown {np.mean([each.outcomes.held_as_shown.mean() for each in disturbed]):.1%}"
     return "\n".join([_side_by_side("condition", results), mean])
 
 

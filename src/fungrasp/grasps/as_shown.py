@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from fungrasp.core.records import BatchRecord
 from fungrasp.geometry import SignedDistanceBank
-from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.geometry.poses import compose, inverse_transform_points, invert
 from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
@@ -87,6 +87,8 @@ class AsShown(BatchRecord):
     """Links on the other side of the surface, shape [N, S] bool."""
     shown: np.ndarray
     """Wanted links that are as shown, shape [N, S] bool."""
+    reason: np.ndarray
+    """Why a grasp is not as shown, "" where it is, shape [N] str."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -195,12 +197,19 @@ class ShownJudge:
         agree = wanted & touching & (error <= NEAR) & ~turned
         by_thumb = wanted & self._thumb
         thumb = ~by_thumb.any(axis=1) | (agree & self._thumb).any(axis=1)
+        lost = np.select([~touching, error > NEAR, turned], [0, 1, 2], 3)
         number = np.where(wanted.any(axis=1), wanted.sum(axis=1), np.nan)
         share = agree.sum(axis=1) / number
         apart = np.linalg.norm(points[:, :, None] - places[:, None], axis=-1)
         apart = np.where(wanted[:, None, :], apart, np.inf).min(axis=-1)
+        holds = thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9)
+        reason = np.select(
+            [holds, ~wanted.any(axis=1), ~thumb],
+            ["", "no link is wanted", _most("the thumb", lost, by_thumb)],
+            _most("fingers", lost, wanted & ~self._thumb),
+        )
         return AsShown(
-            holds=thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9),
+            holds=holds,
             share=share,
             place_error=(error * wanted).sum(axis=1) / number,
             other_side=(wanted & turned).sum(axis=1) / number,
@@ -209,7 +218,68 @@ class ShownJudge:
             errors=error,
             turned=turned,
             shown=agree,
+            reason=reason,
         )
+
+
+class PlaceMarks(NamedTuple):
+    """The K wanted links of one grasp, to be drawn; object frame."""
+
+    places: np.ndarray
+    """Where the person touched [m], shape [K, 3]."""
+    points: np.ndarray
+    """Where the robot does, or is nearest to the surface [m], shape [K, 3]."""
+    shown: np.ndarray
+    """Links that are as shown, shape [K] bool."""
+
+    @property
+    def words(self) -> str:
+        """ "5 of 6 links, 8 mm"."""
+        if not len(self.shown):
+            return "no link is wanted"
+        error = 1e3 * np.linalg.norm(self.points - self.places, axis=1).mean()
+        return f"{int(self.shown.sum())} of {len(self.shown)} links, {error:.0f} mm"
+
+
+def place_marks(
+    robot: RobotGraspSet,
+    row: int,
+    objects: Mapping[str, ObjectModel],
+    touching: np.ndarray | None = None,
+    hand: Hand | None = None,
+) -> PlaceMarks | None:
+    """What to draw of one grasp; None if it does not know where the person touched.
+
+    Args:
+        row: of the grasp in the set.
+        touching: links that touch the object, shape [S] bool; those nearer than ``TOUCH`` if None.
+        hand: theirs; it is loaded if None.
+    """
+    grasp = robot.select(np.array([row]))
+    shown = ShownContacts.of(grasp)
+    if shown is None:
+        return None
+    palm = compose(invert(grasp.object_pose), grasp.wrist_pose)
+    judge = ShownJudge(hand or robot.load_hand(), objects)
+    found = judge(palm, grasp.joint_positions, shown, None if touching is None else touching[None])
+    wanted = shown.wanted[0]
+    return PlaceMarks(shown.places[0, wanted], found.points[0, wanted], found.shown[0, wanted])
+
+
+def _most(links: str, lost: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """What is wrong with most of some links, in words, shape [N] str.
+
+    Args:
+        links: what to call them.
+        lost: 0 for a link that does not touch, 1 for one that is too far from the person's place, 2 for one
+            on the other side, 3 for one as shown; shape [N, S].
+        which: of the links, shape [N, S] bool.
+    """
+    number = [(which & (lost == kind)).sum(axis=1) for kind in range(3)]
+    off = "is" if links.startswith("the ") else "are"
+    apart = f"{off} more than {1e3 * NEAR:.0f} mm off"
+    words = [f"do{'es' if off == 'is' else ''} not touch", apart, f"{off} on the other side"]
+    return np.array([f"{links} {each}" for each in words])[np.argmax(number, axis=0)]
 
 
 def _grouped(

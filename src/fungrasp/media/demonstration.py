@@ -14,18 +14,20 @@ import numpy as np
 from fungrasp.core.provenance import page_provenance
 from fungrasp.evaluation import LiftTestSpec, Trajectory, evaluate, replay, static_quality
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
+from fungrasp.grasps.as_shown import place_marks
 from fungrasp.hands import Hand
 from fungrasp.media.episode_film import FilmSettings, episode_film, film_frames
 from fungrasp.media.grasp_pages import (
+    SIZE,
     contacts,
-    grasp_pictures,
     grasp_title,
-    outcome_words,
+    outcome,
     quantities,
     use_outcome,
 )
 from fungrasp.media.grasp_scenes import grasp_scene, look_at_grasp
 from fungrasp.media.page import GraspReport, Page, write_page
+from fungrasp.media.pictures import MARKS_MEAN, grasp_pictures
 from fungrasp.media.render import render
 from fungrasp.media.video import write_video
 from fungrasp.objects import ObjectModel
@@ -41,7 +43,9 @@ TITLE = "Human grasps, taken over by a robot hand"
 
 INTRODUCTION = (
     "On the left of each pair, how a person holds the object for the task; on the right, the grasp that "
-    "the robot hand makes of it. The film is the episode in simulation: reach for the object on the table, "
+    "the robot hand makes of it. "
+    + MARKS_MEAN
+    + " The film is the episode in simulation: reach for the object on the table, "
     "close, lift by 15 cm and hold for 3 s. Where the task has a motion, a second film shows what follows: "
     "the wrist pours, strikes or strokes, a finger presses the trigger, or somebody pulls, and the object is "
     f"to stay in the hand. The films run {FILM.speed:g} times as fast."
@@ -133,15 +137,15 @@ def demonstrate(
             for episode in episodes:
                 if episode.is_use_test:
                     continue
-                row, obj = episode.index, objects[episode.object_name]
-                pictures = grasp_pictures(human[row], robot[row], hand, obj)
+                row = episode.index
+                marks = place_marks(robot, row, objects, hand=hand)
+                pictures = grasp_pictures(robot, row, objects, SIZE, human, marks)
                 use_clip = clips.get((row, True))
                 use = None if use_clip is None else result.use
                 report = GraspReport(
                     grasp_title(human[row]),
                     object_mass=human[row].object_mass,
-                    success=episode.success,
-                    outcome=outcome_words(episode.success, episode.reason, bool(result.rollouts[row])),
+                    **outcome(result, row),
                     human_picture=pictures[0],
                     robot_picture=pictures[1],
                     film=clips[row, False],

@@ -5,6 +5,7 @@ returned.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,14 @@ from fungrasp.core.plots import RateBars, rates_svg
 from fungrasp.core.provenance import page_provenance
 from fungrasp.evaluation import LiftTestResult, StaticQuality, Trajectory
 from fungrasp.evaluation.statistics import wilson_interval
+from fungrasp.geometry.poses import compose
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_objects
+from fungrasp.grasps.as_shown import place_marks
 from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, resolve_objects
 from fungrasp.hands import Hand
-from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp, view_angles
 from fungrasp.media.page import Contact, GraspReport, Page, Quantity, figure, text_card, write_page
 from fungrasp.media.perception_page import write_perception_page
-from fungrasp.media.pictures import DRAWN_GRASPS, grasp_picture, grid, spread_rows
-from fungrasp.media.render import render
+from fungrasp.media.pictures import DRAWN_GRASPS, MARKS_MEAN, grasp_pictures, grid, spread_rows
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.perceived import Perceived
 from fungrasp.task import GraspPlan
@@ -32,11 +33,20 @@ from fungrasp.task.use import UseOutcomes
 DIGITS = 3
 """Digits after the point to which numbers are rounded."""
 
-WIDTH, HEIGHT = 560, 420
-"""Size of each picture [pixels]."""
+SIZE = (560, 420)
+"""Width and height of each picture [pixels]."""
 
 MEANINGS: dict[str, tuple[str, str, str]] = {
-    "contact_error_mm": ("Contact error", "mm", "Between where person and robot touch, on the surface."),
+    "shown_share": (
+        "Links as shown",
+        "",
+        "Share of the wanted links at the person's places, from the same side.",
+    ),
+    "place_error_mm": (
+        "Place error",
+        "mm",
+        "Between where person and robot touch, mean of the wanted links.",
+    ),
     "contact_gap_mm": ("Contact gap", "mm", "Between the object and the links that should touch it."),
     "link_direction_error_deg": (
         "Link direction error",
@@ -81,8 +91,10 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
         rows = spread_rows(what.object_name)
         reports = [_report(what, row, known) for row in rows]
         hand = what.load_hand().title if isinstance(what, RobotGraspSet) else "Human hand"
-        count = f"{len(rows)} of {len(what)} grasps" if len(rows) < len(what) else ""
-        write_page(path, Page("Grasps", reports, hand, count, page_provenance({}, 0)))
+        words = f"{len(rows)} of {len(what)} grasps. " if len(rows) < len(what) else ""
+        if isinstance(what, RobotGraspSet) and what.shown_places is not None:
+            words += MARKS_MEAN
+        write_page(path, Page("Grasps", reports, hand, words.strip(), page_provenance({}, 0)))
     else:
         raise FungraspError(
             "a page on disk can be made of grasps, a result or what was perceived, not of "
@@ -95,32 +107,58 @@ def _write_result(path: Path, result: LiftTestResult) -> None:
     grasps = result.grasps
     if grasps is None:
         raise FungraspError("the result does not know its grasps: view what evaluate has returned")
-    # Failures are what one looks for: as many of them as there are, up to half of the pictures.
-    failed, held = (np.flatnonzero(flags) for flags in (~result.success, result.success))
-    few = failed[spread_rows(result.object_name[failed], DRAWN_GRASPS // 2)]
-    rows = [*few, *held[spread_rows(result.object_name[held], DRAWN_GRASPS - len(few))]]
+    shown = result.outcomes.held_as_shown if result.knows_places else result.success
+    rows: list[int] = []
+    # Failures are what one looks for, then what is held otherwise: a third of the pictures each, if there are
+    # as many.
+    for share, flags in ((3, ~result.success), (2, result.success & ~shown), (1, shown)):
+        which = np.flatnonzero(flags)
+        some = spread_rows(result.object_name[which], (DRAWN_GRASPS - len(rows)) // share)
+        rows += which[some].tolist()
+    held = in_the_hold(result)
     reports = []
     for row in rows:
-        success, reason = bool(result.success[row]), str(result.outcomes.reason[row])
-        words = outcome_words(success, reason, bool(result.rollouts[row]))
-        reports.append(_report(grasps, int(result.index[row]), result.objects, success, words))
-    held_count = f"{int(result.success.sum())} of {len(result.success)} episodes lifted and held"
-    introduction = f"Policy {result.policy}, protocol {result.spec.protocol}: {held_count}."
-    seeds = result.spec.seeds
-    page = Page("Lift test", reports, result.hand, introduction, page_provenance({}, seeds[0]))
+        reached = result.success[row] and result.hold is not None
+        touching = result.hold.touching[row, 1:] if reached and result.hold is not None else None
+        human = None if result.human is None else result.human.select(result.index)
+        report = _report(held, row, result.objects, human, touching)
+        reports.append(replace(report, **outcome(result, row)))
+    words = f"Policy {result.policy}, protocol {result.spec.protocol}: {result.count()}."
+    words += " The robot hand is drawn as it was in the middle of the hold, where there was one."
+    made = page_provenance({}, result.spec.seeds[0])
+    page = Page(
+        "Lift test", reports, result.hand, f"{words} {MARKS_MEAN}" if result.knows_places else words, made
+    )
     write_page(path, page, [rates_by_object(result), text_card("By object", result.table())])
 
 
+def in_the_hold(result: LiftTestResult) -> RobotGraspSet:
+    """The grasp of each episode: as in the middle of the hold if the object was held, else as given."""
+    assert result.grasps is not None
+    grasps, hold = result.grasps.select(result.index), result.hold
+    if hold is None:
+        return grasps
+    held = result.success[:, None]
+    return replace(
+        grasps,
+        wrist_pose=np.where(held, compose(grasps.object_pose, hold.palm_pose), grasps.wrist_pose),
+        joint_positions=np.where(held, hold.joint_positions, grasps.joint_positions),
+    )
+
+
 def rates_by_object(result: LiftTestResult) -> str:
-    """Rates of success by object, drawn."""
-    names = sorted(set(result.object_name.tolist()))
-    flags = [result.success[result.object_name == name] for name in names]
+    """Rates of success and of success as shown by object, drawn."""
+    names, known = sorted(set(result.object_name.tolist())), result.knows_places
+    which = [result.object_name == name for name in names]
+    held = np.array([result.success[flags].mean() for flags in which])
+    flags = result.outcomes.held_as_shown if known else result.success
     bars = RateBars(
-        "Lifted and held, with 95 % intervals",
+        "Held as shown, with 95 % intervals; pale: held" if known else "Held, with 95 % intervals",
         names,
-        np.array([each.mean() for each in flags]),
-        np.array([wilson_interval(int(each.sum()), len(each)) for each in flags]),
-        [f"{int(each.sum())} of {len(each)}" for each in flags],
+        np.array([flags[each].mean() for each in which]),
+        np.array([wilson_interval(int(flags[each].sum()), int(each.sum())) for each in which]),
+        [result.count(each) for each in which],
+        held if known else None,
     )
     return f"<figure>{rates_svg(bars)}</figure>"
 
@@ -129,19 +167,21 @@ def _report(
     grasps: HumanGraspSet | RobotGraspSet,
     row: int,
     objects: Mapping[str, ObjectModel],
-    success: bool | None = None,
-    outcome: str = "",
+    human: HumanGraspSet | None = None,
+    touching: np.ndarray | None = None,
 ) -> GraspReport:
-    """What the page says of one grasp, with its picture."""
-    grasp = grasps[row]
-    picture, is_human = grasp_picture(grasps, row, objects, WIDTH, HEIGHT), isinstance(grasp, HumanGrasp)
+    """What the page says of one grasp, with its picture; arguments as those of ``grasp_pictures`` and
+    ``place_marks``."""
+    grasp, marks = grasps[row], None
+    if isinstance(grasps, RobotGraspSet):
+        marks = place_marks(grasps, row, objects, touching)
+    pictures = grasp_pictures(grasps, row, objects, SIZE, human, marks)
     return GraspReport(
         grasp_title(grasp),
         object_mass=float(grasp.object_mass),
-        success=success,
-        outcome=outcome,
-        human_picture=picture if is_human else None,
-        robot_picture=None if is_human else picture,
+        outcome="" if marks is None else f"As shown: {marks.words}.",
+        human_picture=pictures[0] if isinstance(grasp, HumanGrasp) or human is not None else None,
+        robot_picture=pictures[-1] if isinstance(grasp, RobotGrasp) else None,
     )
 
 
@@ -151,18 +191,18 @@ def grasp_title(grasp: HumanGrasp | RobotGrasp) -> str:
     return f"{name[:1].upper()}{name[1:]}{f', to {grasp.task}' if grasp.task else ''}"
 
 
-def outcome_words(success: bool, reason: str, rollouts: bool = False) -> str:
-    """How an episode ended, in a sentence.
-
-    Args:
-        success: whether the object was lifted and held.
-        reason: why not, as a phrase.
-        rollouts: whether the plan was chosen in simulated rollouts.
-    """
-    if not success:
-        return f"It did not hold: {reason}."
-    how = "with a plan that was chosen in simulated rollouts" if rollouts else "at the first try"
-    return f"Lifted and held for 3 s, {how}."
+def outcome(result: LiftTestResult, row: int) -> dict[str, Any]:
+    """How an episode ended: ``success``, ``as_shown`` and ``outcome`` of a ``GraspReport``."""
+    o, known = result.outcomes, bool(np.isfinite(result.outcomes.place_error_mm[row]))
+    success, as_shown = bool(o.success[row]), bool(o.held_as_shown[row])
+    how = "with a plan that was chosen in simulated rollouts" if result.rollouts[row] else "at the first try"
+    words = f"Lifted and held for 3 s, {how}." if success else f"It did not hold: {o.reason[row]}."
+    if success and known and result.grasps is not None:
+        wanted = int(result.grasps.link_contacts[result.index[row], 1:].sum())
+        number = f"{o.shown_share[row] * wanted:.0f} of {wanted} links, {o.place_error_mm[row]:.0f} mm"
+        but = f"Held, but not as shown: {o.not_as_shown[row]} ({number})."
+        words += f" Held as shown: {number}." if as_shown else f" {but}"
+    return {"success": success, "as_shown": as_shown if known else None, "outcome": words}
 
 
 def use_outcome(use: UseOutcomes, row: int) -> str:
@@ -172,22 +212,6 @@ def use_outcome(use: UseOutcomes, row: int) -> str:
     if use.success[row]:
         return f"Use ({motion}): passed, moved {moved} in the palm."
     return f"Use ({motion}): failed, {use.reason[row]}."
-
-
-def grasp_pictures(
-    human: HumanGrasp, robot: RobotGrasp, hand: Hand, obj: ObjectModel
-) -> tuple[np.ndarray, np.ndarray]:
-    """The human grasp of an object and the robot's that imitates it, seen from the same side; links in
-    contact are orange.
-
-    Returns:
-        two pictures, sRGB, shape [HEIGHT, WIDTH, 3] uint8.
-    """
-    person, _ = grasp_scene(human, obj)
-    model, qpos = grasp_scene(robot, obj, hand)
-    camera = look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT)
-    theirs = frame_geoms(person, person.qpos0, *view_angles(camera), width=WIDTH, height=HEIGHT)
-    return render(person, person.qpos0, theirs)[0], render(model, qpos, camera)[0]
 
 
 def contacts(robot: RobotGrasp, trajectory: Trajectory, hand: Hand) -> list[Contact]:
@@ -256,7 +280,7 @@ def _pictures(grasps: HumanGraspSet | RobotGraspSet) -> str:
     chosen = spread_rows(grasps.object_name, PICTURES)
     try:
         objects = load_objects(grasps.select(np.array(chosen)))
-        drawn = [grasp_picture(grasps, row, objects, 280, 210) for row in chosen]
+        drawn = [grasp_pictures(grasps, row, objects, (280, 210))[0] for row in chosen]
     except FungraspError:
         return ""
     labels = [str(grasps.object_name[row]) for row in chosen]
@@ -264,18 +288,18 @@ def _pictures(grasps: HumanGraspSet | RobotGraspSet) -> str:
 
 
 def _plans(plans: GraspPlan) -> str:
-    expected = plans.expected_success
+    expected = (plans.expected_success, plans.expected_as_shown)
     rows = [
         (
             str(row),
             str(plans.object_name[row]),
             f"{plans.control_period * int(plans.closing_step[row]):.1f} s",
             f"{plans.control_period * int(plans.lift_step[row]):.1f} s",
-            "–" if expected is None else f"{100 * float(expected[row]):.0f} %",
+            *("–" if each is None else f"{100 * float(each[row]):.0f} %" for each in expected),
         )
         for row in range(min(len(plans), ROWS))
     ]
-    heads = ("row", "object", "closes at", "lifts at", "expected success")
+    heads = ("row", "object", "closes at", "lifts at", "expected success", "expected as shown")
     return f"{escape(f'<GraspPlan: {len(plans)} plans>')}{_table(heads, rows, len(plans))}"
 
 

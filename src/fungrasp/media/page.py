@@ -180,6 +180,8 @@ class GraspReport:
     """Mass of the object [kg]."""
     success: bool | None = None
     """Whether the object was lifted and held; None if it was not tried."""
+    as_shown: bool | None = None
+    """Whether it was held as shown; None if it was not tried, or the person's places are not known."""
     outcome: str = ""
     """What happened, in a sentence."""
     human_picture: np.ndarray | None = None
@@ -246,6 +248,8 @@ def page_html(page: Page, opening: Sequence[str] = ()) -> str:
 def _header(page: Page) -> str:
     tried = [grasp.success for grasp in page.grasps if grasp.success is not None]
     facts = [page.hand, f"{len(page.grasps)} grasps" if len(page.grasps) > 1 else ""]
+    shown = [grasp.as_shown for grasp in page.grasps if grasp.as_shown is not None]
+    facts.append(f"{sum(shown)} of {len(tried)} held as shown" if len(tried) > 1 and shown else "")
     facts.append(f"{sum(tried)} of {len(tried)} lifted and held" if len(tried) > 1 else "")
     used = [grasp.use_success for grasp in page.grasps if grasp.use_success is not None]
     facts.append(f"{sum(used)} of {len(used)} used" if len(used) > 1 else "")
@@ -260,7 +264,7 @@ def _header(page: Page) -> str:
 
 def _contents(grasps: Sequence[GraspReport]) -> list[str]:
     links = "".join(
-        f'<li><a href="#grasp-{i + 1}">{escape(grasp.title)}</a>{_badge(grasp.success, small=True)}</li>'
+        f'<li><a href="#grasp-{i + 1}">{escape(grasp.title)}</a>{_badge(grasp, small=True)}</li>'
         for i, grasp in enumerate(grasps)
     )
     return [f'<nav aria-label="Grasps"><ol>{links}</ol></nav>']
@@ -279,7 +283,7 @@ def _grasp(grasp: GraspReport, name: str, *, first: bool) -> str:
         "".join(grasp.before) + f'<article id="{name}" aria-labelledby="{name}-title"><header>'
         f'<div><h2 id="{name}-title">{escape(grasp.title)}</h2>'
         + (f'<p class="facts">{line}</p>' if line else "")
-        + f"</div><div>{_badge(grasp.success)}{_use_badge(grasp.use_success)}</div></header>"
+        + f"</div><div>{_badge(grasp)}{_use_badge(grasp.use_success)}</div></header>"
         + (f'<p class="outcome">{escape(outcome)}</p>' if outcome else "")
         + (f'<div class="pictures">{pictures}</div>' if pictures else "")
         + (f'<div class="films">{film}</div>' if film else "")
@@ -288,11 +292,12 @@ def _grasp(grasp: GraspReport, name: str, *, first: bool) -> str:
     )
 
 
-def _badge(success: bool | None, *, small: bool = False) -> str:
-    if success is None:
+def _badge(grasp: GraspReport, *, small: bool = False) -> str:
+    if grasp.success is None:
         return ""
-    kind, words = ("good", "✓ Lifted and held") if success else ("bad", "✗ Not held")
-    return badge(kind, words[0] if small else words)
+    held = {None: "✓ Lifted and held", True: "✓ Held as shown", False: "✗ Held, not as shown"}[grasp.as_shown]
+    words = held if grasp.success else "✗ Not held"
+    return badge("good" if words[0] == "✓" else "bad", words[0] if small else words)
 
 
 def _use_badge(success: bool | None) -> str:

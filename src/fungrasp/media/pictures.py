@@ -11,10 +11,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
+from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
+from fungrasp.grasps.as_shown import PlaceMarks, place_marks
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import mounting_pose
-from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp
+from fungrasp.media.camera import Camera
+from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp, view_angles
 from fungrasp.media.ray_tracing import Look
 from fungrasp.media.render import Renderer, render
 from fungrasp.media.visual_meshes import dressed_spec
@@ -227,19 +230,15 @@ def draw_grasps(
         captions: text for each grasp after the name of its object; the name of the hand if None.
         progress: called with the share that is drawn, up to 1.
     """
-    hand = robot.load_hand()
     rows = spread_rows(robot.object_name)
     images, labels = [], []
     for done, row in enumerate(rows):
-        obj = objects[str(robot.object_name[row])]
-        model, qpos = grasp_scene(robot[row], obj, hand)
-        camera = look_at_grasp(model, qpos, width=WIDTH, height=HEIGHT)
-        if human is not None:
-            person, still = grasp_scene(human[row], obj)
-            images += [render(person, still, camera)[0]]
-            labels += [f"{obj.name}: human"]
-        images += [render(model, qpos, camera)[0]]
-        labels += [f"{obj.name}: {hand.name if captions is None else captions[row]}"]
+        name = str(robot.object_name[row])
+        marks = place_marks(robot, row, objects)
+        pictures = grasp_pictures(robot, row, objects, (WIDTH, HEIGHT), human, marks)
+        images += pictures
+        words = robot.hand if captions is None else captions[row]
+        labels += [f"{name}: human", f"{name}: {words}"][-len(pictures) :]
         progress((done + 1) / len(rows))
     with atomic_path(path) as temporary:
         Image.fromarray(grid(images, labels, columns=4)).save(temporary, format="PNG")
@@ -252,23 +251,71 @@ def spread_rows(object_name: np.ndarray, most: int = DRAWN_GRASPS) -> list[int]:
     return [int(row) for row in np.concatenate([first, others])[:most]]
 
 
-def grasp_picture(
+def grasp_pictures(
     grasps: HumanGraspSet | RobotGraspSet,
     row: int,
     objects: Mapping[str, ObjectModel],
-    width: int,
-    height: int,
-) -> np.ndarray:
-    """A picture of one grasp.
+    size: tuple[int, int],
+    human: HumanGraspSet | None = None,
+    marks: PlaceMarks | None = None,
+) -> list[np.ndarray]:
+    """Pictures of one grasp, seen from the same side; links that should touch are orange.
 
     Args:
-        grasps: human or robot ones.
-        width, height: [pixels].
+        size: width and height [pixels].
+        human: what robot grasps were retargeted from, which adds a picture before the robot's.
+        marks: of the robot's places.
 
     Returns:
-        sRGB, shape [height, width, 3] uint8.
+        sRGB, shape [height, width, 3] uint8 each.
     """
-    grasp = grasps[row]
+    grasp, (width, height) = grasps[row], size
+    obj = objects[grasp.object_name]
     hand = grasps.load_hand() if isinstance(grasps, RobotGraspSet) else None
-    model, qpos = grasp_scene(grasp, objects[grasp.object_name], hand)
-    return render(model, qpos, look_at_grasp(model, qpos, width=width, height=height))[0]
+    model, qpos = grasp_scene(grasp, obj, hand)
+    camera = look_at_grasp(model, qpos, width=width, height=height)
+    pictures = [render(model, qpos, camera)[0]]
+    if marks is not None:
+        pictures = [draw_place_marks(pictures[0], camera, grasp.object_pose, marks)]
+    if human is not None:
+        person, still = grasp_scene(human[row], obj)
+        theirs = frame_geoms(person, still, *view_angles(camera), width=width, height=height)
+        pictures.insert(0, render(person, still, theirs)[0])
+    return pictures
+
+
+AS_SHOWN, NOT_SHOWN, HALO = (20, 150, 70), (205, 20, 45), (255, 255, 255)
+"""Colors of the marks of places that are as shown and that are not, and around them, sRGB."""
+
+MARKS_MEAN = "Ring: where the person touched. Dot: where the robot does. Green as shown, red not."
+"""What the marks of a picture mean."""
+
+
+def draw_place_marks(
+    picture: np.ndarray, camera: Camera, object_pose: np.ndarray, marks: PlaceMarks
+) -> np.ndarray:
+    """A picture with a ring at each place of the person and a line from there to a dot at the robot's. They
+    lie over the hand, which hides the surface that it touches, and are small for it.
+
+    Args:
+        picture: sRGB, shape [H, W, 3] uint8.
+        object_pose: world frame, shape [7].
+
+    Returns:
+        a new picture of the same shape.
+    """
+    finer, size = 4, max(3.0, len(picture) / 80)
+    whole = Image.fromarray(picture)
+    layer = Image.new("RGBA", (finer * whole.width, finer * whole.height))
+    draw, unit = ImageDraw.Draw(layer), finer * size
+    ends = np.stack([marks.places, marks.points], axis=1)
+    ends = finer * (camera.project(transform_points(object_pose, ends))[0] + 0.5)
+    for color, more in ((HALO, 0.35 * unit), (None, 0.0)):
+        for (ring, dot), shown in zip(ends.tolist(), marks.shown.tolist(), strict=True):
+            fill = color or (AS_SHOWN if shown else NOT_SHOWN)
+            draw.line([*ring, *dot], fill=fill, width=round(0.45 * unit + 2 * more))
+            draw.circle(dot, 0.6 * unit + more, fill=fill)
+            draw.circle(ring, unit + more, outline=fill, width=round(0.45 * unit + 2 * more))
+    layer = layer.resize(whole.size, Image.Resampling.LANCZOS)
+    whole.paste(layer, mask=layer)
+    return np.asarray(whole)

@@ -251,8 +251,7 @@ def play_attempts(
     names = setting.grasps.object_name.tolist()
     make_attempts(carrier, setting.attempts, setting.belief.object_pose, names, setting.objects)
     outcomes, record = environment.task.outcomes(), carrier.record
-    outcomes.reason[record.no_plan & outcomes.success] = "let go though it was held"
-    outcomes.success[record.no_plan] = False
+    outcomes.fail(record.no_plan, "let go though it was held")
     return outcomes, record, carrier.plans
 
 

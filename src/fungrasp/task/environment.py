@@ -375,6 +375,5 @@ def play(
         look(observation)
     report_problems(environment.engine)
     outcomes = task.outcomes()
-    outcomes.success[lost] = False
-    outcomes.reason[lost] = "lost before the hold"
+    outcomes.fail(lost, "lost before the hold")
     return outcomes

@@ -55,6 +55,14 @@ class Outcomes(BatchRecord):
     """Share of them on the other side of the surface then; NaN if not known."""
     strays: np.ndarray
     """Number of links that touch far from every place of the person then; NaN if not known."""
+    not_as_shown: np.ndarray
+    """Why what was held was not held as shown, "" otherwise and where it is not known, str."""
+
+    def fail(self, which: np.ndarray, reason: str) -> None:
+        """Count episodes as failed. which: shape [W] bool; reason: of those that would have succeeded."""
+        self.reason[which & self.success] = reason
+        self.success[which] = self.held_as_shown[which] = False
+        self.not_as_shown[which] = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -248,6 +256,7 @@ class LiftMeasurements:
             place_error_mm=unknown if shown is None else 1e3 * shown.place_error,
             other_side=unknown if shown is None else shown.other_side,
             strays=unknown if shown is None else shown.strays,
+            not_as_shown=np.where(success, "" if shown is None else shown.reason, ""),
         )
 
 
