@@ -167,6 +167,7 @@ def series_rows(trials: list[dict]) -> Iterator[tuple[str, ...]]:
         "at rest",
         "farthest / limit [cm]",
         "still held",
+        "opened",
     )
     for name in dict.fromkeys(t["fault"] for t in trials):
         group = [t for t in trials if t["fault"] == name]
@@ -185,6 +186,7 @@ def series_rows(trials: list[dict]) -> Iterator[tuple[str, ...]]:
             f"{sum(t['held_after'] for t in held)} of {len(held)}{' *' * any(t['lets_go'] for t in held)}"
             if held
             else "—",
+            f"{sum(t['opened'] for t in stopped)} of {len(stopped)}",
         )
 
 

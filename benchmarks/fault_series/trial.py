@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -67,7 +68,11 @@ class FaultKind:
     """What shows ``fault``: "arm" or "hand" of the emulation; "" where something else does it."""
     fault: Fault | None = None
     """Of the emulated device."""
-    hands: tuple[str, ...] = ("allegro", "inspire")
+    clears: float = np.inf
+    """After so long the fault ends by itself [s]."""
+    signals: tuple[signal.Signals, ...] = ()
+    """That come to the deployment's process, half a second apart."""
+    hands: tuple[str, ...] = ("allegro", "inspire", "leap")
     """Hands of cells in which it may come."""
 
     def limit(self, cell: RobotCell) -> float:
@@ -137,7 +142,6 @@ KINDS = (
         Place.WIRE,
         HAND_GONE,
         _driver_silence,
-        lets_go=("allegro",),
         device="hand",
         fault=Fault.STALLED,
     ),
@@ -146,7 +150,6 @@ KINDS = (
         Place.WIRE,
         "(the hand|Allegro V.) .*bus is off",
         _driver_silence,
-        lets_go=("allegro",),
         device="hand",
         fault=Fault.BUS_OFF,
         hands=("allegro",),
@@ -182,6 +185,73 @@ KINDS = (
         device="hand",
         fault=Fault.RESET,
         hands=("inspire",),
+    ),
+    FaultKind(
+        "bus off for 0.5 s",
+        Place.WIRE,
+        "(the hand|Allegro V.) .*bus is off",
+        _driver_silence,
+        device="hand",
+        fault=Fault.BUS_OFF,
+        clears=0.5,
+        hands=("allegro",),
+    ),
+    FaultKind(
+        "hand frozen for 3 s",
+        Place.WIRE,
+        HAND_GONE,
+        _driver_silence,
+        device="hand",
+        fault=Fault.STALLED,
+        clears=3.0,
+    ),
+    FaultKind(
+        "frames refused",
+        Place.WIRE,
+        "",
+        carried=ALL,
+        gradual=True,
+        device="hand",
+        fault=Fault.NO_BUFFERS,
+        hands=("allegro",),
+    ),
+    FaultKind(
+        "writes unheard", Place.WIRE, "", carried=ALL, gradual=True, device="hand", fault=Fault.UNHEARD
+    ),
+    FaultKind(
+        "hand too hot",
+        Place.WIRE,
+        "too hot",
+        lambda cell: 1.0 + CONTROL_PERIOD,
+        lets_go=("allegro",),
+        device="hand",
+        fault=Fault.TOO_HOT,
+        hands=("allegro",),
+    ),
+    FaultKind(
+        "motor fault",
+        Place.WIRE,
+        "motor fault|overload",
+        lambda cell: 0.5 + CONTROL_PERIOD,
+        lets_go=("leap",),
+        device="hand",
+        fault=Fault.MOTOR,
+        hands=("inspire", "leap"),
+    ),
+    FaultKind("hand's process killed", Place.WIRE, "process has ended|disconnected", _driver_silence),
+    FaultKind("hand's process frozen", Place.WIRE, HAND_GONE, _driver_silence),
+    FaultKind("Ctrl-C once", Place.WIRE, "Ctrl-C", _control, signals=(signal.SIGINT,)),
+    FaultKind("Ctrl-C twice", Place.WIRE, "Ctrl-C", _control, signals=(signal.SIGINT,) * 2),
+    FaultKind("Ctrl-C three times", Place.WIRE, "Ctrl-C", _control, signals=(signal.SIGINT,) * 3),
+    FaultKind("terminal closed", Place.WIRE, "SIGHUP", _control, signals=(signal.SIGHUP,)),
+    FaultKind("kill", Place.WIRE, "SIGTERM", _control, signals=(signal.SIGTERM,)),
+    FaultKind(
+        "pause of 0.45 s",
+        Place.WIRE,
+        "overrun|silent|disconnected",
+        lambda cell: 0.45 + CONTROL_PERIOD,
+        moments=MOVING,
+        carried=MOVING,
     ),
     FaultKind("kill -9", Place.WIRE, "", _watchdog, lets_go=("allegro",)),
     FaultKind("computer without power", Place.WIRE, "", _watchdog, lets_go=("allegro",)),
@@ -268,6 +338,10 @@ class FaultTrial:
     """Whether it still held it at the end."""
     lets_go: bool
     """Whether this hand can't keep its hold then."""
+    said: str
+    """What was said of arm and hand while they held."""
+    opened: bool
+    """Whether the hand opened when it was told to, or could not be told."""
     success: bool
     """Whether all was as it should be."""
     false_alarms: str = ""
@@ -310,6 +384,8 @@ def judged(
     when: float,
     reason: str,
     lifted: bool,
+    said: str = "",
+    opened: bool = True,
 ) -> FaultTrial:
     """What came of a fault.
 
@@ -317,6 +393,8 @@ def judged(
         ended: where the deployment ended; None where nobody is left to say so.
         when: it ended [s]; of use where the fault is a gradual one.
         lifted: whether the object was lifted and held throughout the hold.
+        said: of arm and hand while they held.
+        opened: whether the hand opened when it was told to.
     """
     kind, cell = drawn.kind, scene.cell
     times, palms = np.array(watch.times), np.array(watch.palms)
@@ -346,7 +424,9 @@ def judged(
         held_before=before,
         held_after=after,
         lets_go=lets_go,
-        success=bool(good),
+        said=said,
+        opened=opened,
+        success=bool(good) and opened,
     )
 
 
@@ -370,5 +450,7 @@ def no_fault_came(scene: Scene, drawn: Drawn, reason: str) -> FaultTrial:
         held_before=False,
         held_after=False,
         lets_go=False,
+        said="",
+        opened=True,
         success=False,
     )

@@ -15,10 +15,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
+import numpy as np
+
 from benchmarks.fault_series.moments import LOOK, Happened, PreparerOf, Scene, twin_world
 from benchmarks.fault_series.trial import WATCHED, Drawn, FaultTrial, TruthWatch, judged
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
+from fungrasp.deployment.hold_after_stop import OPENING, HoldWatch, endings_as_interrupts
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.phases import Phase
 from fungrasp.policies import OpenLoopPolicy
@@ -28,6 +31,7 @@ from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
+from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.ur import URControllerEmulator
 
 PRELOADED = ("benchmarks.fault_series.wire_trial", "mink")
@@ -96,6 +100,10 @@ class ControlProcess:
         """Send the session a signal, but not its drivers."""
         _signal(self._process.pid, number)
 
+    def signal_driver(self, number: int, what: signal.Signals) -> None:
+        """Send one of the drivers' processes a signal. number: 0 of the arm, 1 of the hand."""
+        _signal(self._drivers[number], what)
+
     def kill_drivers(self) -> None:
         """End the drivers' processes at once (SIGKILL)."""
         for process in self._drivers:
@@ -141,8 +149,14 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
     def happened(event: str) -> None:
         pipe.send((event, time.monotonic()))
 
+    # As in a terminal; a process that is forked is deaf to it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with McapLog(session.log) as log, wired_robot(session.cell, scene.hand) as robot:
+        with (
+            McapLog(session.log) as log,
+            wired_robot(session.cell, scene.hand) as robot,
+            endings_as_interrupts(),
+        ):
             drivers = robot.arm, robot.hand_driver
             pipe.send(("drivers", tuple(getattr(driver, "process_id", None) for driver in drivers)))
             deployment = Deployment(
@@ -154,8 +168,14 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
             happened(LOOK)
             result = deployment.run(scene.grasp)
             pipe.send(("ended", time.monotonic(), result.phase.value, result.fault))
+            words: list[str] = []
             # As a person would be asked: the hand holds meanwhile.
-            pipe.recv()
+            watch = HoldWatch(robot, words.append)
+            while not pipe.poll():
+                with contextlib.suppress(KeyboardInterrupt):
+                    watch.look()
+            opened = not deployment.may_hold or watch.open()
+            pipe.send(("opened", opened, " / ".join(words)))
     except (FungraspError, OSError, EOFError) as error:
         pipe.send(("ended", time.monotonic(), "", f"{type(error).__name__}: {error}"))
 
@@ -216,13 +236,24 @@ def wire_trial(scene: Scene, drawn: Drawn, patience: float) -> FaultTrial:
             watch = TruthWatch(world)
             watch.look()
             _bring(drawn, wires, session)
-            ended = _ended(session, judge, watch, drawn)
+            ended = _ended(session, judge, watch, drawn, wires)
+            opened, said = session.heard.get("opened", (drawn.kind.said == "" or ended is None, ""))
             reason = str(ended[2]) if ended else ""
             phase = Phase(ended[1]) if ended and ended[1] else (Phase.FAULT if ended else None)
     if phase is Phase.FAULT and drawn.may_go_on(scene) and not drawn.named(reason):
         raise FalseAlarm(reason)
     when = float(ended[0]) if ended else watch.times[0]
-    return judged(scene, drawn, watch, ended=phase, when=when, reason=reason, lifted=judge.held)
+    return judged(
+        scene,
+        drawn,
+        watch,
+        ended=phase,
+        when=when,
+        reason=reason,
+        lifted=judge.held,
+        said=str(said),
+        opened=bool(opened),
+    )
 
 
 def _look(session: ControlProcess, judge: _HoldWatch) -> None:
@@ -249,6 +280,16 @@ def _bring(drawn: Drawn, wires: CellEmulation, session: ControlProcess) -> None:
     elif kind.name == "speed slider":
         assert isinstance(wires.arm, URControllerEmulator)
         wires.arm.set_speed_slider(round(0.9 * drawn.amount, 2))
+    elif kind.signals:
+        for number in kind.signals:
+            session.signal(number)
+            time.sleep(0.5 * (len(kind.signals) > 1))
+    elif kind.name == "pause of 0.45 s":
+        session.signal(signal.SIGSTOP)
+        time.sleep(0.45)
+        session.signal(signal.SIGCONT)
+    elif kind.name in ("hand's process killed", "hand's process frozen"):
+        session.signal_driver(1, signal.SIGKILL if kind.name.endswith("killed") else signal.SIGSTOP)
     else:
         if kind.name == "computer without power":
             # They first: as the control process ends, each would switch its device off.
@@ -257,18 +298,30 @@ def _bring(drawn: Drawn, wires: CellEmulation, session: ControlProcess) -> None:
 
 
 def _ended(
-    session: ControlProcess, judge: _HoldWatch, watch: TruthWatch, drawn: Drawn
+    session: ControlProcess, judge: _HoldWatch, watch: TruthWatch, drawn: Drawn, wires: CellEmulation
 ) -> tuple[float, str, str] | None:
     """How the deployment ended; None where it was killed. What is true is watched until some time after."""
-    deadline = time.monotonic() + LONGEST
+    begun = time.monotonic()
+    deadline, clears = begun + LONGEST, begun + drawn.kind.clears
     while "ended" not in session.heard and session.alive and time.monotonic() < deadline:
         _look(session, judge)
         watch.look()
-    rest = time.monotonic() + WATCHED
+        if time.monotonic() > clears:
+            wires.hand.clear()
+    rest = max(time.monotonic() + WATCHED, clears + 1.0 if np.isfinite(clears) else 0.0)
     while time.monotonic() < rest:
         time.sleep(SAMPLE)
         watch.look()
+        if time.monotonic() > clears:
+            wires.hand.clear()
+    # What is said of the hand is of the fault; then it is over, and the hand must open.
+    if drawn.kind.device == "hand" and drawn.kind.fault is not Fault.MOTOR:
+        wires.hand.clear()
+        time.sleep(1.0)
     session.tell("end")
+    opening = time.monotonic() + 2 * OPENING + 4.0
+    while "opened" not in session.heard and session.alive and time.monotonic() < opening:
+        session.listen(SAMPLE)
     return session.heard.get("ended")  # pyright: ignore[reportReturnType]
 
 
@@ -290,7 +343,11 @@ def private_cell(cell: RobotCell, patience: float) -> RobotCell:
             options["stale_after"] *= patience
         return replace(device, address=address, options=options)
 
-    hands = {"allegro-can": str(20000 + number % 20000), "inspire": f"127.{number % 200 + 1}.0.5"}
+    hands = {
+        "allegro-can": str(20000 + number % 20000),
+        "inspire": f"127.{number % 200 + 1}.0.5",
+        "leap-dynamixel": f"/tmp/fungrasp-leap-{number}",
+    }
     if cell.arm.driver != "ur-rtde" or cell.hand_device.driver not in hands:
         raise FungraspError(f"the devices of cell '{cell.name}' can't be emulated for this")
     dog = cell.watchdog

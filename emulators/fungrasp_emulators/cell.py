@@ -14,6 +14,7 @@ from fungrasp.robots.twin.world import TwinWorld
 from fungrasp_emulators.allegro import AllegroEmulator
 from fungrasp_emulators.emulator import Emulator, PlantCommand, PlantState
 from fungrasp_emulators.inspire import InspireEmulator
+from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.ur import URControllerEmulator
 
 POLL = 0.005
@@ -93,6 +94,13 @@ def _hand(device: DeviceSettings, world: TwinWorld) -> Emulator:
         )
     if device.driver == "inspire":
         return InspireEmulator(plant, _loopback(device), options.get("port", 6000))
+    if device.driver == "leap-dynamixel":
+        if not device.address.startswith("/tmp/"):
+            raise FungraspError(
+                f"an emulated LEAP hand is at a link that is made in /tmp, and not '{device.address}'"
+            )
+        servos = tuple(int(name) for name in world.hand.actuators)
+        return DynamixelEmulator(plant, servos, path=device.address, build=options.get("build", "full"))
     raise FungraspError(f"a hand with the driver '{device.driver}' can't be emulated")
 
 

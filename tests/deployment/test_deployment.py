@@ -17,6 +17,7 @@ from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.robots.cell import plan_speed
 from fungrasp.robots.device import RobotCommand, RobotError, RobotState
 from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.robot import Robot
@@ -484,6 +485,8 @@ def test_a_pause_is_not_caught_up(pause: float, stopped: bool, phase: Phase) -> 
 
     result = deploy(Paused(), cell=cell, until="lift")
     assert ("overrun" in result.fault) is stopped
+    # A slow cell carries the same motion out, in slow motion.
+    assert stopped or result.success
     times = np.array([time for time, _ in palms])
     places = np.array([place for _, place in palms])
     # Over windows of 100 ms and longer, as an arm that follows them moves.
@@ -492,3 +495,40 @@ def test_a_pause_is_not_caught_up(pause: float, stopped: bool, phase: Phase) -> 
         if later < len(times):
             speed = np.linalg.norm(places[later] - places[i]) / (times[later] - times[i])
             assert speed <= 0.1 * 1.05, (times[i], speed)
+
+
+SLOW = {
+    "palm_speed": 0.05,
+    "palm_acceleration": 0.1,
+    "palm_rotation_speed": 0.3,
+    "arm_speed": 0.3,
+    "arm_acceleration": 0.5,
+    "hand_speed": 1.0,
+}
+
+
+@pytest.mark.parametrize("names", [tuple(SLOW), ("arm_speed",), ("palm_speed",)])
+def test_a_slow_cell_has_the_plans_of_a_fast_one(names: tuple[str, ...]) -> None:
+    """With the limits of a cell that 'robots new' writes, and with each alone."""
+    cell, hand = cell_and_hand()
+    slow = replace(cell, limits=replace(cell.limits, **{name: SLOW[name] for name in names}))
+    grasp, obj = grasp_and_object()
+    preparer = GraspPreparer(slow, hand, obj, MotionPlanner(hand, {obj.name: obj}))
+    assert preparer.prepare(grasp, placed(), np.array(cell.arm.home)).reach.obstacle == ""
+    assert plan_speed(slow.limits) == pytest.approx(
+        min(0.2 if names[0] == "palm_speed" else 0.15, 0.2), abs=0.06
+    )
+
+
+def test_no_plan_names_the_limit_that_forbids_it() -> None:
+    cell, hand = cell_and_hand()
+    grasp, obj = grasp_and_object()
+    home = np.array(cell.arm.home)
+    for change, said in (
+        ({"upper": (0.5, 0.5, 0.5)}, r"where the arm is now, .*z = 0\.67 m, and workspace\.upper has 0\.5"),
+        ({"hand_depth": -0.12}, r"workspace\.hand_depth = -0\.12"),
+    ):
+        small = replace(cell, workspace=replace(cell.workspace, **change))
+        preparer = GraspPreparer(small, hand, obj, MotionPlanner(hand, {obj.name: obj}), advise=False)
+        with pytest.raises(UnreachableError, match=said):
+            preparer.prepare(grasp, placed(), home, plans=1)

@@ -75,17 +75,15 @@ class HoldWatch:
         robot, target = self.robot, self.robot.hand.open_joints
         begin = np.abs(robot.hand_driver.read().positions - target)
         robot.hand_driver.stop(StopKind.OPEN)
-        end = robot.clock.now() + OPENING
-        while True:
-            # Also so that it opens to the end.
-            hand = robot.hand_driver.read()
-            if robot.clock.now() >= end:
-                break
-            robot.state()
+        hand = robot.hand_driver.read()
+        begun, opened = robot.clock.now(), False
+        # It opens to its end, and may be slow or be heard of late.
+        while robot.clock.now() < begun + (OPENING if opened else 2 * OPENING):
+            hand = robot.state().hand
+            left = np.abs(hand.positions - target)
+            heard = hand.status is not DeviceStatus.DISCONNECTED
+            opened = heard and bool((left <= np.maximum(OPENED, 0.5 * begin)).all())
             robot.clock.sleep_until(robot.clock.now() + LOOK)
-        left = np.abs(hand.positions - target)
-        heard = hand.status is not DeviceStatus.DISCONNECTED
-        opened = heard and bool((left <= np.maximum(OPENED, 0.5 * begin)).all())
         self._places.pop("hand", None)
         said = f": {hand.message}" if hand.message else ""
         self._say(

@@ -97,7 +97,7 @@ class Robot:
         self._stiffness = servos if stiffness is None else stiffness
         self._seen: TrackedPose | None = None
         self._began = self._paused = 0.0
-        self._next = -np.inf
+        self._next, self._planned = -np.inf, np.inf
         self._count = self.setpoints.number
         self.leg_speed = 1.0
         """Share of the cell's limits at which the arm goes from posture to posture."""
@@ -316,8 +316,8 @@ class Robot:
         self.clock.sleep_until(when + self._paused)
 
     def wait(self, when: float) -> None:
-        """Wait for a setpoint's turn. What is later than ``watchdog.late_tick`` is not caught up: all that
-        follows is as much later.
+        """Wait for a setpoint's turn. One that is sent later than ``watchdog.late_tick`` is not caught up:
+        all that follows is as much later.
 
         Args:
             when: time of the motion [s].
@@ -332,9 +332,7 @@ class Robot:
         if late > dog.overrun:
             self.stop()
             raise SafetyStop(f"the control period was overrun by {1e3 * late:.0f} ms", StopKind.HOLD)
-        if late > dog.late_tick:
-            self._paused += late
-        self._next = when + self.setpoints.period
+        self._planned, self._next = when, when + self.setpoints.period
 
     def send(self, arm: np.ndarray, fingers: np.ndarray) -> RobotCommand:
         """Send one setpoint to all servos.
@@ -375,6 +373,8 @@ class Robot:
         command = RobotCommand(arm, fingers, torques, palm)
         if self.cell.guard != "off":
             command = self.guard(state, command)
+            self._paused += max(min(self.guard.lost, state.time - self._paused - self._planned), 0.0)
+            self._planned = np.inf
         if not self.dry_run:
             sent_arm = self.arm.command(command.arm)
             if self.hand_driver.takes_feedforward:

@@ -53,6 +53,9 @@ _log = logging.getLogger(__name__)
 TOLERANCE = 1.02
 """Commanded speeds may exceed their limits by this factor, for rounding."""
 
+UNPUNCTUAL = 0.005
+"""A setpoint may come so much too early, for what clocks and waiting are worth [s]."""
+
 AHEAD = 0.02
 """A pose that was captured so far in the future [s] has a time stamp of another clock."""
 
@@ -276,7 +279,10 @@ class SafetyGuard:
         self._sent: tuple[RobotCommand | None, RobotCommand | None] = (None, None)
         self._stamps = {part: StandingStamp() for part in self._limits}
         self._last: tuple[np.ndarray, float] | None = None
-        self._when, self._credit = 0.0, np.inf
+        self._when, self._saved = -np.inf, 0.0
+        self.lost = 0.0
+        """Time that has passed before the last setpoint and may not be made up for [s]: what follows has to
+        be as much later."""
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
         """What may be sent of a command. Raises: SafetyStop: nothing may."""
@@ -307,10 +313,12 @@ class SafetyGuard:
     def _keep_time(self, now: float) -> None:
         """Limits of speed are those of a step only where steps are not made up for in a burst. now: time of
         the robot's clock [s]. Raises: SafetyStop: setpoints come too fast."""
-        most = self._period + self._cell.watchdog.late_tick
-        self._credit = min(self._credit + now - self._when, most) - self._period
+        saved = self._saved + now - self._when - self._period
         self._when = now
-        if self._credit < -1e-3:
+        # What is so late that it may not be made up for begins anew.
+        self.lost = saved if saved > self._cell.watchdog.late_tick else 0.0
+        self._saved = 0.0 if self.lost else saved
+        if self._saved < -UNPUNCTUAL:
             raise SafetyStop(f"setpoints come in less than {1e3 * self._period:.0f} ms")
 
     def joints(self, part: str, state: JointState, goal: np.ndarray, now: float) -> np.ndarray:
