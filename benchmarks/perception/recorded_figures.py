@@ -20,7 +20,7 @@ from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, ResolvedObject, builtin_object, mirrored_object
 from fungrasp.objects.object_variants import scaled_object
 from fungrasp.perception import Capture, HandEstimate
-from fungrasp.perception.acceptance import ACCEPTED_HAND
+from fungrasp.perception.acceptance import ACCEPT
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.perceived import Perceived, StageSeconds
@@ -167,7 +167,7 @@ def measure_recorded(
     return RecordedResult(
         recorded.name,
         found,
-        alone is not None and alone.acceptance.hand >= ACCEPTED_HAND,
+        alone is not None and alone.acceptance.hand >= ACCEPT,
         pixels,
         joints,
         angle,

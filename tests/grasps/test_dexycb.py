@@ -254,15 +254,6 @@ def test_surface_contacts_follow_the_vertices():
     assert np.flatnonzero(contacts[0]).tolist() == [3, 5] and not contacts[1].any()
 
 
-def test_mano_needs_smplx_and_a_model(tmp_path, monkeypatch):
-    import sys
-
-    root = write_dataset(tmp_path / "data")
-    monkeypatch.setitem(sys.modules, "smplx", None)
-    with pytest.raises(FungraspError, match=r'needs smplx: pip install "fungrasp\[mano\]"'):
-        import_dexycb(root, DexYCBOptions(mano=tmp_path))
-
-
 @pytest.fixture
 def mano_model(tmp_path: Path) -> Path:
     """A hand of MANO's layout and of no likeness: every joint a cloud of vertices."""
@@ -289,8 +280,7 @@ def mano_model(tmp_path: Path) -> Path:
 
 
 def test_mano_gives_rotations_and_contacts(tmp_path, mano_model):
-    pytest.importorskip("smplx", reason="smplx is not installed")
-    from fungrasp.grasps.importers.mano import MANO_TO_OURS, ManoHand
+    from fungrasp.grasps.mano import MANO_TO_OURS, ManoHand
 
     hand = ManoHand(mano_model)
     model = pickle.loads((mano_model / "MANO_RIGHT.pkl").read_bytes())
@@ -308,9 +298,53 @@ def test_mano_gives_rotations_and_contacts(tmp_path, mano_model):
     assert (hand.vertex_links[np.arange(778) % 16 == 7] == HUMAN_LINKS.index("pinky_proximal")).all()
 
 
+def test_hands_by_the_parameters_of_mano(mano_model):
+    from fungrasp.grasps.mano import ManoHand
+
+    hand = ManoHand(mano_model)
+    model = pickle.loads((mano_model / "MANO_RIGHT.pkl").read_bytes())
+    orient, shift = np.array([0.3, -0.2, 0.1]), np.array([0.1, 0.2, 0.3])
+    angles = np.random.default_rng(2).normal(scale=0.2, size=45)
+    joints = hand.joints(np.full(10, 0.5), orient, angles, shift)
+    assert joints.shape == (21, 3)
+    # The bones between joints keep their lengths, and turn with their parents (the index finger's).
+    rest = model["J_regressor"] @ (model["v_template"] + model["shapedirs"] @ np.full(10, 0.5))
+    base = Rotation.from_rotvec(orient)
+    knuckle = base * Rotation.from_rotvec((angles + model["hands_mean"])[:3])
+    np.testing.assert_allclose(joints[0], rest[0] + shift, atol=1e-9)
+    np.testing.assert_allclose(joints[1], joints[0] + base.apply(rest[1] - rest[0]), atol=1e-9)
+    np.testing.assert_allclose(joints[2], joints[1] + knuckle.apply(rest[2] - rest[1]), atol=1e-9)
+    components = np.linalg.solve(model["hands_components"].T, angles)
+    for given, options in (
+        (components, {"pca": True}),
+        (angles.reshape(15, 3), {}),
+        (angles + model["hands_mean"], {"flat_hand": True}),
+    ):
+        found = hand.joints(np.full(10, 0.5), orient, given, shift, **options)
+        np.testing.assert_allclose(found, joints, atol=1e-9)
+    few = np.concatenate([components[:6], np.zeros(39)])
+    np.testing.assert_allclose(
+        hand.joints([], orient, components[:6]), hand.joints([], orient, few, pca=True), atol=1e-9
+    )
+    with pytest.raises(FungraspError, match="45 numbers, or fewer components: not 48"):
+        hand.joints([], orient, np.zeros(48))
+
+
+def test_a_model_with_chumpy_objects_is_read_and_runs_nothing(tmp_path):
+    from fungrasp.grasps.mano import ManoHand
+
+    path = Path(__file__).parents[3] / "shared" / "data" / "foreign" / "files" / "mano_chumpy"
+    if not path.is_dir():
+        pytest.skip("needs the files of others in ../shared/data/foreign")
+    joints = ManoHand(path).joints(np.zeros(10), np.zeros(3), np.zeros(45))
+    assert joints.shape == (21, 3) and np.isfinite(joints).all() and np.ptp(joints) > 0
+    (tmp_path / "MANO_RIGHT.pkl").write_bytes(b"cos\nsystem\n(S'true'\ntR.")
+    with pytest.raises(FungraspError, match=r"asks for os.system"):
+        ManoHand(tmp_path)
+
+
 def test_labels_with_mano(tmp_path, mano_model):
-    pytest.importorskip("smplx", reason="smplx is not installed")
-    from fungrasp.grasps.importers.mano import ManoHand
+    from fungrasp.grasps.mano import ManoHand
 
     root = write_dataset(tmp_path / "data")
     with pytest.raises(FungraspError, match="mm from the label's: is it the right model"):

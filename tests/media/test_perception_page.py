@@ -44,8 +44,8 @@ LEVEL = np.concatenate([[0.0, -0.5, 0.4], TURN])
 
 
 METERS = (
-    Meter("agreement", 93.0, 95.0, "%", -0.3),
-    Meter("joints", float("nan"), 90.0, "%", 0.4),
+    Meter("unexplained", 7.0, 30.0, 10.0),
+    Meter("joints", float("nan"), 60.0, 20.0, True),
 )
 
 
@@ -115,17 +115,19 @@ def turned(degrees: float, axis: str = "z") -> np.ndarray:
 
 def test_the_verdict_comes_first(tmp_path, no_pictures):
     said = words(page(tmp_path, perceived()))
-    assert said.index("✓ Sure: 86 % that all is right") < said.index("In the image")
+    assert said.index("✓ Sure: all 2 quantities are within their limits") < said.index("In the image")
     assert "Not sure" not in said and "What would help" not in said
     assert "seen in one image" in said
     warnings = (PerceptionWarning.of("not_searched", problem="<wrong> mesh?"),)
     obj = replace(perceived().object, score=0.3, accepted=False)
-    verdict = Acceptance(False, 0.3, 0.5, METERS, ("a click at the object",))
+    verdict = Acceptance(
+        False, 0.3, 0.5, (Meter("unexplained", 7.0, 5.0, 10.0), *METERS[1:]), ("a click at the object",)
+    )
     html = page(tmp_path, perceived(object=obj, acceptance=verdict, warnings=warnings))
     said = words(html)
     assert "✓" not in said
     assert (
-        said.index("? Not sure: 15 % that all is right (object 30 %, hand 50 %")
+        said.index("? Not sure: pixels of object or mesh that do not agree 7 %, not at most 5 %")
         < said.index("A click at the object.")
         < said.index("In the image")
     )

@@ -82,7 +82,7 @@ def test_bodies_apart_stay_apart(tmp_path):
     other = ball()
     other.apply_translation([0.2, 0, 0])
     mesh, repairs = loaded(saved(trimesh.util.concatenate([ball(), other]), tmp_path / "two.obj"))
-    assert repairs == ()
+    assert repairs == ("separate bodies with 100 mm between them were taken as one object",)
     assert mesh.volume == pytest.approx(2 * ball().volume, rel=1e-4)
 
 
@@ -122,7 +122,12 @@ def test_without_repair_an_open_surface_is_an_error(tmp_path):
 @pytest.mark.parametrize(
     ("scale", "message"),
     [
-        (1000.0, "100 m long; this looks like millimeters: scale the mesh by 0.001"),
+        (
+            1000.0,
+            r"100 m long, larger than the table \(1.5 m\); it would be 100 mm if it is in mm .*by 0.001",
+        ),
+        (100.0, r"10 m long, .* or 100 mm if it is in cm \(scale the mesh by 0.01\)"),
+        (4 / 0.0254 / 4, r"3.937 m long, .* 100 mm if it is in inches \(scale the mesh by 0.0254\)"),
         (20.0, r"2 m long, larger than the table \(1.5 m\)"),
         (0.001, "only 0.0001 m long"),
     ],

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from fungrasp.perception import HandEstimate, ObjectEstimate
-from fungrasp.perception.acceptance import (
-    ACCEPT,
-    ACCEPTED_HAND,
-    Acceptance,
-    Logistic,
-    judge,
-    object_probability,
-)
-from fungrasp.perception.io.estimates import PoseEvidence
+from fungrasp.perception.acceptance import ACCEPT, Acceptance, doubt_of, judge, object_score
+from fungrasp.perception.io.estimates import PerceptionWarning, PoseEvidence
 
 GOOD = PoseEvidence(
     hinted=1.0,
@@ -41,27 +34,25 @@ def hand(score: float = 0.9, joints_sure: float = 0.9) -> HandEstimate:
     return HandEstimate(joints, np.zeros((21, 2)), np.full(21, joints_sure), covariance, "right", score)
 
 
-def judged(evidence: PoseEvidence, score: float = 0.9, joints_sure: float = 0.9) -> Acceptance:
-    probability = object_probability(evidence)
-    obj = ObjectEstimate(
-        np.array([0, 0, 0.5, 1.0, 0, 0, 0]), probability, probability >= ACCEPT, evidence=evidence
-    )
-    return judge(obj, hand(score, joints_sure))
+def judged(evidence: PoseEvidence, score: float = 0.9, joints_sure: float = 0.9, **held: float) -> Acceptance:
+    found = object_score(evidence)
+    obj = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), found, found >= ACCEPT, evidence=evidence)
+    touch = {"touching": 3, "reach": 0.0} | held
+    return judge(obj, hand(score, joints_sure), **touch)  # pyright: ignore[reportArgumentType]
 
 
 def test_good_evidence_is_sure_and_needs_no_help():
     said = judged(GOOD)
     assert said.sure and not said.help
-    assert said.object >= ACCEPT and said.hand >= ACCEPTED_HAND
-    assert said.probability == said.object * said.hand
-    assert said.summary().startswith("sure: ")
+    assert min(said.object, said.hand) > ACCEPT
+    assert said.summary() == "sure: all 12 quantities are within their limits"
 
 
 @pytest.mark.parametrize(
     ("changes", "help"),
     [
         ({"other_size": 0.3, "other_side": 0.1}, "a mesh of the right size"),
-        ({"other_size": 0.05, "other_side": 0.08}, "another view"),
+        ({"other_size": 0.05, "other_side": 0.05}, "another view"),
         ({"explained": 0.3}, "the mesh of this very object"),
         ({"visible": 0.4}, "the mesh of this very object"),
         ({"larger": 6.0}, "the mesh of this very object"),
@@ -79,25 +70,44 @@ def test_good_evidence_is_sure_and_needs_no_help():
 )
 def test_evidence_against_says_what_would_help(changes, help):
     said = judged(dataclasses.replace(GOOD, **changes))
-    assert not said.sure and said.object < judged(GOOD).object
+    assert not said.sure and said.object < ACCEPT < judged(GOOD).object
     assert help in "; ".join(said.help)
+    assert any(row[3] == "no" for row in said.rows())
 
 
-def test_an_outline_that_is_not_seen_says_little_and_is_called_not_known():
+@pytest.mark.parametrize(("pixels", "sure"), [(400.0, False), (2000.0, True)])
+def test_what_counts_as_another_size_depends_on_the_pixels_that_show_the_object(pixels, sure):
+    assert judged(dataclasses.replace(GOOD, other_size=-0.05, pixels=pixels)).sure == sure
+
+
+@pytest.mark.parametrize("held", [{"touching": 0}, {"touching": 1}, {"reach": 0.025}])
+def test_a_hand_that_holds_nothing_is_not_sure(held):
+    said = judged(GOOD, **held)
+    assert not said.sure and said.object > ACCEPT > said.hand
+    assert "as measured it does not touch it" in "; ".join(said.help)
+
+
+def test_a_score_is_a_half_at_the_limit_whatever_the_quantity():
+    for name, value in (("off", 4.5), ("larger", -1.5), ("left_over", 0.2), ("rival", 0.97)):
+        assert object_score(dataclasses.replace(GOOD, **{name: value})) == pytest.approx(0.5)
+
+
+def test_an_outline_that_is_not_seen_says_nothing_and_is_called_not_known():
     said = judged(dataclasses.replace(GOOD, larger=np.nan, off=np.nan))
-    rows = {one.name: one for one in said.evidence}
-    assert all(np.isnan(rows[name].value) and abs(rows[name].share) < 1.5 for name in ("larger", "off"))
-    assert [row[1] for row in said.rows() if "outline" in row[0]] == ["not known"] * 2
-    assert [entry["value"] for entry in said.as_json()["evidence"] if "outline" in entry["name"]] == []
-    assert said.as_json()["evidence"][1]["value"] is None
+    assert said.sure
+    assert [row[1:] for row in said.rows() if "outline" in row[0]] == [
+        ("not known", "at most 1.5 pixels", "-"),
+        ("not known", "at most 4.5 pixels", "-"),
+    ]
+    assert [one["value"] for one in said.as_json()["evidence"] if one["name"] in ("larger", "off")] == [
+        None
+    ] * 2
 
 
 def test_pieces_of_a_mask_are_not_known_without_one():
-    for hinted, words in ((0.0, "not known"), (0.5, "not known"), (1.0, "0 pixels")):
+    for hinted, words in ((0.0, "not known"), (0.5, "not known"), (1.0, "0 %")):
         said = judged(dataclasses.replace(GOOD, hinted=hinted))
         assert [row[1] for row in said.rows() if "mask beyond" in row[0]] == [words]
-        share = next(one.share for one in said.evidence if one.name == "mask_piece")
-        assert share == next(one.share for one in judged(GOOD).evidence if one.name == "mask_piece")
 
 
 def test_where_a_pose_was_given_a_mask_helps_but_not_a_click():
@@ -111,42 +121,42 @@ def test_where_a_pose_was_given_a_mask_helps_but_not_a_click():
 
 def test_joints_that_are_not_sure_make_the_hand_unsure():
     said = judged(GOOD, joints_sure=0.2)
-    assert not said.sure and said.hand < ACCEPTED_HAND < said.object
+    assert not said.sure and said.hand < ACCEPT < said.object
     assert said.help == ("a view in which more of the hand is seen, bare and well lit",)
+    assert "joints within 20 mm of where they are, expected 20 %, not at least 60 %" in said.summary()
 
 
 def test_terminal_and_json_have_the_same_numbers():
-    said = judged(dataclasses.replace(GOOD, edge_width=8.0, explained=0.7))
+    said = judged(dataclasses.replace(GOOD, edge_width=8.0, explained=0.6))
     head, *rows = said.rows()
     record = said.as_json()
-    assert head == ("evidence", "value", "usual", "for or against") and len(rows) == len(record["evidence"])
+    assert head == ("evidence", "value", "limit", "met") and len(rows) == len(record["evidence"])
     for row, entry in zip(rows, record["evidence"], strict=True):
-        assert row[1].startswith(f"{entry['value']:.3g}") and row[3] == f"{entry['share']:+.1f}"
-    assert record["sure"] == said.sure and record["probability"] == said.probability
-    agreement = next(entry for entry in record["evidence"] if entry["name"] == "agreement")
-    # Outlines four times as wide as sharp ones: what does not agree counts less.
-    assert agreement["value"] == pytest.approx(100 * (1 - 0.3 ** (4**0.25)))
-
-
-def test_shares_add_up_to_the_odds():
-    weights = Logistic(0.5, {"a": (2.0, 0.1), "b": (-1.0, 0.2)})
-    shares = weights.shares({"a": 0.3, "b": 0.5})
-    assert shares == pytest.approx({"a": 0.4, "b": -0.3})
-    assert weights.probability({"a": 0.3, "b": 0.5}) == pytest.approx(1 / (1 + np.exp(-0.6)))
+        assert row[1].startswith(f"{entry['value']:.3g}") and row[3] == ("yes" if entry["met"] else "no")
+    assert record["sure"] == said.sure and record["object"] == said.object
+    assert record["evidence"][0]["value"] == pytest.approx(40.0)
 
 
 def test_a_fitted_shape_is_said_to_be_one():
     obj = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.7, True)
-    said = judge(obj, hand(), fitted="box:60x28x30")
+    said = judge(obj, hand(), touching=2, reach=0.0, fitted="box:60x28x30")
     assert said.sure and said.summary().startswith("unknown object: a box of 60 x 28 x 30 mm explains 70 %")
     assert said.as_json()["fitted"] == "box:60x28x30"
 
 
-def test_a_doubt_is_more_than_any_probability():
+def test_a_doubt_is_more_than_any_quantity():
     obj = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.99, True)
     said = judge(obj, hand(), doubt="it looks like the other hand")
-    assert not said.sure and said.object == 0.99 and said.hand >= ACCEPTED_HAND
-    assert said.summary().startswith("not sure: it looks like the other hand (object 99 %")
+    assert not said.sure and said.object == 0.99 and said.hand > ACCEPT
+    assert said.summary() == "not sure: it looks like the other hand"
     assert said.as_json()["doubt"] == said.doubt and judge(obj, hand()).as_json()["doubt"] is None
     shape = judge(obj, hand(), fitted="box:60x28x30", doubt="another size")
-    assert not shape.sure and shape.summary().endswith("; not sure: another size")
+    assert not shape.sure and shape.summary().endswith("not sure: another size")
+
+
+def test_intrinsics_off_the_middle_and_hands_of_no_size_are_doubts():
+    aside = PerceptionWarning.of("axis_off_centre", cx=200.0, cy=240.0, part=19.0)
+    assert "whole image" in doubt_of([aside], None, False)
+    for size, doubted in ((1.2, False), (1.63, True), (0.6, True)):
+        warned = PerceptionWarning.of("hand_size", size=size, low=0.8, high=1.25)
+        assert bool(doubt_of([warned], None, False)) == doubted

@@ -171,7 +171,7 @@ def test_quality_on_real_grasps():
     human = load_human_grasps(DEXYCB).select(slice(0, None, 10))
     objects, hand = load_objects(human, YCB), load_hand("allegro")
     found = static_quality(retarget(human, objects, hand, threads=1), human, objects, hand).summary()
-    assert found["held_as_shown"]["mean"] >= 0.9 and found["place_error_mm"]["mean"] <= 6.5
+    assert found["held_as_shown"]["mean"] >= 0.9 and found["place_error_mm"]["mean"] <= 7.5
     assert found["contact_gap_mm"]["mean"] <= 2
     assert found["link_direction_error_deg"]["mean"] <= 25
     assert found["object_penetration_mm"]["mean"] <= 2

@@ -124,8 +124,15 @@ class Evaluate(LiftTestSpec):
                 draw_grasps(self.picture, robot, objects, captions=captions, progress=show)
         lines = [result.table(), f"{result.episodes} episodes in {result.seconds:.1f} s"]
         if path is not None:
-            lines.append(suggestion("view", path, option("--grasps", self.grasps if human is None else None)))
+            lines.append(suggestion("view", path, *self._where_from(human is None)))
         return CommandResult(result.json(), "\n".join(lines))
+
+    def _where_from(self, robot: bool) -> tuple[str, ...]:
+        """Options with which ``view`` finds what a result is about. robot: whether --grasps has robot
+        grasps."""
+        if not robot:
+            return ()
+        return option("--grasps", self.grasps), option("--objects", self.objects)
 
     def _spec(self) -> LiftTestSpec:
         device, buffers = device_and_buffers(self.device, self.buffers)

@@ -85,8 +85,8 @@ class LiftTestSpec:
     physics: SceneSettings = field(default_factory=SceneSettings)
     """Settings of the engine."""
     adapt: bool = True
-    """Fit the grasps to the object as it has settled: a little optimization by the planner, which also
-    repairs grasps that were retargeted badly."""
+    """Whether the planner fits the grasps to the object as it has settled, a little optimization that also
+    repairs grasps that were retargeted badly; --no-adapt plays them unchanged."""
     rollouts: bool = True
     """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
     worlds that differ from the nominal one, and search further where none holds: 12 to 201 episodes for each

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-import trimesh
 
 from fungrasp.geometry.signed_distance import points_on_triangles
 from fungrasp.hands.hand import Hand
@@ -122,6 +121,8 @@ def _cylinder_surface(radius: float, half: float, spacing: float) -> np.ndarray:
 
 def _hull_surface(vertices: np.ndarray, spacing: float) -> np.ndarray:
     """Points on the convex hull, with which MuJoCo collides, one per cube of half the spacing."""
+    import trimesh
+
     hull = trimesh.convex.convex_hull(vertices)
     points, _ = points_on_triangles(np.asarray(hull.triangles), 0.5 * spacing)
     _, one_each = np.unique(np.round(points / (0.5 * spacing)).astype(int), axis=0, return_index=True)

@@ -39,9 +39,6 @@ POINTS = 1500
 PICTURED = 2
 """Alternatives that get a picture."""
 
-WIDEST_SHARE = 4.0
-"""A share of the logarithm of the odds that fills its bar."""
-
 
 def write_perception_page(path: str | Path, perceived: Perceived, provenance: Mapping[str, str]) -> Path:
     """Write a page that needs no other file and no network.
@@ -176,20 +173,13 @@ def _figures(verdict: Acceptance, truth: Sequence[Quantity]) -> str:
     lines = []
     for row, meter in zip(rows, verdict.evidence, strict=True):
         first, *others = row
-        # The bar's length is the logarithm of the odds, to the right what speaks for the answer.
-        part = 50.0 * min(abs(meter.share) / WIDEST_SHARE, 1.0)
-        side = "left:50%" if meter.share >= 0 else "right:50%"
-        kind = "for" if meter.share >= 0 else "against"
-        bar = f'<span class="share {kind}" aria-hidden="true"><i style="{side};width:{part:.1f}%"></i></span>'
-        cells = "".join(f'<td class="number">{escape(cell)}</td>' for cell in others)
-        lines.append(f'<tr><th scope="row">{escape(first)}</th>{cells}<td>{bar}</td></tr>')
-    words = (
-        "For or against: by how much each number makes the answer more probable than a usual right one, "
-        "logarithm of the odds."
-    )
+        kind = "for" if meter.met else "against"
+        cells = "".join(f'<td class="number {kind}">{escape(cell)}</td>' for cell in others)
+        lines.append(f'<tr><th scope="row">{escape(first)}</th>{cells}</tr>')
+    words = "The answer is sure where each quantity is within its limit."
     table = (
         f'<section class="card"><h3>What the verdict rests on</h3><p>{words}</p><table class="quality '
-        f'evidence"><thead><tr>{columns}<td></td></tr></thead><tbody>{"".join(lines)}</tbody></table>'
+        f'evidence"><thead><tr>{columns}</tr></thead><tbody>{"".join(lines)}</tbody></table>'
         "</section>"
     )
     cards = table + quality_card(truth, "How far it is from the truth")

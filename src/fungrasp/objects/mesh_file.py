@@ -21,7 +21,7 @@ from fungrasp.objects.mesh_repair import consistent_winding, fill_holes, parted,
 if TYPE_CHECKING:
     import trimesh
 
-MESH_FORMAT = 1
+MESH_FORMAT = 2
 """Goes up when the same file should give another surface."""
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
@@ -32,6 +32,15 @@ TABLE_SIDE = 1.5
 
 SHORTEST_OBJECT = 1e-3
 """Length of the shortest object [m]."""
+
+HELD = (0.02, 0.6)
+"""Lengths of most objects that a hand holds [m]."""
+
+UNITS = {"inches": 0.0254, "cm": 0.01, "mm": 0.001}
+"""Meters per unit in which meshes are made."""
+
+APART = 0.02
+"""Bodies of a mesh with so much room between them are separate objects [m]."""
 
 MOST_FACES = 100_000
 """A mesh with more faces is simplified."""
@@ -140,6 +149,9 @@ def _surface(
         repairs.append(
             f"simplified from {before:,} to {len(mesh.faces):,} faces, at most {moved * 1000:g} mm off"
         )
+    gap = _gap(mesh)
+    if gap > APART:
+        repairs.append(f"separate bodies with {1e3 * gap:.0f} mm between them were taken as one object")
     united = unite(mesh) if repair else None
     if united is not None:
         mesh = united
@@ -166,14 +178,36 @@ def _merged(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> trimes
 
 
 def _check_size(path: Path | str, length: float) -> None:
-    if length >= 2 * TABLE_SIDE:
-        raise FungraspError(
-            f"{path}: {length:.4g} m long; this looks like millimeters: scale the mesh by 0.001"
-        )
     if length > TABLE_SIDE:
-        raise FungraspError(f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)")
+        fitting = [
+            f"{1e3 * length * size:.0f} mm if it is in {unit} (scale the mesh by {size:g})"
+            for unit, size in UNITS.items()
+            if HELD[0] <= length * size <= HELD[1]
+        ]
+        raise FungraspError(
+            f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)"
+            + (f"; it would be {', or '.join(fitting)}" if fitting else "")
+        )
+    if SHORTEST_OBJECT <= length < HELD[0]:
+        _log.warning("%s: only %.3g mm long: is it in meters?", path, 1e3 * length)
     if length < SHORTEST_OBJECT:
         raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in meters")
+
+
+def _gap(mesh: trimesh.Trimesh) -> float:
+    """The widest room between two parts of a mesh, along an axis of its frame [m]; 0 where there is none."""
+    import trimesh
+
+    groups = trimesh.graph.connected_components(
+        mesh.face_adjacency, nodes=np.arange(len(mesh.faces)), min_len=4
+    )
+    triangles = np.asarray(mesh.triangles)
+    boxes = np.array([[triangles[g].min(axis=(0, 1)), triangles[g].max(axis=(0, 1))] for g in groups])
+    widest = 0.0
+    for axis in range(3) if 1 < len(groups) < 1000 else ():
+        low, high = boxes[np.argsort(boxes[:, 0, axis])][:, :, axis].T
+        widest = max(widest, float((low[1:] - np.maximum.accumulate(high)[:-1]).max()))
+    return widest
 
 
 def _closed(mesh: trimesh.Trimesh) -> bool:

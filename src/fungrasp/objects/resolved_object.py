@@ -18,10 +18,11 @@ from fungrasp.objects.mesh_file import load_mesh, mend_mesh
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
 
+_log = logging.getLogger(__name__)
+
 if TYPE_CHECKING:
     import trimesh
 
-_log = logging.getLogger(__name__)
 
 DENSITY = 500.0
 """Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
@@ -155,12 +156,13 @@ def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None
     nearest one.
 
     Returns:
-        None where the file has no colors.
-
-    Raises:
-        FungraspError: the file can't be read.
+        None where the file has no colors, or none that can be read, which is logged.
     """
-    mesh = None if is_colorless(path) else read_colored_mesh(path)
+    try:
+        mesh = None if is_colorless(path) else read_colored_mesh(path)
+    except FungraspError as problem:
+        _log.warning("%s; the shape is used without colors", problem)
+        return None
     if mesh is None or not model.repairs:
         return mesh
     import trimesh

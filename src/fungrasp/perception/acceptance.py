@@ -1,18 +1,20 @@
-"""Whether an answer can be used: probabilities with the numbers they rest on, what can't be, and what would
-help.
+"""Whether an answer can be used: a few quantities with their limits, and what would help.
 
-The rule is a logistic regression for the object, one for the hand and one for each joint, fitted to rendered
-captures and one camera. Terminal, page and JSON all show the record ``Acceptance``.
+Each quantity has a unit that means something, and is normalized by what the image itself shows: numbers of
+pixels by the pixels that show the object, lengths in pixels by the image's size, fits at the noise of this
+image's depth. So the limits are the same for every camera. They were chosen on renders of two kinds of depth
+cameras (RealSense D435i, Xtion), between right answers and wrong meshes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from math import exp, expm1, isfinite, isnan, log, nan
+from math import isfinite, isnan, nan
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
@@ -22,18 +24,45 @@ from fungrasp.objects import ObjectModel
 from fungrasp.perception.hand.fit import OTHER_SIDE
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
-from fungrasp.perception.scene.pixel_classes import SHARP, SMOOTHED
+from fungrasp.perception.scene.pixel_classes import SMOOTHED
 
-ACCEPT = 0.955
-"""Objects of a lower probability are not accepted: the least at which no more than 1 % of wrong meshes were,
-cross-validated over the captures of the fit."""
+ACCEPT = 0.5
+"""Score at which every quantity is just within its limit."""
 
-ACCEPTED_HAND = 0.7
-"""Hands of a lower probability are not called right."""
+UNEXPLAINED = 0.3
+"""Most of the object's pixels, or of the mesh's silhouette, that do not agree [share]."""
+
+WORSE = 1.5
+"""Another size of the mesh must fit worse by so many standard errors of the share explained:
+1 / sqrt(pixels)."""
+
+SIDE = 0.3
+"""Another length of one side may fit better by so many of them."""
+
+LARGER, OFF = 1.5, 4.5
+"""Largest difference between the outlines in the image and of the mesh: of their size, and of their place in
+the worst eighth [pixels of an image 640 wide]."""
+
+LEFT_OVER = 0.2
+"""How far what shows the object may reach beyond the mesh, as a part of the mesh's size."""
+
+MASK_PIECE = 0.05
+"""Largest connected piece of the mask beyond the mesh, as a part of the object's pixels."""
+
+RIVAL = 0.97
+"""Fit of the best different pose, as a part of this one's."""
+
+HAND_SCORE, SURE_JOINTS = 0.6, 0.6
+"""Least score of a hand by its detector, and least mean probability of its joints."""
+
+TOUCHING = 2
+"""Fewest parts of the hand, of palm and five fingers, that touch what is held."""
+
+REACHED = 0.01
+"""The three links nearest to the object are at most so far from it before the hand is fitted to it [m]."""
 
 SURE_JOINT, WITHIN = 0.95, 0.02
-"""Joints of a lower probability to be within so much of where they were found [m] are not called sure: from
-here on 3 % of them were not, cross-validated over the hands of the fit."""
+"""Joints of a lower probability to be within so much of where they were found [m] are not called sure."""
 
 CUT = 0.8
 """Part of the joints called sure that were within 20 mm in hands that the image's edge cut off (402 of 504,
@@ -45,123 +74,142 @@ spans some 0.2."""
 
 
 @dataclass(frozen=True)
-class Logistic:
-    """Logistic regression in which each number counts for or against, as it must."""
+class Meter:
+    """One quantity and its limit."""
 
-    constant: float
-    """Logarithm of the odds of a usual right answer."""
-    terms: Mapping[str, tuple[float, float]]
-    """Of each number the change of the logarithm of the odds, and the median among right answers."""
+    name: str
+    """One of ``WORDS``."""
+    value: float
+    """In the unit; NaN where it is not known, which speaks neither for nor against."""
+    limit: float
+    """In the unit."""
+    tolerance: float
+    """By how much more than the limit the score falls to a quarter, in the unit."""
+    least: bool = False
+    """Whether the limit is the least that will do; else it is the most."""
 
-    def shares(self, features: Mapping[str, float]) -> dict[str, float]:
-        """How much each number makes an answer more probable than a usual right one (logarithm of the odds),
-        by name."""
-        return {name: w * (features[name] - usual) for name, (w, usual) in self.terms.items()}
+    @property
+    def words(self) -> str:
+        """What it is."""
+        return WORDS[self.name][0]
 
-    def probability(self, features: Mapping[str, float]) -> float:
-        """Of being right, 0 to 1."""
-        return float(1.0 / (1.0 + np.exp(-self.constant - sum(self.shares(features).values()))))
+    @property
+    def unit(self) -> str:
+        """Of value and limit."""
+        return WORDS[self.name][1]
 
+    @property
+    def excess(self) -> float:
+        """How far the value is beyond its limit, in tolerances; negative within."""
+        if isnan(self.value):
+            return float("-inf")
+        beyond = (self.limit - self.value) if self.least else (self.value - self.limit)
+        return float(beyond / self.tolerance)
 
-OBJECT_WEIGHTS = Logistic(
-    4.45,
-    {
-        "agreement": (0.709, 2.78),
-        "larger": (-0.516, 0.41),
-        "off": (-0.302, 1.44),
-        "left_over": (-0.52, -4.61),
-        "mask_piece": (-0.328, 0),
-        "hinted": (0.804, 1),
-        "other_size": (-2.8, -0.286),
-        "other_side": (-10.9, -0.0276),
-        "rival": (-2.6, 0),
-    },
-)
-"""Of ``object_features``."""
-
-HAND_WEIGHTS = Logistic(3.11, {"hand_score": (4.56, 0.894), "joints": (1.11, 1.83)})
-"""Of ``hand_features``."""
-
-JOINT_WEIGHTS = Logistic(
-    4.18,
-    {
-        "fit_spread": (-3.57, 1.57),
-        "landmark_finger": (-23.6, 0.0468),
-        "landmark_hand": (-49.0, 0.0363),
-        "object_known": (3.16, 1.0),
-        "depth_off": (-31.0, 0.0075),
-    },
-)
-"""Of the numbers in ``joint_probabilities``."""
-
-UNSEEN_LARGER, UNSEEN_OFF = 0.8, 2.8
-"""Taken where too little of the outline is seen [pixels]: twice the medians of right answers, so that it
-speaks little for or against."""
-
-PIECE = 10.0
-"""Pieces of so few pixels count by their size, larger ones by its logarithm."""
+    @property
+    def met(self) -> bool:
+        """Whether the value is within its limit."""
+        return self.excess <= 0.0
 
 
-def object_features(e: PoseEvidence) -> dict[str, float]:
-    """What the object's probability is made of: numbers of which more is always better, or always worse,
-    within limits beyond which they say nothing more. By the names of ``OBJECT_WEIGHTS``."""
-    # Too small a mesh explains little of what is seen, of too large a one little is seen. Where depth is
-    # smoothed right answers agree less.
-    agreement = min(e.explained, e.visible)
-    allowed = float(np.clip(e.edge_width / SHARP, 1.0, 5.0)) ** 0.25
-    return {
-        "agreement": float(-np.log(np.clip(1.0 - agreement, 0.02, 1.0))) * allowed,
-        "larger": UNSEEN_LARGER if np.isnan(e.larger) else abs(e.larger),
-        "off": UNSEEN_OFF if np.isnan(e.off) else e.off,
-        "left_over": float(np.log(e.left_over + 0.01)),
-        "mask_piece": float(np.log1p(e.mask_piece / PIECE)),
-        "hinted": float(e.hinted == 1.0),
-        "other_size": float(np.clip(e.other_size, -0.6, 0.4)),
-        "other_side": float(np.clip(e.other_side, -0.3, 0.3)),
-        "rival": float(np.clip(5.0 * (e.rival - 0.8), 0.0, 1.0)),
+def score_of(meters: Sequence[Meter]) -> float:
+    """1 / (1 + 3^excess) of the worst quantity: ``ACCEPT`` where it is at its limit."""
+    worst = max(meter.excess for meter in meters)
+    return float(1.0 / (1.0 + 3.0 ** np.clip(worst, -20.0, 20.0)))
+
+
+WORDS = {
+    "unexplained": ("pixels of object or mesh that do not agree", "%"),
+    "other_size": ("fit of the mesh in another size, relative to its own", "%"),
+    "other_side": ("fit with another side longer or shorter, relative", "%"),
+    "larger": ("outline in the image larger or smaller than the mesh's, by", "pixels"),
+    "off": ("outline in the image beside the mesh's, in the worst eighth, by", "pixels"),
+    "left_over": ("how far the object reaches beyond the mesh, as a part of its size", "%"),
+    "mask_piece": ("largest piece of the mask beyond the mesh, as a part of the object", "%"),
+    "rival": ("fit of the best other pose, relative", "%"),
+    "hand_score": ("hand: detector's score and agreement", "%"),
+    "joints": ("hand: joints within 20 mm of where they are, expected", "%"),
+    "touching": ("parts of the hand that touch the object", ""),
+    "reach": ("distance of the hand's nearest links from the object, as measured", "mm"),
+}
+"""What each quantity is, and its unit."""
+
+
+def object_meters(e: PoseEvidence) -> tuple[Meter, ...]:
+    """What decides whether the pose, and the mesh, are right."""
+    count = max(e.pixels, 1.0)
+    noise = 100.0 / np.sqrt(count)
+    piece = 100.0 * e.mask_piece / count if e.hinted == 1.0 else nan
+    unexplained = 100.0 * (1.0 - min(e.explained, e.visible))
+    # Value, limit and tolerance.
+    found = {
+        "unexplained": (unexplained, 100 * UNEXPLAINED, 10.0),
+        "other_size": (100 * e.other_size, -WORSE * noise, 2 * noise),
+        "other_side": (100 * e.other_side, SIDE * noise, 2 * noise),
+        "larger": (abs(e.larger), LARGER, 1.0),
+        "off": (e.off, OFF, 2.0),
+        "left_over": (100 * e.left_over, 100 * LEFT_OVER, 10.0),
+        "mask_piece": (piece, 100 * MASK_PIECE, 5.0),
+        "rival": (100 * e.rival, 100 * RIVAL, 5.0),
     }
+    return tuple(Meter(name, *numbers) for name, numbers in found.items())
 
 
-def object_probability(evidence: PoseEvidence) -> float:
-    """Probability that ADD-S is below 10 mm and the mesh is the right one."""
-    return OBJECT_WEIGHTS.probability(object_features(evidence))
+def object_score(evidence: PoseEvidence) -> float:
+    """How clearly all quantities are within their limits, 0 to 1; no probability."""
+    return score_of(object_meters(evidence))
 
 
-def hand_features(hand: HandEstimate) -> dict[str, float]:
-    """What the probability of the hand is made of, by the names of ``HAND_WEIGHTS``. More joints than 88 % do
-    not make up for a low score: something else may look like a hand."""
-    part = min(max(float(hand.confidence.mean()), 0.01), 0.88)
-    return {"hand_score": hand.score, "joints": log(part / (1.0 - part))}
+def hand_meters(hand: HandEstimate, touching: int | None, reach: float) -> tuple[Meter, ...]:
+    """What decides whether the hand is right, and holds the object.
+
+    Args:
+        touching: parts of the hand that touch the object; None where its pose is not accepted.
+        reach: distance of the third nearest link from the object before the hand is fitted to it [m].
+    """
+    held = nan if touching is None else float(touching)
+    return (
+        Meter("hand_score", 100 * hand.score, 100 * HAND_SCORE, 20.0, True),
+        Meter("joints", 100 * float(hand.confidence.mean()), 100 * SURE_JOINTS, 20.0, True),
+        Meter("touching", held, TOUCHING, 1.0, True),
+        Meter("reach", 1e3 * reach, 1e3 * REACHED, 5.0),
+    )
 
 
 def joint_probabilities(
     capture: Capture, fitted: HandEstimate, hand: HandEstimate, object_known: bool
 ) -> np.ndarray:
-    """Probability that each joint is within ``WITHIN`` of where it was found, shape [21]. The covariances of
-    the fit know nothing of wrong landmarks, nor of what a finger is behind.
+    """Probability that each joint is within ``WITHIN`` of where it was found, shape [21]: of a normal error
+    whose variance is the sum of the fit's own, of how far the joint is from its landmark, and of how far
+    it is from the depth measured there. The fit knows nothing of wrong landmarks.
 
     Args:
         fitted: the hand before the object was known.
-        object_known: whether the object's pose was accepted, and the hand touches it.
+        object_known: whether the object's pose was accepted, and the hand touches it: else the depth of the
+            hand is uncertain by ``UNHELD``.
     """
     pixels = capture.intrinsics.project(hand.joints_camera)
-    extent = max(float(np.linalg.norm(np.ptp(hand.pixels, axis=0))), 1.0)
-    # Landmarks farther off than 0.15 of the hand's extent, and depth by more than 40 mm, say nothing more.
-    off = np.minimum(np.linalg.norm(pixels - hand.pixels, axis=1) / extent, 0.15)
-    of_finger = off.copy()
-    of_finger[1:] = np.repeat(off[1:].reshape(5, 4).max(axis=1), 4)
-    # Joints are about 10 mm behind the skin.
+    away = np.linalg.norm(pixels - hand.pixels, axis=1) * hand.joints_camera[:, 2] / capture.intrinsics.fx
+    # A landmark that is off takes those of its finger with it, and makes the others doubtful.
+    of_finger = away.copy()
+    of_finger[1:] = np.repeat(away[1:].reshape(5, 4).max(axis=1), 4)
+    # Joints are about 10 mm behind the skin; where a finger is hidden another thing's depth is measured.
     behind = hand.joints_camera[:, 2] - _median_depth(capture.depth, pixels) - 0.01
-    spread = np.sqrt(np.trace(fitted.covariance, axis1=1, axis2=2) / 3)
-    features = {
-        "fit_spread": np.log(1000.0 * np.maximum(spread, 1e-4)),
-        "landmark_finger": of_finger,
-        "landmark_hand": np.full(21, off.mean()),
-        "object_known": np.full(21, float(object_known)),
-        "depth_off": np.minimum(np.abs(np.nan_to_num(behind, nan=0.01)), 0.04),
-    }
-    found = [JOINT_WEIGHTS.probability({n: float(v[i]) for n, v in features.items()}) for i in range(21)]
-    return np.array(found) * (1.0 if edge_of_hand(capture, hand) is None else CUT)
+    behind = np.clip(np.nan_to_num(behind), -DEPTH_ERROR, DEPTH_ERROR)
+    variance = (
+        np.trace(fitted.covariance, axis1=1, axis2=2) / 3
+        + (of_finger**2 + 0.5 * np.mean(away**2) + behind**2) / 3
+    )
+    variance = variance + (0.0 if object_known else UNHELD**2 / 3)
+    found = chi2.cdf(WITHIN**2 / np.maximum(variance, 1e-8), 3)
+    return np.asarray(found) * (1.0 if edge_of_hand(capture, hand) is None else CUT)
+
+
+DEPTH_ERROR = 0.01
+"""Depth that differs more from a joint's is that of another thing, and tells no more [m]."""
+
+UNHELD = 0.018
+"""Standard deviation of the depth of a hand that is not fitted to an object [m]: of real images."""
 
 
 def _median_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -177,107 +225,58 @@ def _median_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return found
 
 
-ROWS: Mapping[str, tuple[str, str, Callable[[float], float]]] = {
-    "agreement": (
-        "pixels that mesh and image have in common; more where depth is smoothed",
-        "%",
-        lambda value: 100.0 * (1.0 - exp(-value)),
-    ),
-    "larger": ("outline in the image larger or smaller than the mesh's, by", "pixels", float),
-    "off": ("outline in the image beside the mesh's, in the worst eighth, by", "pixels", float),
-    "left_over": (
-        "how far the object reaches beyond the mesh, as a part of its size",
-        "%",
-        lambda value: 100.0 * round(max(exp(value) - 0.01, 0.0), 6),
-    ),
-    "mask_piece": ("largest piece of the mask beyond the mesh", "pixels", lambda value: PIECE * expm1(value)),
-    "hinted": ("a mask was given: 1, none: 0", "", float),
-    "other_size": ("fit of the mesh in another size", "%", lambda value: 100.0 * exp(value)),
-    "other_side": ("fit of it with another side longer or shorter", "%", lambda value: 100.0 * exp(value)),
-    "rival": ("fit of the best other pose, 80 or less", "%", lambda value: 100.0 * (0.8 + 0.2 * value)),
-    "hand_score": ("hand: detector's score and agreement", "", float),
-    "joints": (
-        "hand: joints within 20 mm of where they are, expected, 88 or less",
-        "%",
-        lambda value: 100.0 * (1.0 / (1.0 + exp(-value))),
-    ),
-}
-"""Words and unit of each number, and from what the odds are made of to what people read."""
-
-
-@dataclass(frozen=True)
-class Meter:
-    """One number that speaks for or against."""
-
-    name: str
-    """As in ``ROWS``."""
-    value: float
-    """In the unit; NaN where it is not known."""
-    usual: float
-    """The median of right answers, in the unit."""
-    unit: str
-    """Of both."""
-    share: float
-    """How much more probable it makes the answer than a usual right one (logarithm of the odds)."""
-
-
 @dataclass(frozen=True)
 class Acceptance:
     """Whether an answer can be used."""
 
     sure: bool
-    """Whether both probabilities are high enough, and nothing speaks against it."""
+    """Whether all quantities are within their limits, and nothing speaks against it."""
     object: float
-    """Probability that pose and mesh are right: ADD-S below 10 mm."""
+    """How clearly those of the object's pose are, 0 to 1; ``ACCEPT`` at the limit. No probability."""
     hand: float
-    """Probability that the hand is right: its joints within 20 mm of where they are, on average."""
+    """The same of the hand and its touch."""
     evidence: tuple[Meter, ...]
-    """What the probabilities rest on."""
+    """The quantities."""
     help: tuple[str, ...]
     """What would make a surer answer, most useful first; empty where it is sure."""
     fitted: str = ""
     """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what
-    is seen that it explains, no probability."""
+    is seen that it explains."""
     doubt: str = ""
-    """What keeps it from being sure whatever the probabilities are; empty where nothing does."""
-
-    @property
-    def probability(self) -> float:
-        """That all is right."""
-        return self.object * self.hand
+    """What keeps it from being sure whatever the quantities are; empty where nothing does."""
 
     def summary(self) -> str:
         """All of it in a line."""
+        failed = [f"{m.words} {_shown(m)}, not {_limit(m)}" for m in self.evidence if not m.met]
+        against = self.doubt or "; ".join(failed[:2])
         if self.fitted:
             kind, sizes = self.fitted.split(":")
             return (
                 f"unknown object: a {kind} of {sizes.replace('x', ' x ')} mm explains "
-                f"{100 * self.object:.0f} % of what is seen; the rest is a guess "
-                f"(hand {100 * self.hand:.0f} %)" + (f"; not sure: {self.doubt}" if self.doubt else "")
+                f"{100 * self.object:.0f} % of what is seen; the rest is a guess"
+                + (f"; not sure: {against}" if not self.sure and against else "")
             )
-        parts = f"object {100 * self.object:.0f} %, hand {100 * self.hand:.0f} %"
         if self.sure:
-            return f"sure: {100 * self.probability:.0f} % that all is right ({parts})"
-        if self.doubt:
-            return f"not sure: {self.doubt} ({parts})"
-        needed = f"it takes {100 * ACCEPT:.3g} and {100 * ACCEPTED_HAND:.0f} %"
-        return f"not sure: {100 * self.probability:.0f} % that all is right ({parts}; {needed})"
+            return f"sure: all {len(self.evidence)} quantities are within their limits"
+        return f"not sure: {against or 'the pose is not judged'}"
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """The evidence as a table: what, value, usual value of right answers, share."""
-        table = [("evidence", "value", "usual", "for or against")]
+        """The evidence as a table: what, value, limit, whether it is met."""
+        table = [("evidence", "value", "limit", "met")]
         for one in self.evidence:
-            unit = f" {one.unit}" if one.unit else ""
-            value = f"{one.value:.3g}{unit}" if isfinite(one.value) else "not known"
-            table.append((ROWS[one.name][0], value, f"{one.usual:.3g}{unit}", f"{one.share:+.1f}"))
+            met = "-" if isnan(one.value) else "yes" if one.met else "no"
+            table.append((one.words, _shown(one), _limit(one), met))
         return table
 
     def as_json(self) -> dict[str, Any]:
         """To be written as JSON; null where a number is not known."""
-        rows = [asdict(one) | {"value": one.value if isfinite(one.value) else None} for one in self.evidence]
+        rows = [
+            asdict(one)
+            | {"value": one.value if isfinite(one.value) else None, "unit": one.unit, "met": one.met}
+            for one in self.evidence
+        ]
         return {
             "sure": self.sure,
-            "probability": self.probability,
             "object": self.object,
             "hand": self.hand,
             "evidence": rows,
@@ -287,42 +286,46 @@ class Acceptance:
         }
 
 
+def _shown(one: Meter) -> str:
+    unit = f" {one.unit}" if one.unit else ""
+    return f"{one.value:.3g}{unit}" if isfinite(one.value) else "not known"
+
+
+def _limit(one: Meter) -> str:
+    unit = f" {one.unit}" if one.unit else ""
+    return f"{'at least' if one.least else 'at most'} {one.limit:.3g}{unit}"
+
+
 def judge(
-    obj: ObjectEstimate, hand: HandEstimate, *, fitted: str = "", doubt: str = "", given: bool = False
+    obj: ObjectEstimate,
+    hand: HandEstimate,
+    *,
+    touching: int | None = None,
+    reach: float = nan,
+    fitted: str = "",
+    doubt: str = "",
+    given: bool = False,
 ) -> Acceptance:
     """Whether object and hand can be used.
 
     Args:
+        touching, reach: of the hand, see ``hand_meters``.
         fitted: shape that stands for an object without a mesh.
-        doubt: what speaks against it whatever the probabilities are.
+        doubt: what speaks against it whatever the quantities are.
         given: whether the pose came from elsewhere and was not looked for.
     """
-    of_hand = hand_features(hand)
-    probability = HAND_WEIGHTS.probability(of_hand)
-    evidence = []
-    if obj.evidence is not None:
-        # Where too little of the outline is seen the weights take a usual number, which is not shown; nor are
-        # pieces of a mask where there is none.
-        hidden = [name for name in ("larger", "off") if isnan(getattr(obj.evidence, name))]
-        hidden += ["mask_piece"] if obj.evidence.hinted != 1.0 else []
-        evidence += _meters(OBJECT_WEIGHTS, object_features(obj.evidence), hidden)
-    evidence += _meters(HAND_WEIGHTS, of_hand)
-    sure = obj.accepted and probability >= ACCEPTED_HAND and not doubt
+    of_hand = hand_meters(hand, touching, reach)
+    of_object = () if obj.evidence is None else object_meters(obj.evidence)
+    right_hand = all(meter.met for meter in of_hand)
+    sure = obj.accepted and right_hand and not doubt
     advice = object_help(obj, given)
     if fitted and not obj.accepted:
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object")
-    if probability < ACCEPTED_HAND:
+    if not all(meter.met for meter in of_hand[:2]):
         advice += ("a view in which more of the hand is seen, bare and well lit",)
-    return Acceptance(sure, obj.score, probability, tuple(evidence), advice, fitted, doubt)
-
-
-def _meters(weights: Logistic, features: Mapping[str, float], hidden: Sequence[str] = ()) -> list[Meter]:
-    found = []
-    for name, share in weights.shares(features).items():
-        _, unit, shown = ROWS[name]
-        value = nan if name in hidden else shown(features[name])
-        found.append(Meter(name, value, shown(weights.terms[name][1]), unit, share))
-    return found
+    elif not right_hand:
+        advice += ("an image in which the hand holds the object: as measured it does not touch it",)
+    return Acceptance(sure, obj.score, score_of(of_hand), (*of_object, *of_hand), advice, fitted, doubt)
 
 
 LOOSE_MASK = 0.25
@@ -330,12 +333,8 @@ LOOSE_MASK = 0.25
 true masks of the images looked at had up to 20 %."""
 
 MUCH_HIDDEN, FEW_PIXELS = 0.35, 2000
-"""Part of the silhouette that is hidden, and measured pixels of the object: with less hidden and more pixels
-81 % of right answers are sure without a mask and 91 % with one; with more hidden 63 and 85 %, with fewer
-pixels 35 and 74 %, with both 34 and 58 % (512 renders, cross-validated)."""
-
-AGAINST = -0.5
-"""What lowers the logarithm of the odds by more than this is worth a remedy."""
+"""Part of the silhouette that is hidden, and measured pixels of the object, beyond which right answers are
+less often sure."""
 
 
 def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
@@ -346,24 +345,23 @@ def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
     e = obj.evidence
     if e is None or obj.accepted:
         return ()
-    shares = OBJECT_WEIGHTS.shares(object_features(e))
-    size = shares["other_size"] + shares["other_side"]
-    edges = shares["larger"] + shares["off"] + shares["left_over"] + shares["mask_piece"]
-    covered = shares["agreement"] + edges
+    failed = {meter.name for meter in object_meters(e) if not meter.met}
+    size = bool(failed & {"other_size", "other_side"})
+    covered = failed & {"unexplained", "larger", "off", "left_over", "mask_piece"}
     # A click tells where to look for a pose; one that is given needs a mask.
     found = {
         "a mesh of the right size: another one fits better; is its unit right?": (
-            max(e.other_size, e.other_side) > 0.05 and size < covered
+            max(e.other_size, e.other_side) > 0.05
         ),
         f"a tighter mask: {100 * e.foreign:.0f} % of it look like hand or background": e.foreign > LOOSE_MASK,
         "a mask of the object (--mask)": e.hinted < 1.0 and given,
         "a click at the object (--point u,v), or a mask": e.hinted == 0.0 and not given,
         f"another view: {100 * e.hidden:.0f} % of the object is behind the hand": e.hidden > MUCH_HIDDEN,
-        "another view, in which more of the object is seen": e.hidden <= MUCH_HIDDEN and size < AGAINST,
+        "another view, in which more of the object is seen": e.hidden <= MUCH_HIDDEN and size,
         f"the camera nearer to it: only {e.pixels:.0f} pixels show the object": e.pixels < FEW_PIXELS,
         "the camera's spatial and hole-filling filters turned off": e.edge_width > SMOOTHED,
         "a mesh with colors: another pose fits nearly as well": e.colored == 0.0 and e.rival > 0.9,
-        "the mesh of this very object: this one does not cover what is seen": covered < AGAINST,
+        "the mesh of this very object: this one does not cover what is seen": bool(covered),
     }
     return tuple(words for words, helps in found.items() if helps)
 
@@ -418,7 +416,7 @@ def _check_origin(model: ObjectModel, allowed: float) -> None:
 
 
 def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fitted: bool) -> str:
-    """What speaks against the answer, whatever its probabilities are: they are those of images of the right
+    """What speaks against the answer, whatever its quantities are: they are those of images of the right
     scale and of the side that the hand has, with aligned depth, in which hand and object are whole.
 
     Args:
@@ -426,9 +424,12 @@ def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fi
         fitted: whether a shape was fitted; a mesh that fits has the size of what is seen, a shape takes any.
     """
     # What is cut off may slide along the edge, and fingers beyond it are found inside.
-    against = {"cut_off", "depth_shifted"} | ({"hand_size"} if fitted else set())
+    against = {"cut_off", "depth_shifted", "axis_off_centre"} | ({"hand_size"} if fitted else set())
     if side_score is not None and side_score >= OTHER_SIDE:
         against.add("side_not_as_given")
+    sizes = [float(one.values["size"]) for one in warnings if one.code == "hand_size"]
+    if any(abs(np.log(size)) > 3 * HAND_SIZE_SPREAD for size in sizes):
+        against.add("hand_size")
     return next((str(one) for one in warnings if one.code in against), "")
 
 

@@ -43,7 +43,7 @@ from fungrasp.perception.hand.hand_hypotheses import (
     object_box,
 )
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
-from fungrasp.perception.hand.physical_evidence import HandSurroundings, touching_links
+from fungrasp.perception.hand.physical_evidence import HandSurroundings, link_gaps, touching_links
 from fungrasp.perception.io.capture import Box, Capture, RgbdCamera
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 from fungrasp.perception.io.image_files import check_hints
@@ -177,6 +177,7 @@ def perceive(
         center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
         pose_world_camera = world_from_table(plane, center)
         grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
+        gaps = link_gaps(scene.hand.joints_camera, model.signed_distance, scene.object.pose_camera_object)
         quality = measure_quality(capture, refined, scene.object, model.signed_distance)
         warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model, capture))
     side_score = None if scene.detected is None else scene.detected.side_score
@@ -195,6 +196,8 @@ def perceive(
             scene.object,
             refined,
             fitted="" if fitted is None else fitted.name,
+            touching=_parts(grasp.link_contacts) if scene.object.accepted else None,
+            reach=float(np.sort(gaps)[2]),
             doubt=doubt_of(warnings, side_score, fitted is not None),
             given=given is not None,
         ),
@@ -203,6 +206,11 @@ def perceive(
         fitted=fitted,
         trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, seen.watch.seconds),
     )
+
+
+def _parts(link_contacts: np.ndarray) -> int:
+    """How many of palm and five fingers touch. link_contacts: shape [16] bool."""
+    return int(link_contacts[0]) + int(link_contacts[1:].reshape(5, 3).any(axis=1).sum())
 
 
 def perceive_folder(

@@ -232,7 +232,7 @@ def test_what_looks_wrong_with_the_files_goes_with_the_capture(tmp_path, caplog)
     with caplog.at_level(logging.WARNING):
         capture = read_capture(*paths)
     codes = [warning.code for warning in capture.warnings]
-    assert codes == ["lens_distorted", "axis_swapped", "depth_shifted"]
+    assert codes == ["lens_distorted", "axis_off_centre", "axis_swapped", "depth_shifted"]
     assert all(str(warning) in caplog.text for warning in capture.warnings)
     assert capture.with_object(point=(5, 5)).warnings == capture.warnings
 

@@ -56,7 +56,7 @@ def test_every_layout_gives_the_same_lens(tmp_path, content, unit):
         ({**OURS, "width": 1280, "height": 720}, "1280 x 720 .* another resolution"),
         ([[600, 0, 320], [0, 600, 240], [0, 0, 1]], "another resolution, .* cropped"),
         ([[0.94, 0, 0.5], [0, 1.25, 0.5], [0, 0, 1]], "not in pixels"),
-        ([[300, 0, 0], [0, 301, 0], [160, 119, 1]], "row by row"),
+        ([[300, 0, 0], [5, 301, 0], [160, 119, 1]], "row by row"),
         ([1, 2, 3], "3 x 3"),
         ({**OURS, "fx": "300"}, "'fx' must be a number, not '300'"),
         ({"fx": 1, "fy": 1}, "'cx' must be a number"),
@@ -98,4 +98,52 @@ def test_a_swapped_optical_axis_is_told(tmp_path, cx, cy, told):
     path = tmp_path / "K.json"
     path.write_text(json.dumps({"fx": 600.0, "fy": 600.0, "cx": cx, "cy": cy}))
     warnings = read_intrinsics(path, (640, 480)).warnings
-    assert [warning.code for warning in warnings] == ["axis_swapped"] * told
+    codes = [warning.code for warning in warnings]
+    assert ("axis_swapped" in codes) == told
+    assert ("axis_off_centre" in codes) == (abs(cx - 320) > 50 or abs(cy - 240) > 38)
+
+
+ROWS = [[300.0, 0.0, 160.0], [0.0, 301.0, 119.0], [0.0, 0.0, 1.0]]
+IN_ROWS = [number for row in ROWS for number in row]
+IN_COLUMNS = [ROWS[i][j] for j in range(3) for i in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("content", "distorted"),
+    [
+        ({"k": IN_ROWS, "d": [0.0] * 5, "width": 320, "height": 240}, False),
+        ({"intrinsic_matrix": IN_COLUMNS, "width": 320, "height": 240}, False),
+        ({"camera_matrix": {"rows": 3, "cols": 3, "data": IN_ROWS}, "image_width": 320}, False),
+        ({"K": ROWS, "distortion_coefficients": {"data": [0.1, 0, 0, 0, 0]}}, True),
+        ({"fx": 300.0, "fy": 301.0, "cx": 160.0, "cy": 119.0, "k1": 0.2, "p1": 0}, True),
+        (
+            {
+                "0": {
+                    "cam_model": {
+                        "projection_model_type": "PINHOLE",
+                        "projection_params": [300, 301, 160, 119],
+                    }
+                }
+            },
+            False,
+        ),
+    ],
+)
+def test_intrinsics_by_the_names_of_other_programs(tmp_path, content, distorted):
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps(content))
+    read = read_intrinsics(path, (320, 240))
+    lens = read.intrinsics
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (300.0, 301.0, 160.0, 119.0)
+    assert [warning.code for warning in read.warnings] == ["lens_distorted"] * distorted
+
+
+def test_a_fisheye_camera_is_refused_as_one(tmp_path):
+    path = tmp_path / "scene_camera.json"
+    model = {
+        "projection_model_type": "CAMERA_MODEL_TYPE_FISHEYE624",
+        "projection_params": [600.0] + [0.1] * 14,
+    }
+    path.write_text(json.dumps({"0": {"cam_model": model}}))
+    with pytest.raises(FungraspError, match="FISHEYE624 is no pinhole: undistort"):
+        read_intrinsics(path, (640, 480), image=0)

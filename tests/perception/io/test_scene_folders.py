@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,3 +98,33 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
         read_folder(tmp_path)
     with pytest.raises(FungraspError, match="does not exist"):
         read_folder(tmp_path / "missing")
+
+
+FOREIGN = Path(__file__).parents[4] / "shared" / "data" / "foreign" / "files"
+
+KINDS = {
+    "K_azure": "lens_distorted",
+    "K_distortion_names": "lens_distorted",
+    "K_open3d": "",
+    "K_ros2": "",
+    "K_ros_yaml_json": "lens_distorted",
+    "bop_hot3d": "FISHEYE624 is no pinhole",
+    "depth_65535": "",
+    "depth_ho3d": "a picture of depth",
+    "folder_foundationpose": "",
+    "squeezed": "axis_off_centre",
+}
+"""Images of others: the warning, or the words of the refusal."""
+
+
+@pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the files of others in ../shared/data/foreign")
+@pytest.mark.parametrize("name", KINDS)
+def test_images_of_others(name):
+    if " " in KINDS[name]:
+        with pytest.raises(FungraspError, match=KINDS[name]):
+            read_folder(FOREIGN / name)
+        return
+    capture = read_folder(FOREIGN / name)
+    assert [warning.code for warning in capture.warnings] == ([KINDS[name]] if KINDS[name] else [])
+    assert 610 < capture.intrinsics.fx < 630 and 0.3 < capture.depth.max() < 4.0
+    assert (capture.mask is not None) == (name == "folder_foundationpose")

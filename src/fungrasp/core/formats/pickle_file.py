@@ -94,6 +94,45 @@ class _Array:
         self.value = _typed(dtype).array(data, shape, fortran)
 
 
+class _Sparse:
+    """Stands for SciPy's sparse matrices by columns or rows."""
+
+    by_rows = False
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        import scipy.sparse
+
+        kind = scipy.sparse.csr_matrix if self.by_rows else scipy.sparse.csc_matrix
+        data, indices, ends = (_plain(state[name]) for name in ("data", "indices", "indptr"))
+        shape = tuple(int(size) for size in state["_shape"])
+        if np.prod(shape, dtype=object) > LARGEST // 8:
+            raise FungraspError("it holds a sparse matrix that is too large")
+        self.value = kind((data, indices, ends), shape=shape).toarray()
+
+
+class _SparseByRows(_Sparse):
+    by_rows = True
+
+
+class _Chumpy:
+    """Stands for ``chumpy.ch.Ch``, which models of bodies are pickled with: its array."""
+
+    value = np.zeros(0)
+
+    def __setstate__(self, state: Any) -> None:
+        fields = next((part for part in state if part), {}) if isinstance(state, tuple) else state
+        if "x" in fields:
+            self.value = _plain(fields["x"])
+        elif {"a", "idxs"} <= set(fields):  # chumpy.reordering.Select: some entries of another array.
+            found = np.ravel(_plain(fields["a"]))[np.ravel(_plain(fields["idxs"]))]
+            self.value = found.reshape(fields.get("preferred_shape", found.shape))
+
+
+def _rebuilt(kind: Any, *_: Any) -> Any:
+    """How pickles of protocols before 2 make an object without its ``__init__``."""
+    return kind() if kind in (_Chumpy, _Sparse, _SparseByRows) else None
+
+
 def _typed(dtype: Any) -> _DType:
     if not isinstance(dtype, _DType):
         raise FungraspError("it holds an array without a plain type")
@@ -150,10 +189,20 @@ class _ArraysUnpickler(pickle.Unpickler):
             ("_codecs", "encode"): _encode,
             ("joblib.numpy_pickle", "NumpyArrayWrapper"): Note,
             ("collections", "OrderedDict"): OrderedDict,
+            ("chumpy.ch", "Ch"): _Chumpy,
+            ("chumpy.reordering", "Select"): _Chumpy,
+            ("copy_reg", "_reconstructor"): _rebuilt,
+            ("copyreg", "_reconstructor"): _rebuilt,
+            ("__builtin__", "object"): object,
+            ("builtins", "object"): object,
         }
         for builtins in ("builtins", "__builtin__"):
             for name, kind in (("set", set), ("frozenset", frozenset), ("bytes", _no_bytes)):
                 self.allowed[builtins, name] = kind
+        for matrices in ("csc", "csr"):
+            kind = _Sparse if matrices == "csc" else _SparseByRows
+            for module in (f"scipy.sparse.{matrices}", f"scipy.sparse._{matrices}"):
+                self.allowed[module, f"{matrices}_matrix"] = kind
         for core in ("numpy.core", "numpy._core"):
             self.allowed[f"{core}.multiarray", "_reconstruct"] = _reconstruct
             self.allowed[f"{core}.multiarray", "scalar"] = _scalar
@@ -169,7 +218,7 @@ class _ArraysUnpickler(pickle.Unpickler):
 
 def _plain(value: Any) -> Any:
     """The same with arrays in the place of their stand-ins."""
-    if isinstance(value, _Array):
+    if isinstance(value, _Array | _Sparse | _Chumpy):
         return value.value
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}

@@ -59,7 +59,10 @@ def read_colored_triangles(path: str) -> bytes:
         material = visual.material
         image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
         if image is None:
-            arrays["vertex_colors"] = np.asarray(visual.to_color().vertex_colors)[:, :3]
+            # Its texture is missing or can't be read: the material's own color is left.
+            arrays["vertex_colors"] = np.tile(
+                np.asarray(material.main_color)[:3], (len(arrays["vertices"]), 1)
+            )
         else:
             arrays["uv"] = np.asarray(visual.uv, np.float64)
             arrays["texture"] = np.asarray(image.convert("RGB"))

@@ -26,8 +26,8 @@ from fungrasp.core.formats.text_files import read_yaml
 from fungrasp.grasps.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.grasps.importers.mano import ManoHand
 from fungrasp.grasps.importers.ycb import YCB_MASSES, YCB_NAMES
+from fungrasp.grasps.mano import ManoHand
 from fungrasp.objects import MIRRORED
 
 TAG = "apriltag"

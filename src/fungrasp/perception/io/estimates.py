@@ -27,6 +27,10 @@ MESSAGES: Mapping[str, str] = {
         "cx = {cx:g} and cy = {cy:g} look swapped, or are those of the image before it was turned: each is "
         "nearer to the middle of the other side"
     ),
+    "axis_off_centre": (
+        "the optical axis, cx = {cx:g} and cy = {cy:g}, is {part:.0f} % of the image from its middle: are "
+        "these the intrinsics of the whole image?"
+    ),
     # The hand.
     "several_hands": "{count} hands are in the image; the {choice} was taken, at pixel {u:.0f}, {v:.0f}",
     "several_candidates": (
@@ -167,7 +171,7 @@ class ObjectEstimate:
     pose_camera_object: np.ndarray
     """The best answer: pose of the mesh in the camera frame, shape [7]."""
     score: float
-    """Confidence that the best answer is right, 0 to 1."""
+    """How clearly the best answer explains the image, 0 to 1, see ``acceptance.object_score``."""
     accepted: bool
     """Whether the score passes the threshold."""
     alternatives: tuple[tuple[np.ndarray, float], ...] = ()

@@ -130,7 +130,8 @@ def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0)
             f"{path}: say how many meters a unit of depth is: 0.001 (1 mm) is usual, 0.0001 and 0.00025 occur"
         )
     else:
-        depth = raw * float(unit)
+        # Recorders write the largest number where nothing was measured.
+        depth = np.where(raw == 65535, 0, raw) * float(unit)
     check_depth_range(depth, unit, str(path))
     # Single numbers may be as wrong as they like.
     return np.clip(depth, -1e6, 1e6).astype(np.float32)

@@ -18,12 +18,16 @@ from fungrasp.perception.io.estimates import PerceptionWarning
 
 # A camera's optical axis lies at most this part of the image's width or height from the image's middle.
 OFF_CENTRE = 0.3
+# Beyond this part, which data sheets of depth cameras stay below, it is doubted: positions are wrong by as
+# much of the image's width.
+USUAL_OFF_CENTRE = 0.08
 FOCAL_RANGE = (0.25, 6.0)  # A camera's focal length, as a part of the image's longer side.
 
 MILLIMETRE = 0.001
 
-_MATRIX_NAMES = ("cam_K", "K", "camera_matrix", "intrinsic_matrix")
-_DISTORTION_NAMES = ("coeffs", "D", "d")
+_MATRIX_NAMES = ("cam_K", "K", "k", "camera_matrix", "intrinsic_matrix")
+_DISTORTION_NAMES = ("coeffs", "D", "d", "distortion_coefficients", "dist_coeffs", "distCoeffs", "distortion")
+_COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _DISTORTION = 1e-6
 _log = logging.getLogger(__name__)
 
@@ -50,8 +54,12 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
     - RealSense: ``width, height, fx, fy, ppx, ppy``, maybe inside ``color``; ``depth_scale`` [m per unit];
     - BOP ``camera.json``: ours with ``depth_scale`` [mm per unit] instead of ``depth_unit``;
     - BOP ``scene_camera.json``: by image number, ``cam_K`` (9 numbers) and ``depth_scale`` [mm per unit];
-    - a matrix: 3 lists of 3 numbers or 9 numbers, alone or as ``K``, ``cam_K`` or ``camera_matrix``,
-      with ``width`` and ``height`` if wanted.
+    - BOP ``cam_model`` (2024) of a pinhole camera;
+    - a matrix: 3 lists of 3 numbers or 9 numbers, row by row or, as Open3D writes it, column by column; alone
+      or as ``K``, ``k`` (ROS 2), ``cam_K``, ``intrinsic_matrix`` or ``camera_matrix`` (OpenCV, ROS 1: with
+      its numbers in ``data``), with ``width`` and ``height`` or ``image_width`` and ``image_height``.
+
+    Distortion is known by the names of ROS, OpenCV, RealSense and Azure Kinect (``k1`` ... ``p2``).
 
     Args:
         size: of the color image, width and height [pixels].
@@ -77,6 +85,7 @@ def intrinsics_from(
             content = {**content, **content[name]}
     if content and all(str(key).isdigit() and isinstance(content[key], Mapping) for key in content):
         content = _of_image(content, image, where)
+    content = _with_common_names(content, where)
     own = tuple(
         int(_number(content, name, where)) if name in content else None for name in ("width", "height")
     )
@@ -87,6 +96,7 @@ def intrinsics_from(
             f"has {size[0]} x {size[1]}{_scale_hint((width, height), size)}"
         )
     coefficients = next((content[name] for name in _DISTORTION_NAMES if content.get(name)), [0.0])
+    coefficients = [*np.ravel(coefficients), *(content.get(name) or 0.0 for name in _COEFFICIENTS)]
     try:
         distorted = np.abs(np.asarray(coefficients, dtype=float)).max() > _DISTORTION
     except (TypeError, ValueError) as error:
@@ -103,11 +113,41 @@ def intrinsics_from(
     return _with_warnings(lens, unit, bool(distorted), where)
 
 
+def _with_common_names(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """The fields of ROS, OpenCV and BOP's camera models by the names that are read here.
+
+    Raises:
+        FungraspError: the camera is no pinhole.
+    """
+    # OpenCV and ROS write a matrix as rows, cols and data.
+    flat = {
+        name: value["data"] if isinstance(value, Mapping) and "data" in value else value
+        for name, value in content.items()
+    }
+    model = flat.get("cam_model")
+    if isinstance(model, Mapping):
+        kind, numbers = str(model.get("projection_model_type", "")), model.get("projection_params")
+        if not isinstance(numbers, list) or "PINHOLE" not in kind.upper() or len(numbers) not in (3, 4):
+            raise FungraspError(
+                f"{where}: the camera model {kind or 'without a name'} is no pinhole: undistort color and "
+                "depth to a pinhole camera and give that one's intrinsics"
+            )
+        flat |= dict(zip(("fx", "fy", "cx", "cy"), [numbers[0], *numbers][-4:], strict=True))
+        flat |= {name: model[name] for name in ("image_width", "image_height") if name in model}
+    for name in ("width", "height"):
+        if name not in flat and f"image_{name}" in flat:
+            flat[name] = flat[f"image_{name}"]
+    return flat
+
+
 def _with_warnings(lens: Intrinsics, unit: float | None, distorted: bool, where: str) -> FileIntrinsics:
     """The intrinsics with what looks wrong in them."""
     warnings = []
     if distorted:
         warnings.append(PerceptionWarning.of("lens_distorted"))
+    aside = max(abs(lens.cx / lens.width - 0.5), abs(lens.cy / lens.height - 0.5))
+    if aside > USUAL_OFF_CENTRE:
+        warnings.append(PerceptionWarning.of("axis_off_centre", cx=lens.cx, cy=lens.cy, part=100 * aside))
     if _turned(lens.width, lens.height, lens.cx, lens.cy):
         warnings.append(PerceptionWarning.of("axis_swapped", cx=lens.cx, cy=lens.cy))
     for warning in warnings:
@@ -139,6 +179,8 @@ def _from_matrix(matrix: Any, size: tuple[int, int], where: str) -> Intrinsics:
         k = np.array(matrix, dtype=float).reshape(3, 3)
     except (TypeError, ValueError) as error:
         raise FungraspError(f"{where}: the matrix of intrinsics must be 3 x 3 numbers") from error
+    if np.abs(k[[0, 1], [2, 2]]).max() < 1e-9 < np.abs(k[2, :2]).max():
+        k = k.T  # Open3D writes it column by column.
     if np.abs(k[[1, 2, 2], [0, 0, 1]]).max() > 1e-6 or abs(k[2, 2] - 1) > 1e-6 or abs(k[0, 1]) > 1.0:
         raise FungraspError(
             f"{where}: the matrix of intrinsics must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], row by row"

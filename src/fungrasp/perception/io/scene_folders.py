@@ -32,6 +32,7 @@ def read_folder(folder: str | Path, image: int | None = None, depth_unit: float 
 
     - ours: ``rgb.png``, ``depth.png``, ``K.json`` and, if there is one, ``mask.png``;
     - a BOP scene: see ``read_bop``;
+    - a capture for FoundationPose: see ``read_foundationpose``;
     - one camera of a DexYCB sequence: see ``read_dexycb``.
 
     Args:
@@ -52,12 +53,14 @@ def read_folder(folder: str | Path, image: int | None = None, depth_unit: float 
         return read_capture(color, depth, lens, depth_unit=depth_unit, mask=mask)
     if (folder / "scene_camera.json").is_file():
         return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image, depth_unit)
+    if (folder / "cam_K.txt").is_file():
+        return read_foundationpose(folder, image, depth_unit)
     frames = sorted(folder.glob("aligned_depth_to_color_*.png"))
     if frames:
         return read_dexycb(folder, int(frames[-1].stem[-6:]) if image is None else image, depth_unit)
     raise FungraspError(
-        f"{folder} is no capture: it has neither {LENS_FILE} (ours), nor scene_camera.json (a BOP scene), "
-        "nor aligned_depth_to_color_*.png (one camera of a DexYCB sequence)"
+        f"{folder} is no capture: it has neither {LENS_FILE} (ours), scene_camera.json (a BOP scene), "
+        "cam_K.txt (FoundationPose), nor aligned_depth_to_color_*.png (one camera of a DexYCB sequence)"
     )
 
 
@@ -117,6 +120,44 @@ def read_bop(scene: str | Path, image: int, depth_unit: float | None = None) -> 
     scene = Path(scene)
     color, depth = _picture(scene / "rgb", image), _picture(scene / "depth", image)
     return read_capture(color, depth, scene / "scene_camera.json", depth_unit=depth_unit, image=image)
+
+
+def read_foundationpose(
+    folder: str | Path, image: int | None = None, depth_unit: float | None = None
+) -> Capture:
+    """Read an image of a folder as FoundationPose takes it (github.com/NVlabs/FoundationPose).
+
+    ::
+
+        <folder>/cam_K.txt                       3 x 3 numbers
+        <folder>/rgb/0000001.png                 names of any kind, the same in each folder
+        <folder>/depth/0000001.png               [mm]
+        <folder>/masks/0000001.png               of the first image, if wanted
+
+    Args:
+        image: number in the order of the names; None takes the first.
+        depth_unit: meters per unit of depth, in place of a millimeter.
+
+    Raises:
+        FungraspError: a file is missing or bad.
+    """
+    folder = Path(folder)
+    colors = sorted(path for path in (folder / "rgb").glob("*") if path.suffix in _PICTURES)
+    if not 0 <= (image or 0) < len(colors):
+        raise FungraspError(f"{folder} has {len(colors)} images in its folder 'rgb': no image {image or 0}")
+    color = colors[image or 0]
+    try:
+        matrix = np.array((folder / "cam_K.txt").read_text().split(), dtype=float).tolist()
+    except (OSError, ValueError) as error:
+        raise FungraspError(
+            f"{folder / 'cam_K.txt'}: the matrix of intrinsics must be 3 x 3 numbers"
+        ) from error
+    height, width = read_color(color).shape[:2]
+    lens = intrinsics_from(matrix, (width, height), where=str(folder / "cam_K.txt"))
+    mask = folder / "masks" / color.with_suffix(".png").name
+    unit = MILLIMETRE if depth_unit is None else depth_unit
+    depth = folder / "depth" / color.with_suffix(".png").name
+    return read_capture(color, depth, lens.intrinsics, depth_unit=unit, mask=mask if mask.is_file() else None)
 
 
 def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None) -> Capture:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.acceptance import ACCEPT, SIZES, object_probability
+from fungrasp.perception.acceptance import ACCEPT, SIZES, object_score
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
 from fungrasp.perception.object_pose.object_template import ObjectTemplate, object_template
@@ -130,18 +130,17 @@ def search_object_pose(
 
 
 def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
-    """The best answer with its probability, and the others."""
+    """The best answer with its score, and the others."""
     poses, first = answers.poses, answers.evidence
     if first is None:
         problem = () if answers.problem is None else (answers.problem,)
         return ObjectEstimate(poses[0], 0.0, False, warnings=problem)
-    score = object_probability(first)
+    score = object_score(first)
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
-        # What is not known of another pose is taken to be as with the first.
-        explained = float(answers.scores.explained[i] * answers.scores.quality[i] / answers.scores.quality[0])
-        other = replace(first, explained=min(explained, first.explained))
-        others.append((poses[i], min(object_probability(other), score)))
+        # Poses of a near-symmetry share most of their pixels: the root of how well it fits, relative.
+        relative = float(answers.scores.quality[i] / max(answers.scores.quality[0], 1e-6))
+        others.append((poses[i], score * min(relative, 1.0) ** 0.5))
     return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
 
 
@@ -221,8 +220,8 @@ def score_given_pose(
 ) -> ObjectEstimate:
     """The same answer with the score that the depth gives it, whatever score its program gave.
 
-    The score means what it means for our own answers: the confidence that the mesh is within 10 mm (ADD-S) of
-    the pose. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
+    The score means what it means for our own answers: how clearly the mesh at the pose explains the
+    image. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
 
     Args:
         obj: a pose as another program gave it.

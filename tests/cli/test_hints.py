@@ -1,0 +1,50 @@
+"""Each command that is printed as the next one runs as it is printed, from objects of one's own."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fungrasp
+from fungrasp.cli.main import main
+from fungrasp.viewer.choose_page import ChosenPage, choose_page
+
+ROW = 50
+
+
+def hint(output: str) -> list[str]:
+    """The command line after ``next: fungrasp``."""
+    (words,) = re.findall(r"^next: fungrasp (.*)$", output, re.MULTILINE)
+    return shlex.split(words)
+
+
+def test_hints_lead_from_grasps_to_a_page(tmp_path: Path, monkeypatch, capsys) -> None:
+    pytest.importorskip("viser", reason="the extra viewer is not installed")
+    monkeypatch.chdir(tmp_path)
+    human = fungrasp.builtin_grasps()[ROW : ROW + 1]
+    Path("my meshes").mkdir()
+    fungrasp.load_object(str(human.object_name[0])).mesh.export("my meshes/mine.obj")
+    fields = {name: getattr(human, name) for name in human.FIELDS} | {"object_name": np.array(["mine"])}
+    fungrasp.HumanGraspSet(**fields).save("mine.npz")
+
+    shown = []
+
+    def view(what, objects, *, hand, **_):
+        page = choose_page(what, objects, hand)
+        shown.append(page)
+        return Path(page.title)
+
+    monkeypatch.setattr("fungrasp.viewer.view.view", view)
+    assert main(["retarget", "--grasps", "mine.npz", "--objects", "my meshes", "--out", "robot 1.npz"]) == 0
+    evaluate = hint(capsys.readouterr().out)
+    assert evaluate[0] == "evaluate" and "my meshes" in evaluate
+    assert main([*evaluate, "--json", "result.json"]) == 0
+    assert main(hint(capsys.readouterr().out)) == 0
+    (page,) = shown
+    assert isinstance(page, ChosenPage) and page.title == "Result"
+    result = page.make.keywords["shown"]
+    assert result.missing == "" and set(result.objects) == {"mine"}
