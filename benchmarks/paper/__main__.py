@@ -261,7 +261,15 @@ class PaperTable:
 
 def _row(trial: dict[str, Any]) -> dict[str, Any]:
     """What is kept of an episode."""
-    names = ("index", "object", "success", "reason", "contact_ratio", "sim_distance_hand_mm_s")
+    names = (
+        "index",
+        "object",
+        "success",
+        "held_as_shown",
+        "reason",
+        "contact_ratio",
+        "sim_distance_hand_mm_s",
+    )
     return {name: trial[name] for name in names}
 
 

@@ -92,11 +92,13 @@ def table_variants(table: str, only: Sequence[str] = ()) -> tuple[Variant, ...]:
 
 HEAD = (
     "policy",
+    "as shown",
     "nominal",
     "95 %",
     "contacts",
     "slip [mm/s]",
     "not adapted",
+    "reality, as shown",
     "reality",
     "95 %",
     "contacts",
@@ -112,14 +114,17 @@ def pooled(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         results: what ``result_json`` gave for each seed, on the same grasps.
 
     Returns:
-        ``success_rate`` and ``contact_ratio`` with the 95 % interval of the former (grasps drawn with
-        replacement: the same grasp under several seeds is not several grasps), success by seed, and the mean
-        speed with which objects slip in the hand [mm/s].
+        ``held_as_shown`` (None where earlier results do not know it), ``success_rate`` and
+        ``contact_ratio`` with the 95 % interval of the success (grasps drawn with replacement: the same grasp
+        under several seeds is not several grasps), success by seed, and the mean speed with which objects
+        slip in the hand [mm/s].
     """
     trials = [trial for result in results for trial in result["trials"]]
     success = np.array([trial["success"] for trial in trials], dtype=float)
     low, high = mean_interval(success, [trial["index"] for trial in trials])
+    shown = [trial.get("held_as_shown") for trial in trials]
     return {
+        "held_as_shown": None if None in shown else float(np.mean(shown)),
         "success_rate": float(success.mean()),
         "success_interval": [low, high],
         "success_by_seed": [result["success_rate"] for result in results],
@@ -145,17 +150,23 @@ def _row(variant: Variant, results: Mapping[str, Mapping[str, Any]]) -> tuple[st
     paper = variant.paper
     return (
         variant.title,
+        _share(nominal["held_as_shown"]),
         f"{nominal['success_rate']:.1%}",
         _interval(nominal),
         f"{nominal['contact_ratio']:.2f}",
         f"{nominal['slip_mm_s']:.1f}",
         f"{unadapted['success_rate']:.1%}",
+        _share(reality["held_as_shown"]),
         f"{reality['success_rate']:.1%}",
         _interval(reality),
         f"{reality['contact_ratio']:.2f}",
         "" if paper is None else f"{paper.success:.0%}",
         "" if paper is None else f"{paper.contact_ratio:.2f}",
     )
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1%}"
 
 
 def _interval(result: Mapping[str, Any]) -> str:

@@ -20,8 +20,8 @@ from fungrasp.viewer.choose_page import choose_page
 from fungrasp.viewer.episode_stage import EpisodeState, EpisodeStates
 from fungrasp.viewer.page import Worker
 from fungrasp.viewer.plan_page import planned_states
-from fungrasp.viewer.result_page import ShownResult
-from fungrasp.viewer.robot_view import RobotView
+from fungrasp.viewer.result_page import AS_SHOWN, FAILED, HELD, OTHERWISE, ShownResult, _kind, _reason
+from fungrasp.viewer.robot_view import RobotView, quality_rows
 
 pytest.importorskip("viser", reason="the extra viewer is not installed")
 
@@ -79,13 +79,31 @@ def test_a_hand_imitates_follows_and_is_judged(side, request):
     hand = hand if side == "right" else replace(hand, side="left")
     view = RobotView(server.scene, "/robot", np.zeros(3), hand, model)
     view.imitate(human, "angle-copy")
-    before = view.grasp
-    assert view.touch is not None and view.quality(human) is not None
+    before, quality = view.grasp, view.quality(human)
+    assert view.touch is not None and quality is not None and view.marks is not None
+    assert view.marks.shown.mean() == pytest.approx(quality.shown_share[0])
+    rows = dict(quality_rows([view], [quality]))
+    assert rows["As shown"] == ("yes ✓" if quality.held_as_shown[0] else "no ✗")
+    assert rows["Place error"] == f"{quality.place_error_mm[0]:.2f} mm"
+    assert len(view._marks._places) == 3
     away = human.object_pose + np.array([0.1, 0, 0, 0, 0, 0, 0])
     view.follow(replace(human, object_pose=away, hand_joints=human.hand_joints + np.array([0.1, 0, 0])))
     moved = view.grasp.wrist_pose[:3] - before.wrist_pose[:3]
     assert 0.05 < np.linalg.norm(moved) < 0.2
     assert len(view.grasp_set()) == 1
+    assert view.marks is None and not view._marks._places, "the person's places have moved on"
+
+
+def test_episodes_are_told_apart_by_how_they_were_held():
+    known = {"success": True, "place_error_mm": 12.0}
+    episodes = [
+        {"success": False, "reason": "held too low", "place_error_mm": 12.0},
+        {"success": True, "place_error_mm": None},
+        known | {"held_as_shown": False, "not_as_shown": "fingers do not touch"},
+        known | {"held_as_shown": True},
+    ]
+    assert [_kind(e) for e in episodes] == [FAILED, HELD, OTHERWISE, AS_SHOWN]
+    assert [_reason(e) for e in episodes] == ["held too low", "", "fingers do not touch", ""]
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,12 @@ import mujoco
 import numpy as np
 
 from fungrasp.geometry.poses import compose, invert, transform_points
+from fungrasp.grasps.as_shown import PlaceMarks
 from fungrasp.hands import Hand
 from fungrasp.media.grasp_scenes import CONTACT, SKIN
 from fungrasp.media.hand_mesh import human_hand_mesh
 from fungrasp.media.materials import painted_parts
+from fungrasp.media.pictures import AS_SHOWN, NOT_SHOWN
 from fungrasp.media.surfaces import drawn_geoms, geom_surface, model_materials
 from fungrasp.media.visual_meshes import dressed_model
 from fungrasp.objects import ObjectModel
@@ -158,6 +160,7 @@ class ContactMarks:
         self._scene, self._name = scene, name
         self._points: Any = None
         self._arrows: Any = None
+        self._places: list[Any] = []
 
     def points(self, places: np.ndarray, clearance: np.ndarray, within: float) -> None:
         """Mark points.
@@ -207,8 +210,28 @@ class ContactMarks:
         else:
             self._arrows.points = ends
 
+    def places(self, marks: PlaceMarks | None) -> None:
+        """Join the person's places, the larger points, to the robot's. marks: None for none."""
+        for handle in self._places:
+            handle.remove()
+        self._places = []
+        if marks is None or not len(marks.shown):
+            return
+        colors = np.array([AS_SHOWN if shown else NOT_SHOWN for shown in marks.shown], dtype=np.uint8)
+        ends = np.stack([marks.places, marks.points], axis=1).astype(np.float32)
+        lines = self._scene.add_line_segments(
+            f"{self._name}/lines", ends, np.stack([colors, colors], axis=1), thickness=0.002
+        )
+        self._places = [lines] + [
+            self._scene.add_point_cloud(
+                f"{self._name}/places{i}", ends[:, i], colors, point_size=size, point_shape="circle"
+            )
+            for i, size in enumerate((0.010, 0.006))
+        ]
+
     def clear(self) -> None:
         """Take all marks away."""
+        self.places(None)
         self._points, self._arrows = _removed(self._points), _removed(self._arrows)
 
 

@@ -65,7 +65,10 @@ def show_recording(
     player.status.content = "**success**" if trajectory.success else f"**failed: {trajectory.reason}**"
 
 
-ALL = "all"
+ALL, FAILED, HELD, OTHERWISE, AS_SHOWN = "all", "failed", "held", "held, not as shown", "held as shown"
+"""Kinds of episodes."""
+OUTCOMES = ("success", "reason", "held_as_shown", "not_as_shown", "place_error_mm")
+"""Fields of ``Outcomes`` that a page shows."""
 LISTED = 12
 """Episodes in the list at once."""
 
@@ -77,7 +80,7 @@ class ShownResult:
     title: str
     """Hand, policy and protocol in words."""
     episodes: list[dict[str, Any]]
-    """One for each: index, object, task, seed, success, reason."""
+    """One for each: index, object, task, seed, and those of ``OUTCOMES`` that are known."""
     spec: LiftTestSpec | None = None
     """What was asked; None where an old result does not know."""
     grasps: RobotGraspSet | None = None
@@ -98,8 +101,7 @@ class ShownResult:
                 "object": str(result.object_name[i]),
                 "task": str(result.task[i]),
                 "seed": int(result.seed[i]),
-                "success": bool(result.success[i]),
-                "reason": str(result.outcomes.reason[i]),
+                **{name: getattr(result.outcomes, name)[i].item() for name in OUTCOMES},
             }
             for i in range(len(result.index))
         ]
@@ -144,13 +146,16 @@ class ResultPage(BrowserPage):
         add_table(client)
         look_at(client, (0.0, 0.0, 0.12), 0.75)
         gui, episodes = client.gui, shown.episodes
-        held = sum(bool(e["success"]) for e in episodes)
-        gui.add_markdown(f"**{shown.title}**\n\n{held} of {len(episodes)} lifted and held")
+        kinds = [_kind(e) for e in episodes]
+        held = f"{sum(kind != FAILED for kind in kinds)} of {len(episodes)} held"
+        known = HELD not in kinds and any(kind != FAILED for kind in kinds)
+        held += f", {kinds.count(AS_SHOWN)} as shown" if known else ""
+        gui.add_markdown(f"**{shown.title}**\n\n{held}")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Episodes"):
-            self._outcome = gui.add_dropdown("Outcome", [ALL, "failed", "held"])
+            self._outcome = gui.add_dropdown("Outcome", [ALL, FAILED, HELD, OTHERWISE, AS_SHOWN])
             self._object = gui.add_dropdown("Object", [ALL, *sorted({str(e["object"]) for e in episodes})])
-            reasons = sorted({str(e.get("reason") or "") for e in episodes} - {""})
+            reasons = sorted({_reason(e) for e in episodes} - {""})
             self._reason = gui.add_dropdown("Reason", [ALL, *reasons])
             self._count = gui.add_markdown("")
             self._list = [gui.add_button("–", visible=False, color="gray") for _ in range(LISTED)]
@@ -169,11 +174,13 @@ class ResultPage(BrowserPage):
     def _rows(self) -> list[dict[str, Any]]:
         rows = self._shown.episodes
         if self._outcome.value != ALL:
-            rows = [e for e in rows if bool(e["success"]) == (self._outcome.value == "held")]
+            # All that is held, or one kind of it.
+            wanted = self._outcome.value
+            rows = [e for e in rows if wanted == _kind(e) or (wanted == HELD and e["success"])]
         if self._object.value != ALL:
             rows = [e for e in rows if e["object"] == self._object.value]
         if self._reason.value != ALL:
-            rows = [e for e in rows if e.get("reason") == self._reason.value]
+            rows = [e for e in rows if _reason(e) == self._reason.value]
         return rows
 
     def _filter(self) -> None:
@@ -192,9 +199,12 @@ class ResultPage(BrowserPage):
             for button, row in zip(self._list, [*here, *[None] * LISTED], strict=False):
                 button.visible = row is not None
                 if row is not None:
-                    how = "held" if row["success"] else f"failed: {row.get('reason') or '?'}"
+                    kind = _kind(row)
+                    error = row.get("place_error_mm") if kind in (OTHERWISE, AS_SHOWN) else None
+                    how = kind if error is None else f"{kind}, {error:.0f} mm"
+                    how += f": {row.get('reason') or '?'}" if kind == FAILED else ""
                     button.label = f"{row['index']} {row['object']} {row.get('task') or ''}: {how}"
-                    button.color = "green" if row["success"] else "red"
+                    button.color = "red" if kind == FAILED else "orange" if kind == OTHERWISE else "green"
             end = self._first + len(here)
             self._count.content = f"{len(rows)} episodes" + (
                 f", {self._first + 1} to {end} here; click one to play it" if rows else ""
@@ -258,12 +268,28 @@ def evaluate_row(
     return next(folder.rglob("*.npz"))
 
 
+def _kind(episode: Mapping[str, Any]) -> str:
+    """How an episode ended: ``HELD`` where the person's places are not known."""
+    if not episode["success"]:
+        return FAILED
+    error = episode.get("place_error_mm")
+    if error is None or not np.isfinite(error):
+        return HELD
+    return AS_SHOWN if episode.get("held_as_shown") else OTHERWISE
+
+
+def _reason(episode: Mapping[str, Any]) -> str:
+    """Why it failed, or was not held as shown; "" for neither."""
+    return str(episode.get("reason") or episode.get("not_as_shown") or "")
+
+
 def _by_object(episodes: list[dict[str, Any]]) -> str:
     rows = []
     for name in sorted({str(e["object"]) for e in episodes}):
-        flags = [bool(e["success"]) for e in episodes if e["object"] == name]
-        rows.append((name, f"{sum(flags)} of {len(flags)}"))
-    return values_table(rows, ("object", "held"))
+        kinds = [_kind(e) for e in episodes if e["object"] == name]
+        held = sum(kind != FAILED for kind in kinds)
+        rows.append((name, f"{held} of {len(kinds)}", str(kinds.count(AS_SHOWN))))
+    return values_table(rows, ("object", "held", "as shown"))
 
 
 def _options(command: str) -> dict[str, str]:

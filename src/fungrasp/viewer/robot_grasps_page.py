@@ -77,6 +77,8 @@ class RobotGraspsPage(BrowserPage):
             ("Penetration of the object", f"{max(0.0, -1e3 * float(touch.clearance.min())):.1f} mm"),
             ("Contacts reached", f"{int((touch.reached & asked).sum())} of {int(asked.sum())}"),
         ]
+        if self._view.marks is not None:
+            rows.append(("As shown", self._view.marks.words))
         rows += [
             (name.replace("_", " "), f"{float(v):.3g}") for name, v in grasp.extra.items() if np.ndim(v) == 0
         ]

@@ -15,6 +15,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import StaticQuality, static_quality
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, save_robot_grasps
+from fungrasp.grasps.as_shown import PlaceMarks, place_marks
 from fungrasp.grasps.conversion import mirrored_grasps
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -105,6 +106,8 @@ class RobotView:
         """Where it is now; contacts are those that the human grasp asks for."""
         self.touch: LinkTouch | None = None
         """What it touches."""
+        self.marks: PlaceMarks | None = None
+        """Its places beside the person's; None while it follows, or if they are not known."""
 
     def imitate(self, human: HumanGrasp, method: str) -> None:
         """Retarget a grasp, with contacts and the balance of forces."""
@@ -131,6 +134,8 @@ class RobotView:
             object_pose=one.object_pose,
             wrist_pose=pose.wrist_pose,
             joint_positions=pose.joint_positions,
+            shown_places=None,
+            shown_normals=None,
         )
         self._put()
 
@@ -157,7 +162,9 @@ class RobotView:
         keypoints = HandKinematics(self.hand, 1).keypoints(pose, joints)
         grasp = replace(self.grasp, keypoints=keypoints[0])
         columns: dict[str, Any] = {
-            f.name: np.asarray(getattr(grasp, f.name))[None] for f in fields(grasp) if f.name in _KEPT
+            f.name: np.asarray(getattr(grasp, f.name))[None]
+            for f in fields(grasp)
+            if f.name in _KEPT and getattr(grasp, f.name) is not None
         }
         return RobotGraspSet(
             hand=self.hand.name,
@@ -183,6 +190,10 @@ class RobotView:
         self.touch = self._distances.of(grasp.wrist_pose, grasp.joint_positions, grasp.object_pose)
         self.figure.paint(self.touch.reached, np.asarray(grasp.link_contacts, dtype=bool))
         self._marks.points(self.touch.place, self.touch.clearance, MARKED)
+        known = grasp.shown_places is not None
+        objects = {self.model.name: self.model}
+        self.marks = place_marks(self.grasp_set(), 0, objects, hand=self.hand) if known else None
+        self._marks.places(self.marks)
 
 
 _KEPT = (
@@ -195,6 +206,8 @@ _KEPT = (
     "keypoints",
     "link_contacts",
     "task",
+    "shown_places",
+    "shown_normals",
 )
 
 
@@ -206,13 +219,16 @@ def _one_sided(human: HumanGrasp, hand: Hand) -> HumanGraspSet:
 
 LEGEND = (
     "Orange: asked to touch, and touches. Pink: asked to, and does not. Yellow: touches without being asked. "
-    "Points: green on the surface, red inside the object."
+    "Points: green on the surface, red inside the object. Lines: from the person's places to the robot's, "
+    "green as shown, red not."
 )
 
 QUANTITIES = {
     "object_penetration_mm": ("Penetration of the object", "mm"),
     "contact_gap_mm": ("Gap at wanted contacts", "mm"),
-    "contact_error_mm": ("Contacts off the person's", "mm"),
+    "held_as_shown": ("As shown", ""),
+    "shown_share": ("Links as shown", ""),
+    "place_error_mm": ("Place error", "mm"),
     "link_direction_error_deg": ("Directions off the person's", "°"),
     "force_closure_residual": ("Forces that stay unbalanced", ""),
     "force_closure_epsilon": ("Weakest wrench resisted", ""),
@@ -262,6 +278,8 @@ def _worded(name: str, value: float, unit: str) -> str:
     """A number, marked where it is good or bad."""
     if not np.isfinite(value):
         return "–"
+    if name == "held_as_shown":
+        return "yes ✓" if value else "no ✗"
     good = {"object_penetration_mm": value < 2.0, "force_closure_residual": value < 0.1}.get(name)
     mark = "" if good is None else " ✓" if good else " ✗"
     return f"{value:.2f} {unit}".strip() + mark

@@ -39,7 +39,10 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
         tested.append((hand.name, variant.name, seed))
         trial = {"object": "mug", "reason": "", "contact_ratio": 0.5, "sim_distance_hand_mm_s": 1.0}
         success = [True, seed == 0 and hand.name != "shadow"]
-        trials = [{**trial, "index": index, "success": done} for index, done in enumerate(success)]
+        trials = [
+            {**trial, "index": index, "success": done, "held_as_shown": False}
+            for index, done in enumerate(success)
+        ]
         return {name: {"trials": trials, "success_rate": sum(success) / 2} for name in CONDITIONS}
 
     monkeypatch.setattr(PaperTable, "_trained", lambda *_: tmp_path / "policy.onnx")
@@ -51,7 +54,7 @@ def test_a_table_is_made_of_all_seeds_and_conditions_and_kept(tmp_path, capsys, 
     result = read_result(tmp_path / "out" / "hands.json")
     rates = [one["conditions"]["reality"]["success_rate"] for one in result.header["policies"]]
     assert rates == [0.5, 0.75, 0.75] and len(result.rows) == 3 * 2 * len(CONDITIONS) * 2
-    assert "Shadow" in out and "75.0%" in out
+    assert "Shadow" in out and "75.0%" in out and "as shown" in out and "0.0%" in out
     again = run_benchmark(capsys, *command, "--out", tmp_path / "out")
     assert again[0] == 0 and len(tested) == 6, "nothing is tested twice"
     other = run_benchmark(capsys, *command, "--steps", 1e5, "--out", tmp_path / "out")
