@@ -404,8 +404,8 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path, Low]:
     pytest.importorskip("mcap")
     path, policy = tmp_path_factory.mktemp("log") / "log.mcap", Low(1)
     with McapLog(path) as log:
-        # Let go of from so low, the glass of other grasps topples, and is not found where it stood.
-        return deploy(log, policy=policy, until="home", attempts=2, row=9), path, policy
+        # Let go of from so low, the objects of other grasps topple, and are not found where they stood.
+        return deploy(log, policy=policy, until="home", attempts=2, row=36), path, policy
 
 
 def test_what_is_held_too_low_is_put_down_and_lifted_by_another_attempt(twice: tuple[Any, Path, Low]) -> None:

@@ -10,6 +10,7 @@ import pytest
 import fungrasp
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
+from fungrasp.grasps import load_robot_grasps, save_robot_grasps
 from fungrasp.grasps.as_shown import ShownContacts, ShownJudge
 from fungrasp.media.grasp_pages import in_the_hold
 
@@ -81,6 +82,9 @@ def test_what_can_not_be_viewed_is_said(robot, tmp_path):
         fungrasp.view([1, 2], out=tmp_path / "view.html")  # type: ignore[arg-type]
     with pytest.raises(FungraspError, match="not of a str"):
         fungrasp.view("log.mcap", out=tmp_path / "view.html")
+    # A file does not hold the objects that a set carries.
+    robot_file = tmp_path / "robot.npz"
+    save_robot_grasps(robot_file, robot)
     with pytest.raises(FungraspError, match="the object 'can'"):
-        fungrasp.view(robot, {}, out=tmp_path / "view.html")
+        fungrasp.view(load_robot_grasps(robot_file), {}, out=tmp_path / "view.html")
     assert not (tmp_path / "view.html").exists()

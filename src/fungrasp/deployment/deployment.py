@@ -20,7 +20,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.attempts import make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotCommand, RobotError, RobotState, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.safety import check_action, check_pose
+from fungrasp.robots.safety import action_problem, check_pose
 from fungrasp.task import Policy
 from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict
 
@@ -254,7 +254,7 @@ class Deployment:
             if not step:
                 self.policy.reset(plan, observation)
             action = self.policy.act(observation)
-            problem = check_action(action, observation.palm_pose[0], robot.cell)
+            problem = action_problem(action, observation.palm_pose[0], robot.cell)
             if problem:
                 raise SafetyStop(problem, StopKind.HOLD)
             forced = action.lift | (observation.time >= p.approach_time - 1e-9)

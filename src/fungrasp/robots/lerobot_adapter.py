@@ -12,7 +12,7 @@ import numpy as np
 
 from fungrasp.robots.device import RobotError, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.safety import check_action
+from fungrasp.robots.safety import action_problem
 from fungrasp.task import Action
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -98,7 +98,7 @@ class LeRobotRobot:
             raise RobotError(f"the action lacks {', '.join(missing)}: it needs all of action_features")
         values = np.array([float(action[name]) for name in self.action_features])[None]
         asked, robot = Action(values[:, :7], values[:, 7:-1], values[:, -1] > 0.5), self._robot
-        problem = check_action(asked, robot.kinematics.palm_pose(robot.state().arm.positions), robot.cell)
+        problem = action_problem(asked, robot.kinematics.palm_pose(robot.state().arm.positions), robot.cell)
         if problem:
             robot.stop()
             raise SafetyStop(problem, StopKind.HOLD)

@@ -221,7 +221,7 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
     return ""
 
 
-def check_action(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
+def action_problem(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     """What is wrong with what a policy wants, as a phrase; "" if nothing is. What is not finite is found by
     ``check_setpoint``.
 
