@@ -2,7 +2,7 @@
 
 import fungrasp as fg
 
-human = fg.builtin_grasps()[::25]
+human = fg.builtin_grasps()[36:53:8]
 robot = fg.retarget(human, hand="allegro")
 plans = fg.plan(robot)
 result = fg.evaluate(robot, plans=plans)

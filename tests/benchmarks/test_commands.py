@@ -21,7 +21,7 @@ def human(tmp_path_factory):
 
 
 def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
-    def few(protocol, rollouts=True, for_use=False):
+    def few(protocol, rollouts=True, for_use=False, other_places=False):
         further = FurtherSearch(most=0)
         small = SelectionSettings(candidates=2, sure=0.0, first_rounds=((2, 1),), search=further)
         return small if rollouts else SelectionSettings(candidates=2, rollouts=None)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.records import BatchRecord, record_from_json, record_to_json
 from fungrasp.evaluation.contact_estimate import ContactEstimates
+from fungrasp.grasps.as_shown import AsShown, ShownContacts
 from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutResults
@@ -23,20 +24,24 @@ from fungrasp.planning.withdrawal import Waypoints
 from fungrasp.sim2real import PRESETS, EpisodeSample, Randomization
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged
 from fungrasp.task.attempt_judge import AttemptVerdict
+from fungrasp.task.outcome import HoldMiddle
 from fungrasp.task.use import UseOutcomes
 
 KINDS = (
     Action,
+    AsShown,
     AttemptRecord,
     AttemptVerdict,
     Belief,
     ContactEstimates,
     EpisodeSample,
     GraspPlan,
+    HoldMiddle,
     Observation,
     Outcomes,
     Privileged,
     RolloutResults,
+    ShownContacts,
     UseOutcomes,
     Waypoints,
 )

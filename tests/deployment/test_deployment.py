@@ -432,7 +432,7 @@ def test_the_log_of_two_attempts_replays_to_the_same_actions(twice: tuple[Any, P
 def test_the_last_attempt_that_fails_ends_at_home_with_an_open_hand(tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     with McapLog(tmp_path / "log.mcap") as log:
-        outcome = deploy(log, policy=Low(2), until="home", attempts=2)
+        outcome = deploy(log, policy=Low(2), until="home", attempts=2, row=36)
     assert outcome.fault == "" and outcome.phase is Phase.DONE
     assert outcome.missed and outcome.attempts == 2 and not outcome.success
     assert phases(tmp_path / "log.mcap")[-3:] == [Phase.WITHDRAW, Phase.HOME, Phase.DONE]
@@ -522,7 +522,7 @@ def test_a_slow_cell_has_the_plans_of_a_fast_one(names: tuple[str, ...]) -> None
 
 def test_no_plan_names_the_limit_that_forbids_it() -> None:
     cell, hand = cell_and_hand()
-    grasp, obj = grasp_and_object()
+    grasp, obj = grasp_and_object(36)
     home = np.array(cell.arm.home)
     for change, said in (
         ({"upper": (0.5, 0.5, 0.5)}, r"where the arm is now, .*z = 0\.67 m, and workspace\.upper has 0\.5"),
@@ -531,4 +531,4 @@ def test_no_plan_names_the_limit_that_forbids_it() -> None:
         small = replace(cell, workspace=replace(cell.workspace, **change))
         preparer = GraspPreparer(small, hand, obj, MotionPlanner(hand, {obj.name: obj}), advise=False)
         with pytest.raises(UnreachableError, match=said):
-            preparer.prepare(grasp, placed(), home, plans=1)
+            preparer.prepare(grasp, placed(36), home, plans=1)

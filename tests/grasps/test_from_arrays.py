@@ -14,8 +14,8 @@ from fungrasp.grasps.human_hand import MANO, OPENPOSE
 
 @pytest.fixture(scope="module")
 def shown():
-    """A grasp of the built-in mug, and its mesh as trimesh has it."""
-    grasp = fungrasp.builtin_grasps()[0]
+    """A built-in grasp, and its object's mesh as trimesh has it."""
+    grasp = fungrasp.builtin_grasps()[36]
     model = fungrasp.load_object(grasp.object_name)
     return grasp, trimesh.Trimesh(model.vertices, model.faces, process=False)
 
@@ -98,5 +98,5 @@ def test_a_guessed_mass_is_said_and_its_spread_kept(shown, caplog):
     assert found.object_mass == pytest.approx(model.mass) and found.object_mass_spread == pytest.approx(
         0.62, abs=0.02
     )
-    with pytest.raises(FungraspError, match=r"looks like millimeters"):
+    with pytest.raises(FungraspError, match=r"60 mm if it is in mm"):
         fungrasp.object_from_mesh(trimesh.creation.box((60, 40, 30)))

@@ -9,10 +9,10 @@ from fungrasp.robots.robot import Robot
 
 class _Device:
     def __init__(self, name: str, told: list[str], breaks: bool = False):
-        self._name, self._told, self._breaks = name, told, breaks
+        self.name, self._told, self._breaks = name, told, breaks
 
     def _do(self, what: str) -> None:
-        self._told.append(f"{self._name} {what}")
+        self._told.append(f"{self.name} {what}")
         if self._breaks:
             raise OSError("broken pipe")
 

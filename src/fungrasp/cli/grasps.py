@@ -468,6 +468,7 @@ def _draw(grasps: HumanGraspSet | RobotGraspSet, row: int, path: Path, objects: 
     from PIL import Image
 
     from fungrasp.core.files import atomic_path
+    from fungrasp.grasps import RobotGraspSet
     from fungrasp.grasps.as_shown import place_marks
     from fungrasp.media.pictures import grasp_pictures
     from fungrasp.objects import load_object
