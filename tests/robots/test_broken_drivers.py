@@ -34,6 +34,5 @@ def test_the_hand_is_closed_and_stopped_though_the_arms_driver_raises() -> None:
         Robot.close(robot)  # pyright: ignore[reportArgumentType]
     assert told == ["arm close", "hand close", "tracker close"]
     told.clear()
-    with pytest.raises(OSError, match="broken pipe"):
-        Robot.stop(robot)  # pyright: ignore[reportArgumentType]
+    Robot.stop(robot)  # pyright: ignore[reportArgumentType]
     assert told == ["arm stop", "hand stop"]

@@ -214,7 +214,9 @@ class Deployment:
         """Ask whether a phase may begin; meanwhile the robot stands still, and is watched as in motion. How
         long that took [s]."""
         robot, moving = self.robot, Phase.MOVE_TO_START in self._times
-        asked = when = robot.now()
+        asked = robot.now()
+        # The last setpoint of the phase before may have been sent just now.
+        when = asked + robot.setpoints.period
 
         def meanwhile() -> None:
             nonlocal when
