@@ -214,24 +214,23 @@ class Deployment:
         """Ask whether a phase may begin; meanwhile the robot stands still, and is watched as in motion. How
         long that took [s]."""
         robot, moving = self.robot, Phase.MOVE_TO_START in self._times
-        asked = robot.now()
-        # The last setpoint of the phase before may have been sent just now.
-        when = asked + robot.setpoints.period
+        asked = when = robot.now()
 
         def meanwhile() -> None:
             nonlocal when
+            # The last setpoint of the phase before may have been sent just now.
+            when += robot.setpoints.period
             robot.wait(when)
             robot.check_switch()
             if moving:
                 robot.send(robot.palm_follower_joints, robot.setpoints.fingers[0])
             else:
                 robot.state()
-            when += robot.setpoints.period
 
         for observer in self._observers:
             observer.confirm(phase, meanwhile)
-        if moving:
-            robot.wait(when)
+        if moving and when > asked:
+            robot.wait(when + robot.setpoints.period)
         return robot.now() - asked
 
     def _follow_policy(self, judge: AttemptJudge | None) -> None:
