@@ -40,7 +40,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     grasp = SimpleNamespace(object_name=np.array(["mug"]))
     monkeypatch.setattr(GraspChoice, "robot", lambda self, hand, seed=0: (grasp, {"mug": "a mug"}))
     monkeypatch.setattr(grasp_node, "deployment_task", lambda grasp, objects, spec: spec)
-    monkeypatch.setattr(hold_after_stop, "OPENING", 0.0)
+    monkeypatch.setattr(hold_after_stop, "OPENING", 0.05)
     monkeypatch.setattr(hold_after_stop, "LOOK", 0.01)
     stops: list[StopKind] = []
     robot: Any = SimpleNamespace(
