@@ -47,7 +47,12 @@ def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"
     assert "Use (press switch):" in page and "Use (press switch):" in said.out
     assert page.count("data:video/mp4;base64,") == 2, "the lift and the use"
-    assert ("wanted contacts reached" in page) and ("as shown" in page) and ("Place error" in page) and ("Slip" in page)
+    assert (
+        ("wanted contacts reached" in page)
+        and ("as shown" in page)
+        and ("Place error" in page)
+        and ("Slip" in page)
+    )
 
 
 @pytest.mark.parametrize(
