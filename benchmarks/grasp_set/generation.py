@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,11 @@ def made_grasps(
         FungraspError: there are none at all, or a part can't be written.
     """
     found = run_job(Generation(objects, count, seed), store, progress=progress)
-    sets = [HumanGraspSet(**arrays) for arrays in found if arrays and len(arrays["object_name"])]
+    sets: list[HumanGraspSet] = []
+    for arrays in found:
+        if arrays and len(arrays["object_name"]):
+            fields: dict[str, Any] = dict(arrays)
+            sets.append(HumanGraspSet(**fields))
     if not sets:
         raise FungraspError("none of the objects can be held")
     return HumanGraspSet.concatenate(sets)

@@ -69,7 +69,8 @@ class PerceivedGrasps:
         if "refused" in seen:
             self.refused[self.numbers[row]] = str(seen["refused"])
             return None
-        return retarget(HumanGraspSet(**seen), self._objects, self._hand, threads=self._threads)
+        fields: dict[str, Any] = dict(seen)
+        return retarget(HumanGraspSet(**fields), self._objects, self._hand, threads=self._threads)
 
     @property
     def about(self) -> Mapping[str, Any]:
