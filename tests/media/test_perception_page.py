@@ -33,7 +33,7 @@ from fungrasp.perception.acceptance import Acceptance, Meter
 from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER
 from fungrasp.perception.io.scene_folders import builtin_truth, read_folder
-from fungrasp.perception.perceived import Perceived, PerceptionQuality
+from fungrasp.perception.perceived import Perceived
 
 CAPTURE = read_folder(FOLDER)
 TRUTH = builtin_truth()
@@ -79,7 +79,6 @@ def perceived(**changes) -> Perceived:
             "object": ObjectEstimate(pose, 0.95, True),
             "table": np.array([0.0, -1.0, 0.0, 0.4]),
             "table_found": True,
-            "quality": PerceptionQuality(2.0, 0.0004, 0.002, 0.003),
             "warnings": (),
             "acceptance": Acceptance(True, 0.95, 0.9, METERS, ()),
             **changes,

@@ -91,9 +91,6 @@ def test_an_image_becomes_a_grasp():
     grasp = perceived.grasp
     assert (grasp.object_name, grasp.object_mass, grasp.task) == ("mug", scene.model.mass, "drink")
     assert grasp.link_contacts[[3, 15]].any() and 3 <= grasp.link_contacts.sum() <= 12
-    quality = perceived.quality
-    assert quality.reprojection_px < 10 and quality.hand_residual_m < 0.008
-    assert quality.depth_residual_m < 0.003 and quality.penetration_m < 0.012
     judged = perceived.acceptance
     assert judged.sure and judged.object == perceived.object.score > 0.8 and not judged.help
 
