@@ -430,6 +430,7 @@ def test_the_record_goes_on_and_says_what_happened():
     np.testing.assert_array_equal(found.grasps[0].hand_joints, found.grasp.hand_joints)
     trace = found.trace
     assert trace.detected == (detected,) and len(trace.candidates) == 1 and trace.candidate.holds
+    assert trace.candidate.answers is not None
     np.testing.assert_array_equal(trace.candidate.answers.poses[0], found.object.pose_camera_object)
     stages = ["mesh", "detection", "hand", "table", "object", "refinement", "grasp"]
     assert list(trace.seconds) == stages
@@ -461,7 +462,7 @@ def test_a_hand_of_another_size_tells_of_a_wrong_scale():
     capture = scaled(scene.capture, 1.5)
     found = perceive(capture, scene.model, detector=StandIn(large))
     (warning,) = (one for one in found.warnings if one.code == "hand_size")
-    assert 1.25 < warning.values["size"] < 1.6 and not found.confident
+    assert 1.25 < float(warning.values["size"]) < 1.6 and not found.confident
     assert not any(one.code == "hand_size" for one in seen().warnings)
     # A shape that is fitted takes any size: the hand's is all that is known of the scale.
     shape = perceive(capture, "unknown", detector=StandIn(large))

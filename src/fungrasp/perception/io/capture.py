@@ -206,7 +206,7 @@ class Capture:
             color,
             np.ascontiguousarray(self.depth[whole][middle::stride, middle::stride]),
             dataclasses.replace(lens, width=width * stride, height=height * stride).resized(width, height),
-            None if self.mask is None else self.mask[whole].reshape(blocks).any(axis=(1, 3)),
+            None if self.mask is None else np.asarray(self.mask[whole].reshape(blocks).any(axis=(1, 3))),
             box,
             point,
             self.warnings,
