@@ -288,7 +288,7 @@ def test_joints_that_are_no_hand_still_make_a_page(tmp_path):
 
 def test_the_demo_image_is_small_and_its_truth_is_known():
     assert sum(file.stat().st_size for file in FOLDER.iterdir()) < 600_000
-    errors = {item.name: item.value for item in true_errors(TRUTH, perceived())}
+    errors = {item.name: float(item.value) for item in true_errors(TRUTH, perceived())}
     assert max(errors.values()) < 1e-4
     surface = transform_points(TRUTH.pose_camera_object, MODEL.vertices)
     columns, rows = np.round(CAPTURE.intrinsics.project(surface)).astype(int).T
