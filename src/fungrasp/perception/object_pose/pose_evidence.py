@@ -195,8 +195,8 @@ class SilhouetteEdges:
     """What the outline of a pose says about it."""
 
     larger: float
-    """By how much the outline in the image is larger than the silhouette, from the middle [pixels]; negative:
-    smaller. NaN where too little of it is seen."""
+    """By how much the outline in the image is larger than the silhouette, from the middle [pixels of an image
+    640 wide]; negative: smaller. NaN where too little of it is seen."""
     off: float
     """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
     [pixels]; NaN as above."""
@@ -248,7 +248,8 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> Silhouet
             height = rays.reshape(*depth.shape, 3) @ view.table[:3] * depth + view.table[3]
             pieces &= height > plane_tolerance(depth)
         piece = step**2 * _largest_piece(pieces, away)
-    return SilhouetteEdges(step * larger, step * off, meters * far / view.known.size, piece)
+    scale = step * 640 / lens.width
+    return SilhouetteEdges(scale * larger, scale * off, meters * far / view.known.size, piece)
 
 
 def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
