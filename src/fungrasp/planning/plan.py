@@ -14,7 +14,6 @@ from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings
 from fungrasp.planning.planner import Planner
 from fungrasp.planning.selection.search import SearchPlanner
 from fungrasp.planning.selection.settings import SelectionSettings
-from fungrasp.planning.selection.success_predictor import NetworkPredictor
 from fungrasp.policies import OpenLoopPolicy, policy_files
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
 from fungrasp.policies.registry import PLAN, REFERENCE
@@ -103,11 +102,10 @@ def make_planner(
     files = policy_files("student" if name == PLAN else name, hand.name)
     if files.predictor is None:
         return MotionPlanner(hand, objects, motions, protocol)
-    predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
     policy: Policy = OpenLoopPolicy()
     if files.network is not None:
         check_card(read_card(files.network), hand)
         made = residual_policy(load_policy(files.network), hand, objects)
         policy = made  # pyright: ignore[reportAssignmentType]
     digest = files.digests()[0]
-    return SearchPlanner(hand, objects, predictor, policy, digest, settings, protocol, threads, motions)
+    return SearchPlanner(hand, objects, policy, digest, settings, protocol, threads, motions)
