@@ -3,7 +3,7 @@
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.policies.registry import KINDS, policy_files
+from fungrasp.policies.registry import KINDS, policy_source
 
 
 @pytest.mark.parametrize(
@@ -13,5 +13,5 @@ from fungrasp.policies.registry import KINDS, policy_files
 def test_kinds_that_do_not_come_for_a_hand_say_what_makes_them(kind, commands):
     assert kind in KINDS
     with pytest.raises(FungraspError, match="'my_hand'") as refused:
-        policy_files(kind, "my_hand")
+        policy_source(kind, "my_hand")
     assert all(f"fungrasp {command}" in str(refused.value) for command in commands)

@@ -110,8 +110,8 @@ def vary(
 
 
 HOPE, HOPE_WEIGHT = 0.7, 2.0
-"""What is expected of a candidate before its first rollout, and the number of rollouts that this stands for: one
-that fails at once comes after those not tried yet, one that holds comes first."""
+"""Success expected of a candidate before its first rollout, and the number of rollouts that this stands for:
+one that fails at once comes after those not tried yet, one that holds comes first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,8 @@ class Tally:
         return cls(promise, *(np.zeros(promise.shape) for _ in range(4)))
 
     def hope(self, other_places: float, share: float) -> np.ndarray:
-        """What candidates are tried in the order of: success as shown if ``HOPE`` was expected, and the bonus.
+        """The larger, the sooner a candidate is tried: success as shown if ``HOPE`` was expected, and the
+        bonus.
 
         Args:
             other_places: what success otherwise than shown counts.
@@ -148,8 +149,8 @@ class Tally:
         return np.where(self.promise > 0, hope, -np.inf)
 
     def expected(self, counted: np.ndarray) -> np.ndarray:
-        """Share of the rollouts that ``counted``, where as many are added as ``HOPE_WEIGHT`` says that go like
-        those of all candidates of the grasp: luck counts less where little holds."""
+        """Share of the rollouts that ``counted``; ``HOPE_WEIGHT`` more are added that go like those of all
+        candidates of the grasp, so that luck counts less where little holds."""
         common = (counted.sum(axis=0) + HOPE_WEIGHT * HOPE) / (self.tried.sum(axis=0) + HOPE_WEIGHT)
         mean = (counted + HOPE_WEIGHT * common) / (self.tried + HOPE_WEIGHT)
         return np.where(self.promise > 0, mean, 0.0)
@@ -242,7 +243,8 @@ def propose(
         grasps: to vary, G after G, K G of them.
         attempts: number of each variation, shape [K G].
         search: another number of the variations.
-        promise: of plans for tasks (``use_strength.chance_of_use``); one if None, and where grasps have no task.
+        promise: of plans for tasks (``use_strength.chance_of_use``); one if None, and for grasps without a
+            task.
     """
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
@@ -251,8 +253,9 @@ def propose(
     for first in range(0, len(grasps), chunk):
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
-        ones = np.ones(len(plans[-1]))
-        known = promise is not None and varied.task is not None
-        promised.append(promise(plans[-1], varied.task[rows]) if known else ones)
+        if promise is None or varied.task is None:
+            promised.append(np.ones(len(plans[-1])))
+        else:
+            promised.append(promise(plans[-1], varied.task[rows]))
     made = np.concatenate(promised).reshape(-1, count)
     return Candidates(varied, GraspPlan.join(plans), Tally.untried(made))

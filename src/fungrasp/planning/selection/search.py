@@ -192,14 +192,14 @@ class SearchPlanner:
             roll(pool, grasps, np.concatenate(chosen), which)
 
     def _sure(self, pool: Candidates) -> np.ndarray:
-        """Of which grasps a candidate is as good as one that held as shown ``confirmations`` times of as many,
-        shape [S] bool. In use, what passes counts a little less than one."""
+        """Grasps of which a candidate is as good as one that held as shown in ``confirmations`` of as many
+        rollouts, shape [S] bool. In use, what passes counts a little less than one."""
         s, tally = self.settings, pool.tally
         passed = WITHSTOOD if s.for_use else 1.0
         counted = tally.shown + s.other_places * (tally.held - tally.shown)
         mean = (counted + HOPE_WEIGHT * HOPE) / (tally.tried + HOPE_WEIGHT)
         enough = (passed * s.confirmations + HOPE_WEIGHT * HOPE) / (s.confirmations + HOPE_WEIGHT)
-        return ((tally.tried >= s.confirmations) & (mean >= enough - 1e-9)).any(axis=0)
+        return np.any((tally.tried >= s.confirmations) & (mean >= enough - 1e-9), axis=0)
 
     def _varied_again(
         self,

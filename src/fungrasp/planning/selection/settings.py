@@ -23,9 +23,8 @@ GPU_CHUNK = 8192
 class SelectionSettings:
     """How many candidates of a grasp are planned and tried until one is sure.
 
-    The leading candidate is tried once more, again and again, until it has been held as shown in
-    ``confirmations`` of as many rollouts. One that fails falls behind. Where none is sure, the best are varied
-    again, more widely.
+    The leading candidate is tried again and again until it has been held as shown in ``confirmations`` of as
+    many rollouts. One that fails falls behind. Where none is sure, the best are varied again, more widely.
     """
 
     candidates: int = 8
@@ -43,8 +42,8 @@ class SelectionSettings:
     spread: VariationSpread = WIDE_SPREAD
     """Of the further searches."""
     for_use: bool = False
-    """Whether the use motions of the grasps' tasks count: candidates whose contacts can take more of their loads
-    are tried first, and rollouts go on with them."""
+    """Whether the use motions of the grasps' tasks count: candidates whose contacts can take more of their
+    loads are tried first, and rollouts go on with them."""
     other_places: float = 0.0
     """What a plan that holds the object otherwise than shown counts, where one that is as shown counts one;
     ``OTHER_PLACES`` where such plans are allowed."""
@@ -104,6 +103,6 @@ class SelectionSettings:
         return self.confirmations, self.budget(0) + self.searches * self.budget(1)
 
     def budget(self, search: int) -> int:
-        """Most rollouts of a grasp after the first candidates (0) or a further search: each candidate once, and
-        two of them to the end."""
+        """Most rollouts of a grasp, of the first candidates (0) or in a further search: each candidate once,
+        and two of them to the end."""
         return (self.more if search else self.candidates) + 2 * self.confirmations
