@@ -8,7 +8,7 @@ from fungrasp.policies.registry import KINDS, policy_source
 
 @pytest.mark.parametrize(
     ("kind", "commands"),
-    [("teacher", ["train"]), ("student", ["train", "distill"]), ("predictor", ["predictor"])],
+    [("teacher", ["train"]), ("student", ["train", "distill"])],
 )
 def test_kinds_that_do_not_come_for_a_hand_say_what_makes_them(kind, commands):
     assert kind in KINDS

@@ -1,5 +1,4 @@
-"""``fungrasp train``, ``distill`` and ``predictor``: policies learn from reward, students from their teacher,
-and success predictors from tried plans.
+"""``fungrasp train`` and ``distill``: policies learn from reward, students from their teacher.
 Options are the fields of the verb's spec, which a command holds as ``spec`` without a name of its own.
 """
 
