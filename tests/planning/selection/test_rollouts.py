@@ -61,6 +61,7 @@ def test_what_holds_is_chosen():
     chosen = pool.best(0.0)
     np.testing.assert_array_equal(chosen.finger_targets, plan().finger_targets)
     common = (tally.held.sum(axis=0) + HOPE_WEIGHT * HOPE) / (9 + HOPE_WEIGHT)
+    assert chosen.expected_success is not None
     np.testing.assert_allclose(chosen.expected_success, (3 + HOPE_WEIGHT * common) / (3 + HOPE_WEIGHT))
     assert chosen.rollouts is not None and chosen.rollouts.tolist() == [9, 9]
 
