@@ -59,8 +59,8 @@ class RolloutSettings:
     """Time that the object has to be held [s]: a third of the test's finds the same plans in less time."""
     rehearsal: int = 3
     """Each so many-th rollout of a candidate is the whole motion in the believed world, with the physics and
-    the hold of the lift test: half of the plans that failed after short rollouts alone dropped the object late,
-    or touched it on the way."""
+    the hold of the lift test: half of the plans that failed after short rollouts alone dropped their object
+    late, or touched it on the way."""
     early: int = 2
     """Control steps before the fingers close at which rollouts begin; where the approach is not free
     (``BLOCKED``), they begin where it begins."""
