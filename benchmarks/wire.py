@@ -260,7 +260,6 @@ class _Alone(DeploymentObserver):
     """Nobody is there who would say that the hand may let go."""
 
     def hold(self, robot: Robot) -> bool:
-        """See ``DeploymentObserver.hold``."""
         return True
 
 

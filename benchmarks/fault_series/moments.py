@@ -107,7 +107,6 @@ class PreparerOf:
     def prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
     ) -> PreparedGrasp:
-        """See ``Preparer.prepare``."""
         self._said(PLAN)
         clock = self._robot.clock
         clock.sleep_until(clock.now() + PLAN_TIME)
@@ -123,15 +122,12 @@ class Happened(DeploymentObserver):
         self._said, self._judge = said, judge
 
     def phase(self, time: float, phase: Phase) -> None:
-        """See ``DeploymentObserver.phase``."""
         self._said(phase.value)
 
     def fault(self, time: float, reason: str) -> None:
-        """See ``DeploymentObserver.fault``."""
         self._said(Phase.FAULT.value)
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentObserver.setpoint``."""
         if self._judge is not None:
             self._judge.watch(phase is Phase.HOLD)
 

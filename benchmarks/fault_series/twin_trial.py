@@ -41,7 +41,6 @@ class FaultClock(TwinClock):
     """What happens; may raise."""
 
     def sleep_until(self, when: float) -> None:
-        """See ``Clock.sleep_until``."""
         if not self.watch.times and when >= self._when:
             super().sleep_until(self._when)
             self.watch.look()
@@ -62,7 +61,6 @@ class SpoiledPolicy(OpenLoopPolicy):
         """What it does to its action."""
 
     def act(self, observation: Observation) -> Action:
-        """See ``Policy.act``."""
         action = super().act(observation)
         self.spoil(action)
         return action

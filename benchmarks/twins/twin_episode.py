@@ -107,7 +107,6 @@ class RememberingPlanner:
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """See ``Planner.plan``."""
         return self._remembered(belief, seed, lambda: self._planner.plan(grasps, belief, seed, progress))
 
     def plan_within(

@@ -161,16 +161,13 @@ class GraspJob(DeploymentObserver):
             return self._deploy(task, (log, self), switch)
 
     def phase(self, time: float, phase: Phase) -> None:
-        """See ``DeploymentObserver.phase``."""
         self.now = phase.value
         self._told(phase.value)
 
     def fault(self, time: float, reason: str) -> None:
-        """See ``DeploymentObserver.fault``."""
         self.phase(time, Phase.FAULT)
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentObserver.setpoint``."""
         self.states = {"arm": state.arm, "hand": state.hand}
 
     def hold(self, robot: Robot) -> bool:

@@ -169,7 +169,7 @@ class Emulate:
         from fungrasp.deployment.twin_deployment import reachable_placement
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
-        from fungrasp.robots.optional_packages import import_emulators
+        from fungrasp.robots.device import import_emulators
         from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
         from fungrasp.task import LiftProtocol

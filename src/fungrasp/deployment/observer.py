@@ -76,7 +76,6 @@ class PhaseQuestions(DeploymentObserver):
         self._switch = switch
 
     def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
-        """See ``DeploymentObserver.confirm``."""
         question = f"next, {MOTIONS[phase]}. Type '{YES}' to go on, anything else stops here: "
         try:
             answer = self._switch.ask(question, meanwhile)

@@ -140,7 +140,6 @@ class _Planned:
     def prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
     ) -> PreparedGrasp:
-        """See ``Preparer.prepare``."""
         return self._prepared
 
 

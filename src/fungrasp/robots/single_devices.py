@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -78,8 +77,8 @@ def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
     return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
 
 
-class GuardedDriver:
-    """A ``JointDriver`` around that of an arm or a hand, to move it alone: what it is told passes the stop
+class GuardedDriver(JointDriver):
+    """Around the driver of an arm or a hand, to move it alone: what it is told passes the stop
     switch and the guard. Whatever is wrong stops the device."""
 
     def __init__(
@@ -114,11 +113,9 @@ class GuardedDriver:
         self._guard.reset()
 
     def take_control(self) -> None:
-        """See ``JointDriver.take_control``."""
         self._driver.take_control()
 
     def read(self) -> JointState:
-        """See ``JointDriver.read``."""
         return self._driver.read()
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
@@ -143,20 +140,10 @@ class GuardedDriver:
             raise
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """See ``JointDriver.stop``."""
         self._driver.stop(kind)
 
     def close(self) -> None:
-        """See ``JointDriver.close``."""
         self._driver.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.stop()
-        self.close()
 
 
 def guarded_driver(

@@ -31,7 +31,7 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.perception import Intrinsics
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import import_client
 
 LEAST_VIEWS = 5
 """Three would determine the answer; with fewer than five nothing would tell a bad one."""

@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from fungrasp.perception import Capture
 from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
-from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
+from fungrasp.robots.device import PoseSource, RobotError, TrackedPose, TrackingStatus
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class FrameSource(Protocol):
         ...
 
 
-class RealSenseFrames:
+class RealSenseFrames(FrameSource):
     """A RealSense camera (extra ``realsense``), by ``RealSenseCamera``: a frame counts as taken when its own
     time stamp says so, or as it arrives where that is of another clock."""
 
@@ -71,7 +71,6 @@ class RealSenseFrames:
         self.name, self._open = self._camera.name, False
 
     def connect(self) -> None:
-        """See ``FrameSource.connect``."""
         try:
             self._camera.__enter__()
         except FungraspError as error:
@@ -84,7 +83,6 @@ class RealSenseFrames:
         return None if frame is None else Frame(frame.capture(), frame.time)
 
     def close(self) -> None:
-        """See ``FrameSource.close``."""
         self._open = False
         self._camera.__exit__()
 
@@ -98,8 +96,8 @@ LOST_FRAMES = 10
 _log = logging.getLogger(__name__)
 
 
-class CameraTracker:
-    """``PoseSource`` of a camera that stands still."""
+class CameraTracker(PoseSource):
+    """Of a camera that stands still."""
 
     def __init__(
         self,
@@ -129,7 +127,6 @@ class CameraTracker:
         self._end = threading.Event()
 
     def connect(self) -> None:
-        """See ``PoseSource.connect``."""
         if self._thread is not None:
             raise RobotError(f"{self.name} is connected already")
         try:
@@ -144,23 +141,14 @@ class CameraTracker:
         self._thread.start()
 
     def read(self) -> TrackedPose | None:
-        """See ``PoseSource.read``."""
         return self._newest
 
     def close(self) -> None:
-        """See ``PoseSource.close``."""
         self._end.set()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
         self._frames.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _run(self) -> None:
         while not self._end.is_set():
