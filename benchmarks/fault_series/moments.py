@@ -10,8 +10,8 @@ import numpy as np
 
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
+from fungrasp.deployment.spec import Phase
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -22,9 +22,8 @@ from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
-from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import cell_twin
-from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.twin.world import TwinJudge, TwinWorld
 from fungrasp.task import Policy
 
 PLAN_TIME = 0.8

@@ -99,7 +99,6 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
             # An error of the policy's is raised anew.
             with suppress(ZeroDivisionError):
                 run.deployment.run(scene.grasp)
-            machine = run.deployment.machine
             clock.sleep_until(world.time + WATCHED)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -107,9 +106,9 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
         scene,
         drawn,
         clock.watch,
-        ended=machine.phase,
+        ended=run.deployment.phase,
         when=clock.watch.times[0],
-        reason=machine.fault,
+        reason=run.deployment.fault,
         lifted=run.judge.success,
     )
 

@@ -17,8 +17,7 @@ from driver_contract import wait_for
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment import hold_after_stop
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.spec import GraspChoice
+from fungrasp.deployment.spec import GraspChoice, Phase
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, JointState, StopKind, WallClock
 from fungrasp_ros2 import grasp_node

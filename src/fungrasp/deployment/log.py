@@ -29,7 +29,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.robots.device import JointState, RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation, Policy
 
@@ -164,11 +164,8 @@ class RecordedDeployment:
 
 
 def read_log(path: str | Path) -> RecordedDeployment:
-    """Read a log, that of a deployment that died included.
-
-    Raises:
-        FungraspError: mcap is not installed, there is no such file, or it is no log.
-    """
+    """Read a log, that of a deployment that died included. Raises: FungraspError: mcap is not installed,
+    there is no such file, or it is no log."""
     try:
         from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
     except ImportError as error:
@@ -209,11 +206,8 @@ class ReplayResult:
 
 
 def replay_log(log: RecordedDeployment, policy: Policy) -> ReplayResult:
-    """Show a policy the observations of a log: it must answer as it did.
-
-    Raises:
-        FungraspError: the log ends before the policy began.
-    """
+    """Show a policy the observations of a log: it must answer as it did. Raises: FungraspError: the log ends
+    before the policy began."""
     if log.plan is None or not log.observations:
         raise FungraspError("the log ends before the policy began: nothing to replay")
     policy.reset(log.plan, log.observations[0])

@@ -236,10 +236,7 @@ class SafetyStop(RobotError):
     """The robot was stopped by its guard."""
 
     def __init__(self, reason: str, kind: StopKind = StopKind.HOLD):
-        """
-        Args:
-            reason: what was wrong, as a phrase.
-        """
+        """reason: what was wrong, as a phrase."""
         super().__init__(f"the robot was stopped ({kind}): {reason}")
         self.reason, self.kind = reason, kind
 

@@ -102,11 +102,8 @@ def within_speed(
 
 
 def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str:
-    """What is wrong with where a robot would be, as a phrase; "" for nothing.
-
-    Args:
-        palm: world frame, shape [7].
-    """
+    """What is wrong with where a robot would be, as a phrase; "" for nothing. palm: world frame, shape
+    [7]."""
     return outside(palm, box) or clearance.fault(box)
 
 
@@ -141,11 +138,7 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
 
 def action_problem(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     """What is wrong with what a policy wants, as a phrase; "" if nothing is. What is not finite is found by
-    the guard.
-
-    Args:
-        palm: where it is measured, world frame, shape [7].
-    """
+    the guard. palm: where it is measured, world frame, shape [7]."""
     far = float(np.linalg.norm(action.palm_goal_world[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
@@ -197,11 +190,8 @@ class SafetyGuard:
         be as much later."""
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
-        """What may be sent of a command: within the limits of position and speed.
-
-        Raises:
-            SafetyStop: nothing may be sent.
-        """
+        """What may be sent of a command: within the limits of position and speed. Raises: SafetyStop: nothing
+        may be sent."""
         for values in (command.arm, command.hand, command.feedforward, command.palm):
             if not np.isfinite(values).all():
                 raise SafetyStop("a setpoint is not finite")

@@ -115,10 +115,7 @@ class URLoop(DeviceLoop):
     """Of a UR arm."""
 
     def __init__(self, settings: URSettings):
-        """
-        Args:
-            settings: how the arm is connected and how fast it may move.
-        """
+        """settings: how the arm is connected and how fast it may move."""
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
@@ -444,10 +441,7 @@ class URLoop(DeviceLoop):
 
 def arm_flange(arm: str) -> Callable[[Sequence[float]], np.ndarray]:
     """Where the flange of an arm's model is, in its ``base_link`` [m], shape [3], by joints [rad], shape [6].
-
-    Args:
-        arm: name or file of the model.
-    """
+    arm: name or file of the model."""
     # Here: looking at an arm needs no engine.
     import mujoco
 

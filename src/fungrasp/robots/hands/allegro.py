@@ -100,10 +100,7 @@ class AllegroLoop(DeviceLoop):
     """Of an Allegro Hand."""
 
     def __init__(self, settings: AllegroSettings):
-        """
-        Args:
-            settings: how the hand is connected and controlled.
-        """
+        """settings: how the hand is connected and controlled."""
         self.settings = settings
         self.name = (
             f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"

@@ -92,10 +92,7 @@ class InspireLoop(DeviceLoop):
     """Of an Inspire hand."""
 
     def __init__(self, settings: InspireSettings):
-        """
-        Args:
-            settings: how the hand is connected.
-        """
+        """settings: how the hand is connected."""
         self.settings = settings
         # Several hands may be reached through one computer, each at a port of its own.
         port = "" if settings.port == InspireSettings.port else f":{settings.port}"

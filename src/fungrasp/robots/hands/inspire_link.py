@@ -120,12 +120,8 @@ def encode_frame(head: bytes, frame: InspireFrame) -> bytes:
 
 
 def split_frames(head: bytes, stream: bytes) -> tuple[list[InspireFrame], bytes]:
-    """Whole frames in a stream, and what may be the start of another; bytes that are none are skipped, as
-    are frames whose checksum is wrong.
-
-    Args:
-        head: ``REQUEST`` or ``ANSWER``.
-    """
+    """Whole frames in a stream, and what may be the start of another; bytes that are none are skipped, as are
+    frames whose checksum is wrong. head: ``REQUEST`` or ``ANSWER``."""
     frames = []
     while True:
         at = stream.find(head)

@@ -122,10 +122,7 @@ class LeapLoop(DeviceLoop):
     """Of a LEAP hand."""
 
     def __init__(self, settings: LeapSettings):
-        """
-        Args:
-            settings: how the hand is connected and controlled.
-        """
+        """settings: how the hand is connected and controlled."""
         self.settings = settings
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after

@@ -74,11 +74,8 @@ def message_entries(message: PoseMessage) -> dict[str, Any]:
 
 
 def read_message(entries: Any) -> PoseMessage:
-    """The message that was packed.
-
-    Raises:
-        RobotError: it is none, of another version, or holds impossible values.
-    """
+    """The message that was packed. Raises: RobotError: it is none, of another version, or holds impossible
+    values."""
     if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
         raise RobotError(f"a message of another kind came instead of '{SCHEMA}'")
     if entries.get("version") != VERSION:

@@ -152,10 +152,7 @@ class TwinArm(_TwinJoints):
     """The twin's arm."""
 
     def __init__(self, world: TwinWorld, cell: RobotCell):
-        """
-        Args:
-            cell: with the arm's model and limits.
-        """
+        """cell: with the arm's model and limits."""
         super().__init__(world)
         model = arm_spec(cell.arm.model).compile()
         speed = np.full(model.nu, cell.limits.arm_speed)
