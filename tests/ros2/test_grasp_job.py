@@ -45,7 +45,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     robot: Any = SimpleNamespace(
         state=lambda: SimpleNamespace(arm=STATE, hand=STATE),
         hand_driver=SimpleNamespace(stop=stops.append, read=lambda: STATE),
-        hand=SimpleNamespace(open_joints=np.zeros(6)),
+        hand=SimpleNamespace(open_joints=np.zeros(6), actuators="abcdef"),
         clock=WallClock(),
     )
 
