@@ -179,7 +179,7 @@ def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulat
     from fungrasp_emulators.inspire import InspireEmulator
     from fungrasp_emulators.ur import URControllerEmulator
 
-    monkeypatch.setattr(single_devices, "JOG_SPEED", 0.25)
+    monkeypatch.setattr(single_devices, "JOG_SPEED", 0.15)
     monkeypatch.setattr(bring_up, "STOP_AFTER", 1.0)
     monkeypatch.chdir(tmp_path)
     arm_plant = ServoPlant(np.array(HOME), time_constant=0.02)
@@ -273,7 +273,11 @@ def test_the_page_of_the_first_power_on_is_true_of_emulated_devices(
             continue
         if verb == "robots emulate":
             continue  # Emulated they are already.
-        more = {"hands show": ["inspire"], "robots bring-up": ["--yes"]}.get(verb, [])
+        more = {
+            "hands show": ["inspire"],
+            "robots bring-up": ["--yes", "--policy", "reference"],
+            "deploy": ["--policy", "reference", "--grasp", "mug"],
+        }.get(verb, [])
         more += ["--yes"] * (verb in ("robots hold", "robots jog"))
         # A step may fail on a computer that is too busy to keep an arm's time: the command goes on there.
         assert 0 in (in_this_process([*words, *more], False)[0] for _ in range(3)), capsys.readouterr()
