@@ -208,9 +208,9 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
         pair = contact.first, contact.second
         share = anywhere.get(pair, 0.0)
         if pair in at_zero:
-            reason = "their shapes do so at the zero pose already: " + _remedy(*pair)
+            reason = "their shapes do so at the zero pose already: " + exclusion(*pair)
         elif share > BY_SHAPE:
-            reason = f"their shapes do so in {100 * share:.0f} % of all poses: " + _remedy(*pair)
+            reason = f"their shapes do so in {100 * share:.0f} % of all poses: " + exclusion(*pair)
         else:
             often = f"the shapes allow it in {100 * share:.0f} % of all poses"
             reason = f"{often}: the pose of the grasp is the reason"
@@ -221,7 +221,8 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
     return words
 
 
-def _remedy(first: str, second: str) -> str:
+def exclusion(first: str, second: str) -> str:
+    """The remedy where the shapes of two bodies penetrate each other."""
     return (
         f'shrink them, or if the links don\'t touch in truth, write <contact><exclude body1="{first}" '
         f'body2="{second}"/></contact> into the model'
