@@ -113,8 +113,6 @@ class Fit(Answering):
     fingertips."""
     joint: str = "index_proximal_joint"
     """Joint of a .csv."""
-    method: tuple[str, ...] = ("gauss-newton",)
-    """gauss-newton, cma-es; the first one's result is written."""
     fixed: tuple[str, ...] = ()
     """Quantities that keep the model's values; stiffness, where the host computes the torques (Allegro)."""
     errors: tuple[str, ...] = ()
@@ -125,8 +123,6 @@ class Fit(Answering):
     prior: float = float("inf")
     """Standard deviation of the logarithms of the factors on the model's values, which decides where the log
     does not; 1: within a factor of e. Infinite: none."""
-    evaluations: int = 3000
-    """Simulations of cma-es."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -155,39 +151,25 @@ class Fit(Answering):
         fitted = [one.part(0, 1 - HELD_OUT) for one in logs]
         if step:
             fitted[0] = log.rows(np.r_[0 : len(log.times) : 2])
-        results = []
-        for method in self.method:
-            settings = FitSettings(
-                method=method,
-                fixed=self.fixed,
-                errors=self.errors,
-                bound=self.bound,
-                prior=self.prior,
-                evaluations=self.evaluations,
-            )
-            results.append((method, fit_dynamics(hand, fitted, settings)))
-        found = results[0][1]
+        settings = FitSettings(fixed=self.fixed, errors=self.errors, bound=self.bound, prior=self.prior)
+        found = fit_dynamics(hand, fitted, settings)
         if self.out is not None:
             save_dynamics(self.out, found.dynamics, self._notes(found))
         rows: list[tuple[str, ...]] = [("joint", *QUANTITIES)]
         for j, joint in enumerate(found.dynamics.joints):
             rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
         lines = [table(rows), f"delay {1e3 * found.dynamics.delay:.1f} ms"]
-        methods = [
-            {
-                "method": method,
-                "rms": r.rms,
-                "held_out_rms": self._held_out(hand, logs, r, step),
-                "simulations": r.simulations,
-                "seconds": r.seconds,
-            }
-            for method, r in results
-        ]
-        rows = [("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")]
-        for one in methods:
-            numbers = (f"{one['rms']:.4f}", f"{one['held_out_rms']:.4f}", str(one["simulations"]))
-            rows.append((one["method"], *numbers, f"{one['seconds']:.1f}"))
-        lines.append(table(rows))
+        fit = {
+            "method": "gauss-newton",
+            "rms": found.rms,
+            "held_out_rms": self._held_out(hand, logs, found, step),
+            "simulations": found.simulations,
+            "seconds": found.seconds,
+        }
+        lines.append(
+            f"RMS {fit['rms']:.4f} rad where fitted, {fit['held_out_rms']:.4f} rad where held out; "
+            f"{found.simulations} simulations, {found.seconds:.1f} s"
+        )
         vague = sum(int((~known).sum()) for known in found.identified.values())
         if vague:
             lines.append(
@@ -206,7 +188,7 @@ class Fit(Answering):
             }
             for j, joint in enumerate(found.dynamics.joints)
         }
-        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": methods}
+        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": [fit]}
         return CommandResult(value, "\n".join(lines))
 
     def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:
