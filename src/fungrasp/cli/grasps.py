@@ -139,6 +139,49 @@ class ImportDGrasp(Answering):
 
 
 @dataclass(frozen=True)
+class ImportGrab(Answering):
+    """Import GRAB: the right hand's grasp of each sequence, where the object starts to move."""
+
+    source: SourcePath
+    """Folder with the subjects' folders of sequences (.npz)."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    mano: Path
+    """Folder of your MANO model."""
+    objects: Path
+    """Folder of the object meshes (mug.ply)."""
+    subjects: Path | None = None
+    """Folder to which the files' paths of the subjects' hands (vtemp) are relative; else the mean hand."""
+
+    def run(self) -> CommandResult:
+        from fungrasp.grasps.importers.motions import import_grab
+
+        return write_human_grasps(self.out, import_grab(self.source, self.mano, self.objects, self.subjects))
+
+
+@dataclass(frozen=True)
+class ImportHO3D(Answering):
+    """Import HO-3D: one grasp of each sequence. Its files don't say which way is up: see --camera-tilt."""
+
+    source: SourcePath
+    """Folder with the sequences' folders (<sequence>/meta/0000.pkl)."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    objects: Path
+    """Folder of the YCB models."""
+    camera_tilt: float = 0.0
+    """By how much the camera looks down from level [degrees]."""
+
+    def run(self) -> CommandResult:
+        import math
+
+        from fungrasp.grasps.importers.motions import import_ho3d
+
+        grasps = import_ho3d(self.source, self.objects, math.radians(self.camera_tilt))
+        return write_human_grasps(self.out, grasps)
+
+
+@dataclass(frozen=True)
 class ImportOther(Answering):
     """Import by another package's importer (entry point fungrasp.grasps)."""
 
@@ -162,6 +205,8 @@ class ImportGrasps:
     data: (
         Annotated[ImportDexYCB, tyro.conf.subcommand("dexycb")]
         | Annotated[ImportDGrasp, tyro.conf.subcommand("dgrasp")]
+        | Annotated[ImportGrab, tyro.conf.subcommand("grab")]
+        | Annotated[ImportHO3D, tyro.conf.subcommand("ho3d")]
         | Annotated[ImportOther, tyro.conf.subcommand("other")]
     )
     """The kind of data set."""

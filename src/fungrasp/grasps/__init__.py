@@ -3,6 +3,7 @@
 from fungrasp.grasps.contacts import link_contacts
 from fungrasp.grasps.conversion import Convention, converted, mirrored_grasps
 from fungrasp.grasps.diagnosis import checked_grasps
+from fungrasp.grasps.from_arrays import mediapipe_joints
 from fungrasp.grasps.grasp_files import (
     builtin_grasps,
     load_grasps,
@@ -45,6 +46,7 @@ __all__ = [
     "load_human_grasps",
     "load_objects",
     "load_robot_grasps",
+    "mediapipe_joints",
     "mirrored_grasps",
     "save_human_grasps",
     "save_robot_grasps",

@@ -273,6 +273,15 @@ def _take_meshes(
         geom.mass, geom.contype, geom.conaffinity = 0.0, 0, 0
     for mesh in list(spec.meshes):
         spec.delete(mesh)
+    collada = [
+        name
+        for name, shape in loaded.items()
+        if shape is not None and by_name[name].file.lower().endswith(".dae")
+    ]
+    if collada:
+        findings.append(
+            note(f"the mesh {listed(collada)} is read with the unit and the up axis that its .dae names")
+        )
     carriers = _in_meters(carriers, findings)
     if missing:
         findings.append(
