@@ -14,6 +14,7 @@ from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, 
 from fungrasp.cli.options import on_cluster, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.conversion import Convention
+from fungrasp.grasps.importers.dexycb import DexYCBOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -95,28 +96,19 @@ class ImportDexYCB(Answering):
     """DexYCB's folder, which holds the subjects, calibration and models."""
     out: Path
     """Grasp file to write (.npz)."""
-    displacement: float = 0.01
-    """How far the object has moved when it counts as grasped [m]."""
-    left_hands: Literal["skip", "mirror"] = "skip"
-    """Leave left hands out, or reflect the whole scene: the object's name then ends in "_mirrored"."""
+    options: Annotated[DexYCBOptions, tyro.conf.arg(name="")] = field(default_factory=DexYCBOptions)
+    """Which grasps are taken, and how."""
     mirrored_objects: Path | None = None
     """Folder for the meshes of mirrored objects; needed to use mirrored grasps."""
-    mano: Path | None = None
-    """Folder of your MANO model: adds joint rotations, takes contacts from the hand's surface."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; by default DexYCB's own models."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.dexycb import DexYCBOptions, import_dexycb, write_mirrored_meshes
+        from fungrasp.grasps.importers.dexycb import import_dexycb, write_mirrored_meshes
 
-        if not self.displacement > 0:
-            raise FungraspError(f"--displacement must be greater than 0, not {self.displacement}")
-        options = DexYCBOptions(self.displacement, self.left_hands, self.mano, self.objects)
-        grasps = import_dexycb(self.source, options)
+        grasps = import_dexycb(self.source, self.options)
         answer = write_human_grasps(self.out, grasps)
         if self.mirrored_objects is None:
             return answer
-        meshes = list(write_mirrored_meshes(self.source, options, grasps, self.mirrored_objects))
+        meshes = list(write_mirrored_meshes(self.source, self.options, grasps, self.mirrored_objects))
         lines = [answer.text, *(f"mirrored mesh: {path}" for path in meshes)]
         return CommandResult({**answer.value, "mirrored_meshes": meshes}, "\n".join(lines))
 
@@ -193,7 +185,7 @@ class ImportOther(Answering):
     """Grasp file to write (.npz)."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.registry import load_importer
+        from fungrasp.grasps.importers import load_importer
 
         return write_human_grasps(self.out, load_importer(self.importer)(self.source))
 
