@@ -12,6 +12,7 @@ from fungrasp.cli.console import Answering, CommandResult, table
 from fungrasp.cli.options import CellName
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
+from fungrasp.sim2real.identification.fit import FitSettings
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -113,28 +114,17 @@ class Fit(Answering):
     fingertips."""
     joint: str = "index_proximal_joint"
     """Joint of a .csv."""
-    fixed: tuple[str, ...] = ()
-    """Quantities that keep the model's values; stiffness, where the host computes the torques (Allegro)."""
-    errors: tuple[str, ...] = ()
-    """Errors of the drives that are fitted too: offset (of the encoders), backlash."""
-    bound: float = 0.5
-    """A quantity whose standard deviation, relative to it, is larger by the log alone is not identifiable
-    from it, and keeps the model's value."""
-    prior: float = float("inf")
-    """Standard deviation of the logarithms of the factors on the model's values, which decides where the log
-    does not; 1: within a factor of e. Infinite: none."""
+    settings: Annotated[FitSettings, tyro.conf.arg(name="")] = field(default_factory=FitSettings)
+    """What is fitted, and how."""
 
     def run(self) -> CommandResult:
         import numpy as np
 
         from fungrasp.hands import load_hand
-        from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
+        from fungrasp.sim2real.identification.fit import fit_dynamics
         from fungrasp.sim2real.identification.motion_log import load_motion_log, read_step_csv
         from fungrasp.sim2real.joint_dynamics import QUANTITIES, save_dynamics
 
-        for name in self.fixed:
-            if name not in QUANTITIES:
-                raise FungraspError(f"--fixed takes {', '.join(QUANTITIES)}, not '{name}'")
         hand = load_hand(self.hand)
         step = self.log.suffix == ".csv"
         if step:
@@ -151,8 +141,7 @@ class Fit(Answering):
         fitted = [one.part(0, 1 - HELD_OUT) for one in logs]
         if step:
             fitted[0] = log.rows(np.r_[0 : len(log.times) : 2])
-        settings = FitSettings(fixed=self.fixed, errors=self.errors, bound=self.bound, prior=self.prior)
-        found = fit_dynamics(hand, fitted, settings)
+        found = fit_dynamics(hand, fitted, self.settings)
         if self.out is not None:
             save_dynamics(self.out, found.dynamics, self._notes(found))
         rows: list[tuple[str, ...]] = [("joint", *QUANTITIES)]
@@ -174,15 +163,16 @@ class Fit(Answering):
         if vague:
             lines.append(
                 f"{vague} quantities are not identifiable from this log (standard deviation above "
-                f"{self.bound:.0%} by it alone): they keep the model's values. Logs with the palm turned to "
-                "other sides, or with weights on the fingertips, may tell them"
+                f"{self.settings.bound:.0%} by it alone): they keep the model's values. Logs with the palm "
+                "turned to other sides, or with weights on the fingertips, may tell them"
             )
+        fixed = self.settings.fixed
         joints = {
             joint: {
                 name: {
                     "value": getattr(found.dynamics, name)[j],
-                    "identified": found.identified[name][j] and name not in self.fixed,
-                    "relative_error": found.relative_error[name][j],
+                    "identified": name not in fixed and found.identified[name][j],
+                    "relative_error": None if name in fixed else found.relative_error[name][j],
                 }
                 for name in QUANTITIES
             }
@@ -212,7 +202,7 @@ class Fit(Answering):
 
     def _value(self, found: IdentifiedDynamics, quantity: str, joint: int) -> str:
         value = getattr(found.dynamics, quantity)[joint]
-        if quantity in self.fixed:
+        if quantity in self.settings.fixed:
             return f"{value:.4g} (fixed)"
         if not found.identified[quantity][joint]:
             return f"{value:.4g} (model's: not identifiable)"

@@ -60,6 +60,9 @@ class FitSettings:
     """Of Gauss-Newton."""
 
     def __post_init__(self) -> None:
+        for name in self.fixed:
+            if name not in QUANTITIES:
+                raise FungraspError(f"fixed quantities are {', '.join(QUANTITIES)}, not '{name}'")
         for name in self.errors:
             if name not in ERRORS:
                 raise FungraspError(f"errors of drives are {' and '.join(ERRORS)}, not '{name}'")
