@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fungrasp.core.formats.checks import one_line
 from fungrasp.evaluation.result_files import ResultFile, read_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.task.use import load_use_motions, motion_of
@@ -172,7 +173,7 @@ def hands_of_others() -> Table:
     rows = []
     for row in read("hands-of-others").rows:
         if row["refused"]:
-            rows.append((row["hand"], *[NONE] * 4, f"refused: {row['refused']}"))
+            rows.append((row["hand"], *[NONE] * 4, f"refused: {one_line(row['refused'], 150)}"))
             continue
         lifted = f"{row['lifted']} of {row['grasps']}"
         off = f"{row['contact_error_mm']:.1f}, {row['self_penetration_mm']:.1f}"
