@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, write_human_grasps
-from fungrasp.cli.options import on_cluster, print_use
+from fungrasp.cli.options import ClusterOption, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.conversion import Convention
 
@@ -312,7 +312,7 @@ class SelectGrasps(Answering):
 
 
 @dataclass(frozen=True)
-class MakeGrasps(Answering):
+class MakeGrasps(ClusterOption, Answering):
     """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
 
     out: Path
@@ -330,9 +330,6 @@ class MakeGrasps(Answering):
     seed: tuple[int, ...] = (0,)
     """Seed of the random starts; with several, each grasp is sought with each, and those that differ are
     kept."""
-    ray: tuple[str, ...] | None = None
-    """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
-    all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> CommandResult:
         from fungrasp.core.jobs import PartStore
@@ -342,7 +339,7 @@ class MakeGrasps(Answering):
         if not self.seed or len(set(self.seed)) < len(self.seed) or min(self.seed) < 0:
             raise FungraspError("--seed needs at least one number, none negative, and each once")
         specs, models, settings = self._specifications()
-        sought, cluster = len(specs) * len(self.seed), on_cluster(self.ray)
+        sought, cluster = len(specs) * len(self.seed), self.cluster
         with PartStore.beside(self.out) as store:
             with progress_bar("synthesizing grasps", 1.0) as show:
                 grasps = synthesize_grasps(
