@@ -66,8 +66,8 @@ class ShowGrasp(Answering):
 
     file: GraspFile
     """A file of human or robot grasps, or "builtin"."""
-    index: int = 0
-    """Which grasp of the file, from 0."""
+    grasp: str = "0"
+    """The grasp: an object ("mug"), object and task ("mug:drink") or a row number, from 0."""
     picture: Path | None = None
     """Draw the grasp to this PNG file."""
     objects: Path | None = None
@@ -75,14 +75,14 @@ class ShowGrasp(Answering):
 
     def run(self) -> CommandResult:
         from fungrasp.grasps import load_grasps
+        from fungrasp.grasps.grasp_selection import picked_rows
 
         grasps = load_grasps(self.file)
-        if not 0 <= self.index < len(grasps):
-            raise FungraspError(f"{self.file} holds grasps 0 to {len(grasps) - 1}, not {self.index}")
-        grasp = grasps[self.index]
+        (row,) = picked_rows(grasps, (self.grasp,))
+        grasp = grasps[row]
         text = _description(grasp)
         if self.picture is not None:
-            _draw(grasps, self.index, self.picture, self.objects)
+            _draw(grasps, row, self.picture, self.objects)
             text += f"\npicture: {self.picture}"
         return CommandResult({**_fields(grasp), "picture": self.picture}, text)
 

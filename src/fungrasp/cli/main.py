@@ -45,6 +45,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "demo --pick": "--grasp picks grasps, here as elsewhere",
+    "grasps show --index": "--grasp takes an object, object:task or a row number",
+    "perceive --hand": "--side right or left; --hand names a robot hand",
     "demo --refine": "rollouts choose among plans; --policy reference runs one motion without choosing",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the completion script",

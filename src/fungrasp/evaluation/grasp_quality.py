@@ -127,8 +127,8 @@ def static_quality(
         robot: N grasps.
         hand: the robot hand, or its name; that of the grasps if None.
         spacing: of the points that cover the hand's collision geometry [m].
-        exact: distances by the triangles of the mesh; else by the grid that the solver has, up to a millimeter
-            off, and no ``force_closure_epsilon`` (NaN), which takes longer than all else.
+        exact: distances by the triangles of the mesh; else by the solver's grid, up to a millimeter off, and
+            no ``force_closure_epsilon`` (NaN), which takes longer than all else.
 
     Raises:
         FungraspError: the sets don't belong together.

@@ -202,8 +202,8 @@ NAMED = 5
 
 
 def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> list[str]:
-    """What penetrates itself in some grasps, and what to do: a sentence for those whose pose is the reason, and
-    one for pairs of links whose shapes are.
+    """What penetrates itself in some grasps, and what to do: a sentence for those whose pose is the reason,
+    and one for pairs of links whose shapes are.
 
     Args:
         joint_positions: of the grasps [rad], shape [N, M].
@@ -234,8 +234,9 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
         pairs = _some([f"'{contact.first}' and '{contact.second}'" for contact in shapes], "")
         words.append(
             f"links penetrate each other by their shapes, at the zero pose or in over {BY_SHAPE:.0%} of all "
-            f"poses, by up to {1e3 * worst.depth:.1f} mm: {pairs}; shrink them, or if they don't touch in truth, "
-            f'write <contact><exclude body1="{worst.first}" body2="{worst.second}"/></contact> into the model'
+            f"poses, by up to {1e3 * worst.depth:.1f} mm: {pairs}; shrink them, or if they don't touch in "
+            "truth, write "
+            f'<contact><exclude body1="{worst.first}" body2="{worst.second}"/></contact> into the model'
         )
     return words
 
