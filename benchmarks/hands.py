@@ -93,14 +93,13 @@ def added_hand(title: str, file: Path, folder: Path, options: AddedHands) -> Add
     from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps
     from fungrasp.hands import load_hand
     from fungrasp.hands.adding.add_hand import add_hand
-    from fungrasp.hands.checking.hand_checks import check_hand_files
     from fungrasp.retargeting import retarget
 
     try:
-        path, _ = add_hand(file, folder / "hand", "hand")
+        path, findings = add_hand(file, folder / "hand", "hand")
     except FungraspError as reason:
         return AddedHand(title, refused=str(reason).replace(f"{file.parent}/", ""))
-    errors = [finding.message for finding in check_hand_files(path) if finding.severity == "error"]
+    errors = [finding.message for finding in findings if finding.severity == "error"]
     if errors:
         return AddedHand(title, refused=errors[0])
     hand, human = load_hand(path), load_human_grasps("builtin")

@@ -18,7 +18,6 @@ from fungrasp.hands import Hand, load_hand
 from fungrasp.hands.adding.add_hand import add_hand
 from fungrasp.hands.adding.couplings import GivenCoupling
 from fungrasp.hands.adding.shape_fitting import Box, Capsule, fit_boxes, fit_capsule, mesh_points
-from fungrasp.hands.checking.hand_checks import check_hand_files
 from fungrasp.hands.collisions import self_collision_depth, self_contact_words
 from fungrasp.hands.kinematics import HandKinematics, partly_closed
 
@@ -218,7 +217,7 @@ def test_fitted_capsule_and_boxes():
 )
 def test_reference_hands(tmp_path: Path, name: str):
     path, findings = add_hand(FOLDER / name, tmp_path / "out", "added")
-    assert not [f.message for f in check_hand_files(path) if f.severity == "error"]
+    assert not [f.message for f in findings if f.severity == "error"]
     hand = load_hand(path)
     assert hand.side == "right" and len(hand.fingers) == (4 if "leap" in name else 5)
     assert any("no file is found" in finding.message for finding in findings)

@@ -13,7 +13,7 @@ import tyro
 from fungrasp.cli.console import Answering, CommandResult, table
 
 if TYPE_CHECKING:
-    from fungrasp.hands.checking.hand_checks import Finding
+    from fungrasp.hands.findings import Finding
 
 HandName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
@@ -78,7 +78,7 @@ class CheckHand(Answering):
 
     def run(self) -> CommandResult:
         from fungrasp.hands import hand_files
-        from fungrasp.hands.checking.hand_checks import check_hand_files
+        from fungrasp.hands.adding.add_hand import check_hand_files
 
         findings = check_hand_files(hand_files().get(self.path, Path(self.path)))
         rows, text, status = _findings(self.path, findings)
@@ -119,12 +119,10 @@ class AddHand(Answering):
     def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
         from fungrasp.hands.adding.add_hand import Answers, add_hand, parse_couplings, parse_fingers
-        from fungrasp.hands.checking.hand_checks import check_hand_files
 
         fingers, couplings = parse_fingers(self.finger), parse_couplings(self.couple)
         answers = Answers(self.palm, self.thumb, self.side, self.normal, fingers, couplings, self.radius)
         path, findings = add_hand(self.path, self.out, self.name, answers, self.force)
-        findings = [*findings, *check_hand_files(path)]
         rows, text, status = _findings(path, findings)
         if not status:
             mirror = "--mirror " if load_hand(path).side == "left" else ""

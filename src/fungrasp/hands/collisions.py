@@ -234,9 +234,7 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
         pairs = _some([f"'{contact.first}' and '{contact.second}'" for contact in shapes], "")
         words.append(
             f"links penetrate each other by their shapes, at the zero pose or in over {BY_SHAPE:.0%} of all "
-            f"poses, by up to {1e3 * worst.depth:.1f} mm: {pairs}; shrink them, or if they don't touch in "
-            "truth, write "
-            f'<contact><exclude body1="{worst.first}" body2="{worst.second}"/></contact> into the model'
+            f"poses, by up to {1e3 * worst.depth:.1f} mm: {pairs}; {exclusion(worst.first, worst.second)}"
         )
     return words
 
@@ -245,3 +243,11 @@ def _some(values: Sequence[object], noun: str = "rows ") -> str:
     """The first of them, and how many more there are."""
     more = f" and {len(values) - NAMED} more" if len(values) > NAMED else ""
     return noun + ", ".join(map(str, values[:NAMED])) + more
+
+
+def exclusion(first: str, second: str) -> str:
+    """The remedy where the shapes of two bodies penetrate each other."""
+    return (
+        f'shrink them, or if the links don\'t touch in truth, write <contact><exclude body1="{first}" '
+        f'body2="{second}"/></contact> into the model'
+    )

@@ -12,6 +12,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.geometry.poses import compose, invert
+from fungrasp.hands.kinematic_tree import drives
 
 
 def self_contained_xml(spec: mujoco.MjSpec) -> str:
@@ -244,11 +245,10 @@ def _joint(
 def _mimic(robot: xml.Element, m: mujoco.MjModel) -> None:
     """What a joint equality couples; a URDF holds linear couplings."""
     named = {joint.get("name"): joint for joint in robot.findall("joint")}
-    for e in range(m.neq):
-        if m.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and m.eq_obj2id[e] >= 0:
-            driven, driver = m.joint(int(m.eq_obj1id[e])).name, m.joint(int(m.eq_obj2id[e])).name
-            offset, slope = (_text([v]) for v in m.eq_data[e, :2])
-            xml.SubElement(named[driven], "mimic", joint=driver, multiplier=slope, offset=offset)
+    for joint, drive in drives(m).items():
+        offset, slope = _text([drive.constant]), _text([drive.slope])
+        driver = m.joint(drive.driver).name
+        xml.SubElement(named[m.joint(joint).name], "mimic", joint=driver, multiplier=slope, offset=offset)
 
 
 def _origin(element: xml.Element, pose: np.ndarray) -> None:

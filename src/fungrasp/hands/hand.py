@@ -18,6 +18,7 @@ from fungrasp.core.formats.mujoco_model import read_model
 from fungrasp.core.formats.text_files import Schema, read_toml, type_faults
 from fungrasp.geometry.arrays import constant
 from fungrasp.geometry.poses import Array, invert
+from fungrasp.hands.kinematic_tree import coupling_matrix, drives, place_of
 
 _SERVO = {"kp": float, "kd": float, "force_limit": float}
 
@@ -109,7 +110,7 @@ class Hand:
     def spec(self) -> mujoco.MjSpec:
         """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per
         independent joint (named as its joint)."""
-        spec = _parse(self.model_path)
+        spec = read_model(self.model_path)
         _put_at_origin(spec, self.palm)
         for actuator in list(spec.actuators):
             spec.delete(actuator)
@@ -164,26 +165,10 @@ class Hand:
         The U independent joints are those not driven by a joint equality, in model order. Only linear
         couplings count.
         """
-        m = self.model
-        driven = {}
-        for e in range(m.neq):
-            if m.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and m.eq_obj2id[e] >= 0:
-                driven[int(m.eq_obj1id[e])] = (int(m.eq_obj2id[e]), m.eq_data[e, 0], m.eq_data[e, 1])
-        free = [j for j in range(m.njnt) if j not in driven]
-        matrix, offset = np.zeros((m.njnt, len(free))), np.zeros(m.njnt)
-        matrix[free, range(len(free))] = 1.0
-        pending = dict(driven)
-        while pending:
-            ready = [j for j, (source, _, _) in pending.items() if source not in pending]
-            if not ready:
-                raise FungraspError(
-                    f"hand '{self.name}': the joint couplings in {self.model_path} form a loop"
-                )
-            for j in ready:
-                source, constant, slope = pending.pop(j)
-                matrix[j] = slope * matrix[source]
-                offset[j] = constant + slope * offset[source]
-        return matrix, offset
+        try:
+            return coupling_matrix(self.model.njnt, drives(self.model))
+        except ValueError as error:
+            raise FungraspError(f"hand '{self.name}': in {self.model_path} {error}") from None
 
     @cached_property
     def _decoupling(self) -> np.ndarray:
@@ -255,7 +240,7 @@ def read_hand_toml(path: Path) -> Hand:
         if key not in data:
             raise FungraspError(f"{path}: the field '{key}' is missing")
     model_path = path.parent / data["model"]
-    spec = _parse(model_path)
+    spec = read_model(model_path)
     try:
         model = spec.compile()
     except ValueError as error:
@@ -329,9 +314,7 @@ def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], acr
     direction = data.body(palm).xmat.reshape(3, 3) @ across
 
     def base(finger: Finger) -> float:
-        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, finger.joints[0])
-        place = data.site_xpos[site] if site >= 0 else data.body(finger.joints[0]).xpos
-        return float(place @ direction)
+        return float(place_of(data, finger.joints[0]) @ direction)
 
     first, *others = (fingers[name] for name in fingers if name != "thumb")
     difference = base(first) - base(others[-1]) if others else base(fingers["thumb"]) - base(first)
@@ -340,8 +323,7 @@ def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], acr
 
 def _actuators(path: Path, entry: Mapping[str, Any], model: mujoco.MjModel) -> dict[str, Actuator]:
     joints = [model.joint(i).name for i in range(model.njnt)]
-    is_joint_coupling = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
-    driven = {model.joint(int(j)).name for j in model.eq_obj1id[is_joint_coupling & (model.eq_obj2id >= 0)]}
+    driven = {model.joint(joint).name for joint in drives(model)}
     special = entry.get("joints", {})
     for joint in special:
         if joint not in joints:
@@ -367,10 +349,6 @@ def _unit(path: Path, name: str, value: Any) -> np.ndarray:
     if vector.shape != (3,) or not np.isclose(np.linalg.norm(vector), 1.0, atol=1e-3):
         raise FungraspError(f"{path}: {name} must be a unit vector of 3 numbers, not {value!r}")
     return vector / np.linalg.norm(vector)
-
-
-def _parse(path: Path) -> mujoco.MjSpec:
-    return read_model(path)
 
 
 def _put_at_origin(spec: mujoco.MjSpec, palm: str) -> None:

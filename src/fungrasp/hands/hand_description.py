@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from fungrasp.hands.hand import Finger, Hand
+from fungrasp.hands.kinematic_tree import drives
 
 
 def contact_points(finger: Finger) -> tuple[str, ...]:
@@ -63,23 +63,17 @@ def describe_hand(hand: Hand) -> dict[str, Any]:
             }
             for i, (name, limits) in enumerate(zip(joints, hand.joint_limits, strict=True))
         ],
-        "couplings": _couplings(hand),
+        "couplings": [
+            {
+                "joint": joints[joint],
+                "driver": joints[drive.driver],
+                "constant": drive.constant,
+                "slope": drive.slope,
+            }
+            for joint, drive in drives(model).items()
+        ],
         "actuators": [
             {"joint": a.joint, "kp": a.kp, "kd": a.kd, "force_limit": a.force_limit}
             for a in hand.actuators.values()
         ],
     }
-
-
-def _couplings(hand: Hand) -> list[dict[str, Any]]:
-    model = hand.model
-    return [
-        {
-            "joint": model.joint(int(model.eq_obj1id[e])).name,
-            "driver": model.joint(int(model.eq_obj2id[e])).name,
-            "constant": float(model.eq_data[e, 0]),
-            "slope": float(model.eq_data[e, 1]),
-        }
-        for e in range(model.neq)
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
-    ]

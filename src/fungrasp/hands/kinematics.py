@@ -21,6 +21,7 @@ from fungrasp.geometry.poses import (
     rotation_matrix,
 )
 from fungrasp.hands.hand import Hand
+from fungrasp.hands.kinematic_tree import place_of
 
 FARTHEST = 0.15
 """Distance of a palm's origin from the bases of its fingers that a palm of human size can have [m]; of the
@@ -36,11 +37,9 @@ def palm_offset(model: mujoco.MjModel, palm: str, bases: Sequence[str]) -> np.nd
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    places = []
-    for name in bases:
-        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
-        places.append(data.site_xpos[site] if site >= 0 else data.body(name).xpos)
-    away = (np.mean(places, axis=0) - data.body(palm).xpos) @ data.body(palm).xmat.reshape(3, 3)
+    away = (np.mean([place_of(data, name) for name in bases], axis=0) - data.body(palm).xpos) @ data.body(
+        palm
+    ).xmat.reshape(3, 3)
     distance = float(np.linalg.norm(away))
     return max(0.0, distance - FARTHEST) / max(distance, 1e-9) * away
 

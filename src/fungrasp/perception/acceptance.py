@@ -22,6 +22,7 @@ from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 from fungrasp.grasps.human_hand import BONES, HAND_SIZE_SPREAD, hand_size
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.hand.fit import OTHER_SIDE
+from fungrasp.perception.hand.hand_measurements import median_depth
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
 from fungrasp.perception.scene.pixel_classes import SMOOTHED
@@ -194,7 +195,8 @@ def joint_probabilities(
     of_finger = away.copy()
     of_finger[1:] = np.repeat(away[1:].reshape(5, 4).max(axis=1), 4)
     # Joints are about 10 mm behind the skin; where a finger is hidden another thing's depth is measured.
-    behind = hand.joints_camera[:, 2] - _median_depth(capture.depth, pixels) - 0.01
+    depth = np.where(capture.measured, capture.depth, np.nan)
+    behind = hand.joints_camera[:, 2] - median_depth(depth, pixels) - 0.01
     behind = np.clip(np.nan_to_num(behind), -DEPTH_ERROR, DEPTH_ERROR)
     variance = (
         np.trace(fitted.covariance, axis1=1, axis2=2) / 3
@@ -210,19 +212,6 @@ DEPTH_ERROR = 0.01
 
 UNHELD = 0.018
 """Standard deviation of the depth of a hand that is not fitted to an object [m]: of real images."""
-
-
-def _median_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Median depth of the pixels around some [m], NaN where there is hardly any. pixels: shape [N, 2]."""
-    height, width = depth.shape
-    found = np.full(len(pixels), np.nan)
-    for i, (u, v) in enumerate(np.rint(np.nan_to_num(pixels, nan=-9.0)).astype(int).tolist()):
-        if 0 <= u < width and 0 <= v < height:
-            near = depth[max(0, v - 1) : v + 2, max(0, u - 1) : u + 2]
-            near = near[near > 0]
-            if near.size >= 3:
-                found[i] = np.median(near)
-    return found
 
 
 @dataclass(frozen=True)

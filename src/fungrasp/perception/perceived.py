@@ -1,95 +1,23 @@
-"""What perception makes of an image: the record that ``perceive`` returns, how well it agrees with the image,
-and what happened on the way."""
+"""What perception makes of an image: the record that ``perceive`` returns, and what happened on the way."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
-from math import isfinite
+from dataclasses import dataclass, field
 from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 
-from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import HUMAN_LINKS, HumanGrasp, HumanGraspSet
 from fungrasp.objects import ObjectModel, mirrored_object
 from fungrasp.perception.acceptance import Acceptance
 from fungrasp.perception.hand.detected_hand import DetectedHand
-from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
-from fungrasp.perception.hand.physical_evidence import HandSurroundings, link_gaps
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
 from fungrasp.perception.object_pose.estimate import PoseAnswers
 from fungrasp.perception.object_pose.shape_fit import FittedShape
-
-
-@dataclass(frozen=True)
-class PerceptionQuality:
-    """Figures of one perceived grasp."""
-
-    reprojection_px: float
-    """Median distance between the landmarks seen and the hand's joints projected into the image [pixels]."""
-    depth_residual_m: float
-    """Median distance of the object's measured points from its mesh [m]; NaN if not known."""
-    hand_residual_m: float
-    """Median distance between the depth measured at the hand and its skin [m]; NaN where none is seen."""
-    penetration_m: float
-    """How deep the hand is in the object at the deepest [m]; soft pads that press give a few mm."""
-
-
-def measure_quality(
-    capture: Capture, hand: HandEstimate, obj: ObjectEstimate, surface: SignedDistanceGrid
-) -> PerceptionQuality:
-    """The figures.
-
-    Args:
-        surface: of the object, object's frame.
-    """
-    pose = obj.pose_camera_object
-    off = np.linalg.norm(capture.intrinsics.project(hand.joints_camera) - hand.pixels, axis=1)
-    surroundings = HandSurroundings(surface, pose)
-    residual = obj.residual_m
-    if not np.isfinite(residual):
-        residual = _object_residual(capture, pose, surroundings)
-    return PerceptionQuality(
-        reprojection_px=float(np.nanmedian(off)),
-        depth_residual_m=residual,
-        hand_residual_m=_hand_residual(capture, hand.joints_camera, surroundings),
-        penetration_m=max(0.0, -float(link_gaps(hand.joints_camera, surface, pose).min())),
-    )
-
-
-def _object_residual(capture: Capture, pose: np.ndarray, surroundings: HandSurroundings) -> float:
-    """Median distance from the surface of what is seen within 15 mm of it [m]; NaN if there is nothing."""
-    points = capture.points()[::2, ::2].reshape(-1, 3)
-    points = points[np.isfinite(points[:, 2])]
-    points = points[np.linalg.norm(points - pose[:3], axis=1) < 0.5]
-    if not len(points):
-        return float("nan")
-    distance = np.abs(surroundings.object_distance(points)[0])
-    near = distance < 0.015
-    return float(np.median(distance[near])) if near.any() else float("nan")
-
-
-def _hand_residual(capture: Capture, joints: np.ndarray, surroundings: HandSurroundings) -> float:
-    """How far the skin is from what is seen at its pixels, median [m]; NaN where nothing is seen.
-
-    What the object shows, within 4 mm of its surface, or hides does not count; all else is the hand, as
-    little else is in front of it. Beyond 0.1 m something else is seen.
-    """
-    points, _ = SURFACE_SAMPLES.place(joints, np.zeros((21, 3, 1)))
-    pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(int)
-    k = capture.intrinsics
-    inside = np.all((pixels >= 0) & (pixels < [k.width, k.height]), axis=1)
-    measured = np.zeros(len(points))
-    measured[inside] = capture.depth[pixels[inside, 1], pixels[inside, 0]]
-    seen = (measured > 0) & in_front(points, SURFACE_SAMPLES.radius)
-    off = np.minimum(np.abs(points[:, 2] - SURFACE_SAMPLES.radius - measured), 0.1)
-    distance = surroundings.object_distance(k.deproject(pixels, measured))[0]
-    seen &= distance > 0.004
-    return float(np.median(off[seen])) if seen.any() else float("nan")
 
 
 @dataclass(frozen=True)
@@ -191,8 +119,6 @@ class Perceived:
     [4]."""
     table_found: bool
     """Whether the table was given or seen; else it is a guess."""
-    quality: PerceptionQuality
-    """Residuals and penetration."""
     warnings: tuple[PerceptionWarning, ...]
     """What was uncertain; empty if nothing was."""
     acceptance: Acceptance
@@ -230,12 +156,11 @@ class Perceived:
         grasp, hand, obj = self.grasp, self.hand, self.object
         links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
         return {
-            "version": 3,
+            "version": 4,
             "sure": self.confident,
             "acceptance": self.acceptance.as_json(),
             "doubts": [str(warning) for warning in self.warnings],
             "warnings": [{"code": warning.code, "values": dict(warning.values)} for warning in self.warnings],
-            "quality": {name: v if isfinite(v) else None for name, v in asdict(self.quality).items()},
             "grasp": {
                 "object_name": grasp.object_name,
                 "object_mass": grasp.object_mass,

@@ -33,15 +33,17 @@ from fungrasp.perception.acceptance import (
     judge,
     plausibility_warnings,
 )
-from fungrasp.perception.hand.detected_hand import DetectedHand, HandDetector, find_hands
-from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
-from fungrasp.perception.hand.hand_hypotheses import (
+from fungrasp.perception.hand.detected_hand import (
+    DetectedHand,
+    HandDetector,
     HandHypothesis,
+    find_hands,
     hand_hypotheses,
     hands_elsewhere,
     may_hold,
     object_box,
 )
+from fungrasp.perception.hand.fit import fit_hand, fit_held_hand, refine_hand
 from fungrasp.perception.hand.mediapipe_detector import MediaPipeHandDetector
 from fungrasp.perception.hand.physical_evidence import HandSurroundings, link_gaps, touching_links
 from fungrasp.perception.io.capture import Box, Capture, RgbdCamera
@@ -58,7 +60,6 @@ from fungrasp.perception.perceived import (
     Perceived,
     PerceptionTrace,
     Stopwatch,
-    measure_quality,
 )
 from fungrasp.perception.scene.table import (
     NO_TABLE,
@@ -178,7 +179,6 @@ def perceive(
         pose_world_camera = world_from_table(plane, center)
         grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
         gaps = link_gaps(scene.hand.joints_camera, model.signed_distance, scene.object.pose_camera_object)
-        quality = measure_quality(capture, refined, scene.object, model.signed_distance)
         warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model, capture))
     side_score = None if scene.detected is None else scene.detected.side_score
     return Perceived(
@@ -190,7 +190,6 @@ def perceive(
         object=scene.object,
         table=plane,
         table_found=scene.table is not None,
-        quality=quality,
         warnings=warnings,
         acceptance=judge(
             scene.object,

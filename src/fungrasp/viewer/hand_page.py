@@ -11,7 +11,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.hands import Hand, load_hand
-from fungrasp.hands.checking.hand_checks import check_hand_files
+from fungrasp.hands.adding.add_hand import check_hand_files
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.viewer.figures import RobotFigure
 from fungrasp.viewer.page import BrowserPage, JointSliders, add_table, look_at

@@ -23,8 +23,7 @@ from fungrasp.evaluation.trajectory import Trajectory
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_grasps, save_human_grasps, save_robot_grasps
 from fungrasp.grasps.importers.dgrasp import import_dgrasp
 from fungrasp.hands import load_hand
-from fungrasp.hands.adding.add_hand import add_hand
-from fungrasp.hands.checking.hand_checks import check_hand_files
+from fungrasp.hands.adding.add_hand import add_hand, check_hand_files
 from fungrasp.objects import load_mesh
 from fungrasp.perception.adapters import read_hand_estimate, read_object_pose
 from fungrasp.perception.io.capture import Capture, Intrinsics

@@ -8,7 +8,7 @@ from fungrasp.objects import plain_shape
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.object_view import view_of_object
-from fungrasp.perception.object_pose.silhouette_edges import edge_offset, silhouette_edges
+from fungrasp.perception.object_pose.pose_evidence import edge_offset, silhouette_edges
 
 V, U = np.mgrid[:120, :160]
 GREEN, TABLE = (60, 160, 80), (190, 170, 150)

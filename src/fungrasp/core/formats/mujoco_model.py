@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import tempfile
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -123,3 +126,16 @@ def _fault(path: Path, stamp: int) -> str | None:
     except FungraspError as error:
         return str(error)
     return None
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keep MuJoCo's own warnings, those by Python too, from the terminal and from a log file: the findings
+    say it better."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)

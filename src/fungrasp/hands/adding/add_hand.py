@@ -16,10 +16,11 @@ from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded
 from fungrasp.hands.adding.couplings import GivenCoupling, closed_loops, find_couplings, solve_loops
 from fungrasp.hands.adding.finger_chains import far_ends, refuse_sliding_or_one_motor
+from fungrasp.hands.adding.hand_checks import check_hand
 from fungrasp.hands.adding.link_shapes import HandShapes, hand_shapes
 from fungrasp.hands.adding.model_file import read_foreign
+from fungrasp.hands.adding.model_repairs import find_palm
 from fungrasp.hands.adding.new_model import new_model
-from fungrasp.hands.adding.palm import find_palm
 from fungrasp.hands.adding.poses import Poses, narrowed_ranges
 from fungrasp.hands.adding.servos import (
     FULL_TORQUE_ERROR,
@@ -29,13 +30,13 @@ from fungrasp.hands.adding.servos import (
     servo_entries,
 )
 from fungrasp.hands.adding.structure import Answers, HandStructure, find_structure
-from fungrasp.hands.checking.findings import Finding, note
-from fungrasp.hands.checking.plausibility import check_plausibility
 from fungrasp.hands.export import self_contained_xml
+from fungrasp.hands.findings import Finding, error, note
 from fungrasp.hands.hand import read_hand_toml
 from fungrasp.hands.kinematic_tree import body_name
+from fungrasp.hands.plausibility import check_plausibility
 
-__all__ = ["Answers", "add_hand"]
+__all__ = ["Answers", "add_hand", "check_hand_files"]
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
@@ -60,7 +61,7 @@ def add_hand(
         force: overwrite the files of an earlier run.
 
     Returns:
-        the TOML file, and what was found, changed and proposed.
+        the TOML file, and what was found, changed and proposed, with what the check of the hand says.
 
     Raises:
         FungraspError: the file can't be read, something can't be decided (the message names the option that
@@ -109,7 +110,40 @@ def add_hand(
         temporary.write_text(text)
     with atomic_path(toml_path) as temporary:
         temporary.write_text(toml)
-    return toml_path, findings
+    return toml_path, [*findings, *check_hand(toml_path)]
+
+
+MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
+
+
+@guarded("hand")
+def check_hand_files(path: str | Path) -> list[Finding]:
+    """Everything found wrong with a hand, the worst first.
+
+    Args:
+        path: a hand's TOML file or folder; or a URDF or an MJCF, which is added on trial.
+
+    Returns:
+        No finding of severity "error" if and only if the hand can be used (a bare model: be added).
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "hand.toml"
+    if not path.is_file():
+        return [error(f"{path} does not exist")]
+    if path.suffix == ".toml":
+        findings = check_hand(path)
+    elif path.suffix.lower() in MODEL_SUFFIXES:
+        try:
+            with TemporaryDirectory() as trial:
+                findings = add_hand(path, Path(trial), "hand")[1]
+        except FungraspError as problem:
+            findings = [error(str(problem))]
+        findings.append(note(f"'fungrasp hands add {path}' mends what it can and makes a hand folder of it"))
+    else:
+        findings = [error(f"{path} is none of .toml (a hand), {', '.join(MODEL_SUFFIXES)} (a model)")]
+    order = ("error", "warning", "note")
+    return sorted(dict.fromkeys(findings), key=lambda finding: order.index(finding.severity))
 
 
 def parse_fingers(entries: tuple[str, ...]) -> Mapping[str, str]:

@@ -11,8 +11,15 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.hands.checking.findings import Finding, listed, note, warning
-from fungrasp.hands.kinematic_tree import ancestors, body_name, joint_name, subtree
+from fungrasp.hands.findings import Finding, listed, note, warning
+from fungrasp.hands.kinematic_tree import (
+    Drive,
+    ancestors,
+    body_name,
+    coupling_matrix,
+    joint_name,
+    subtree,
+)
 
 LEAST_ROOM = 0.1
 """A coupling that leaves less of its driver's range can't be meant."""
@@ -34,29 +41,16 @@ class GivenCoupling(NamedTuple):
     """Position of the driven joint where the driver is at zero [rad]."""
 
 
-@dataclass(frozen=True)
-class Coupling:
-    """``joint = constant + slope * driver`` [rad], positions as the model counts them."""
-
-    joint: int
-    """Id of the joint that is driven."""
-    driver: int
-    """Id of the joint that drives it."""
-    constant: float
-    """Position of the driven joint where the driver is at zero [rad]."""
-    slope: float
-    """Change of the driven joint per change of the driver."""
-
-    def from_reference(self, model: mujoco.MjModel) -> float:
-        """The constant where positions count from the model's reference pose [rad]."""
-        reference = model.qpos0[model.jnt_qposadr]
-        return float(self.constant - reference[self.joint] + self.slope * reference[self.driver])
+def from_reference(model: mujoco.MjModel, joint: int, drive: Drive) -> float:
+    """The constant of a coupling where positions count from the model's reference pose [rad]."""
+    reference = model.qpos0[model.jnt_qposadr]
+    return float(drive.constant - reference[joint] + drive.slope * reference[drive.driver])
 
 
 def find_couplings(
     model: mujoco.MjModel, findings: list[Finding], given: Sequence[GivenCoupling] = ()
-) -> list[Coupling]:
-    """All linear couplings of a model, no joint driven twice and no loop.
+) -> dict[int, Drive]:
+    """All linear couplings of a model by the joint that is driven, no loop among them.
 
     Args:
         findings: what is left out or assumed is added.
@@ -65,7 +59,7 @@ def find_couplings(
     Raises:
         FungraspError: a given coupling names a joint that does not exist, or closes a loop.
     """
-    found: dict[int, Coupling] = {}
+    found: dict[int, Drive] = {}
 
     def add(joint: int, driver: int, constant: float, slope: float) -> bool:
         above, steps = driver, 0
@@ -73,7 +67,7 @@ def find_couplings(
             above, steps = found[above].driver, steps + 1
         if joint in found or above == joint:
             return False
-        found[joint] = Coupling(joint, driver, constant, slope)
+        found[joint] = Drive(driver, constant, slope)
         return True
 
     def tie(joint: int, driver: int, change: float, slope: float) -> bool:
@@ -125,7 +119,7 @@ def find_couplings(
                 )
     for tendon in range(model.ntendon):
         _tendon(model, tendon, tie, add, findings)
-    return [found[joint] for joint in sorted(found)]
+    return dict(sorted(found.items()))
 
 
 def _tendon(
@@ -194,25 +188,6 @@ def _room(model: mujoco.MjModel, joint: int, driver: int, slope: float) -> float
     return float((min(high, ends[1]) - max(low, ends[0])) / max(high - low, 1e-9))
 
 
-def coupling_matrix(count: int, couplings: list[Coupling]) -> tuple[np.ndarray, np.ndarray]:
-    """``joints = matrix @ independent + offset``; matrix: shape [M, U], offset: [rad], shape [M]."""
-    driven = {coupling.joint: coupling for coupling in couplings}
-    free = [joint for joint in range(count) if joint not in driven]
-    matrix, offset = np.zeros((count, len(free))), np.zeros(count)
-    matrix[free, range(len(free))] = 1.0
-
-    def fill(joint: int) -> None:
-        if joint in driven:
-            coupling = driven.pop(joint)
-            fill(coupling.driver)
-            matrix[joint] = coupling.slope * matrix[coupling.driver]
-            offset[joint] = coupling.constant + coupling.slope * offset[coupling.driver]
-
-    for joint in range(count):
-        fill(joint)
-    return matrix, offset
-
-
 STEPS = 60
 """In which a loop is followed over the range of its driver."""
 
@@ -267,8 +242,8 @@ def closed_loops(model: mujoco.MjModel, palm: int) -> list[Loop]:
 
 
 def solve_loops(
-    model: mujoco.MjModel, loops: list[Loop], couplings: list[Coupling], findings: list[Finding]
-) -> list[Coupling]:
+    model: mujoco.MjModel, loops: list[Loop], couplings: dict[int, Drive], findings: list[Finding]
+) -> dict[int, Drive]:
     """All couplings, those of the loops included. Limits of the loops' joints in the model become those
     between which the loops stay closed.
 
@@ -279,7 +254,7 @@ def solve_loops(
     Raises:
         FungraspError: a loop leaves more than one motion, or none.
     """
-    result = list(couplings)
+    result = dict(couplings)
     matrix, offset = coupling_matrix(model.njnt, couplings)
     for group in _groups(loops, matrix):
         names = listed([loop.name for loop in group], limit=3)
@@ -318,9 +293,9 @@ def solve_loops(
             off = float(np.abs(line - path[:, i]).max())
             if off > STRAIGHT:
                 curved.append(f"{joint_name(model, own[i])} by {off:.2f}")
-            result.append(Coupling(own[i], own[driver], float(constant), float(slope)))
+            result[own[i]] = Drive(own[driver], float(constant), float(slope))
             model.jnt_range[own[i]] = min(line.min(), line.max() - 1e-6) - 1e-6, line.max() + 1e-6
-        slopes = [f"{joint_name(model, c.joint)} = {c.slope:.2f}" for c in result[-len(others) :]]
+        slopes = [f"{joint_name(model, own[i])} = {result[own[i]].slope:.2f}" for i in others]
         low, high = model.jnt_range[own[driver]]
         findings.append(
             note(

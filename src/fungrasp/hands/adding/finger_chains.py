@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,12 +10,11 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.hands.adding.couplings import Coupling
 from fungrasp.hands.adding.model_file import ForeignModel
-from fungrasp.hands.adding.palm import branch_ends
+from fungrasp.hands.adding.model_repairs import branch_ends
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.shape_fitting import mesh_points, primitive_mesh
-from fungrasp.hands.checking.findings import listed
+from fungrasp.hands.findings import listed
 from fungrasp.hands.kinematic_tree import ancestors, body_name, joint_name, subtree
 
 SAME_PLACE = 0.13
@@ -260,7 +259,7 @@ PARALLEL = 0.95
 """Cosine of the angle between axes that are parallel."""
 
 
-def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: list[Coupling]) -> None:
+def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: Container[int]) -> None:
     """Refuse what slides or moves as one.
 
     Raises:
@@ -275,7 +274,7 @@ def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: lis
             "on hinges"
         )
     motors = {a for a in range(model.nu) if set(_driven(model, a)) & set(joints)}
-    free = set(joints) - {coupling.joint for coupling in couplings}
+    free = [joint for joint in joints if joint not in couplings]
     if len(motors) == 1 or len(free) == 1:
         raise FungraspError(
             f"'{body_name(model, palm)}' carries a gripper: one motor moves its {len(joints)} joints; a hand "

@@ -26,7 +26,7 @@ from fungrasp.hands.adding.shape_fitting import (
     mesh_points,
 )
 from fungrasp.hands.adding.structure import HandStructure
-from fungrasp.hands.checking.findings import Finding, listed, note, warning
+from fungrasp.hands.findings import Finding, listed, note, warning
 from fungrasp.hands.kinematic_tree import body_name, subtree
 
 Shape = Capsule | Box | int

@@ -16,15 +16,11 @@ import trimesh
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
-from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model, read_model_text
-from fungrasp.hands.adding.model_repairs import check_mimics, repair_joints, wrap_world
-from fungrasp.hands.adding.palm import find_palm
-from fungrasp.hands.checking.findings import Finding, listed, note, warning
-from fungrasp.hands.checking.model_source import parse_xml, principal_inertias, quiet
+from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model, quiet
+from fungrasp.hands.adding.model_repairs import drop_bad_inertias, find_palm, repair_joints
+from fungrasp.hands.adding.model_text import check_mimics, flatten, keep_everything, parse_xml, wrap_world
+from fungrasp.hands.findings import Finding, listed, note, warning
 from fungrasp.hands.kinematic_tree import subtree
-
-MAX_INCLUDES = 100
-"""Files that a model may include."""
 
 MAX_PARENTS = 4
 """Folders above the model's in which the path of a mesh is tried."""
@@ -88,14 +84,12 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
         FungraspError: it can't be read at all, or the palm must be named.
     """
     findings: list[Finding] = []
-    root = parse_xml(path, findings)
-    if root is None:
-        raise FungraspError(findings[-1].message)
+    root = parse_xml(path)
     if root.tag == "robot":
         check_mimics(root, tied, findings)
-        _keep_everything(root)
+        keep_everything(root)
     else:
-        _flatten(root, path.parent)
+        flatten(root, path.parent)
     palm = wrap_world(root, palm, findings)
     with quiet():
         spec = _spec(path, root, findings)
@@ -104,7 +98,7 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
             spec.delete(geom)
         carriers, stripped = _take_meshes(spec, path.parent, root.tag == "robot", findings)
         repair_joints(spec, findings)
-        massless = _drop_bad_inertias(spec, findings)
+        massless = drop_bad_inertias(spec, findings)
         total_mass, spec.compiler.settotalmass = max(spec.compiler.settotalmass, 0.0), -1.0
         for actuator in list(spec.actuators):
             # Only the limits of actuators are of use, and actuators of foreign kinds may not compile alone.
@@ -180,44 +174,6 @@ def _weigh_meshes(
         model.body_mass[:] *= scale
         model.body_inertia[:] *= scale
     return weighed
-
-
-def _keep_everything(robot: ElementTree.Element) -> None:
-    """Make MuJoCo keep visual meshes, static links and paths of a URDF."""
-    for old in robot.findall("mujoco"):
-        robot.remove(old)
-    settings = {"discardvisual": "false", "fusestatic": "false", "strippath": "false"}
-    ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", settings)
-
-
-def _flatten(root: ElementTree.Element, folder: Path) -> None:
-    """Put included files in place of the ``<include>`` elements, and find those of attached models."""
-    for asset in root.iter("model"):
-        file = folder / asset.get("file", "")
-        read_model_text(file)
-        asset.set("file", str(file.absolute()))
-    read = 0
-    pending = [root]
-    while pending:
-        parent = pending.pop()
-        for i in range(len(parent) - 1, -1, -1):
-            child = parent[i]
-            if child.tag != "include":
-                pending.append(child)
-                continue
-            read += 1
-            file = folder / child.get("file", "")
-            if read > MAX_INCLUDES:
-                raise FungraspError(f"more than {MAX_INCLUDES} files are included")
-            findings: list[Finding] = []
-            included = parse_xml(file, findings, ("mujoco", "mujocoinclude"))
-            if included is None:
-                raise FungraspError(findings[-1].message)
-            parent.remove(child)
-            for offset, element in enumerate(included):
-                parent.insert(i + offset, element)
-            pending.append(parent)
-            break
 
 
 def _spec(path: Path, root: ElementTree.Element, findings: list[Finding]) -> mujoco.MjSpec:
@@ -402,32 +358,3 @@ def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
 def _reason(path: Path, problem: FungraspError) -> str:
     """Why a mesh can't be read, without its name."""
     return str(problem).split(str(path))[-1].strip(" :")
-
-
-def _drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
-    """Leave out inertials that no mass can have; names of the bodies that are left without one."""
-    wrong, massless = [], set()
-    for body in spec.bodies[1:]:
-        if body.explicitinertial:
-            moments = principal_inertias(body)
-            radius = np.sqrt(max(moments[2], 0) / body.mass) if body.mass > 0 else np.inf
-            sound = moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-3)
-            if body.mass > 1e-6 and sound and 3e-4 < radius < 0.3:
-                continue
-            # A wrong inertia does not make the mass wrong.
-            if body.mass > 1e-6:
-                wrong.append(body.name)
-                body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
-                body.inertia = [body.mass * 1e-4] * 3
-                continue
-            body.explicitinertial = False
-        if not any(geom.contype or geom.conaffinity for geom in body.geoms):
-            massless.add(body.name)
-    if wrong:
-        findings.append(
-            warning(
-                f"no mass has the inertia of the body {listed(wrong)}: replaced by that of a body with a "
-                "radius of gyration of 10 mm"
-            )
-        )
-    return massless

@@ -1,150 +1,13 @@
-"""What is mended in a foreign model first: a palm that is fused with the world, joints that no hand has."""
+"""What is mended in a foreign model before it is understood: its joints and inertias. Its palm."""
 
 from __future__ import annotations
-
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Container, Iterator
 
 import mujoco
 import numpy as np
 
-from fungrasp.core.errors import FungraspError
-from fungrasp.hands.checking.findings import Finding, listed, warning
-
-MIN_FINGERS = 2
-"""Branches with joints on the world that make it a palm, where no body carries as many."""
-
-WORLD = "world"
-"""Name by which the world is chosen as the palm."""
-
-SCENERY = ("plane", "hfield")
-"""Types of geoms that are no part of a hand."""
-
-
-def wrap_world(root: ElementTree.Element, palm: str | None, findings: list[Finding]) -> str | None:
-    """Give fingers that stand on the world a body to stand on.
-
-    Args:
-        root: of a URDF, or of an MJCF with included files in place; it is changed.
-        palm: the body that the user names.
-        findings: what was done is added.
-
-    Returns:
-        name of the palm, which is the new body where ``palm`` is "world".
-    """
-    return (_rename_world if root.tag == "robot" else _wrap_world)(root, palm, findings)
-
-
-def _rename_world(robot: ElementTree.Element, palm: str | None, findings: list[Finding]) -> str | None:
-    """MuJoCo takes a link that is called "world" for the world itself."""
-    parents = [
-        joint.find("parent")
-        for joint in robot.findall("joint")
-        if joint.get("type") not in ("fixed", "floating")
-    ]
-    count = sum(parent is not None and parent.get("link") == WORLD for parent in parents)
-    if palm not in (None, WORLD) or count < MIN_FINGERS:
-        return palm
-    links = {link.get("name", ""): link for link in robot.findall("link")}
-    name = _new_name(set(links))
-    links[WORLD].set("name", name)
-    for parent in robot.iter("parent"):
-        if parent.get("link") == WORLD:
-            parent.set("link", name)
-    findings.append(
-        warning(f"{count} fingers stand on the link 'world': it is called '{name}', and is the palm")
-    )
-    return name
-
-
-def _wrap_world(root: ElementTree.Element, palm: str | None, findings: list[Finding]) -> str | None:
-    """Put fingers that stand on the world, and the shapes there, into a body of their own."""
-    worlds = root.findall("worldbody")
-    children = [(world, child) for world in worlds for child in world]
-    fingers = [child for _, child in children if _moves(child)]
-    names = {body.get("name") for world in worlds for body in world.iter("body")}
-    if palm is not None and (palm != WORLD or WORLD in names):
-        return palm
-    deep = max((_branches(body) for world in worlds for body in world.iter("body")), default=0)
-    if palm is None and (len(fingers) < MIN_FINGERS or deep >= len(fingers)):
-        return None
-    name = _new_name(names)
-    body = ElementTree.Element("body", {"name": name})
-    for world, child in children:
-        shape = child.tag in ("geom", "site") and child.get("type") not in SCENERY
-        if shape or (child.tag in ("body", "frame") and child.find("freejoint") is None):
-            world.remove(child)
-            body.append(child)
-    worlds[0].append(body)
-    findings.append(
-        warning(
-            f"{len(fingers)} fingers stand on the world, so that there is no body to move: they and the "
-            f"shapes there were put into a new body '{name}', the palm"
-        )
-    )
-    return name
-
-
-def _new_name(taken: Container[str | None]) -> str:
-    name = "palm"
-    while name in taken:
-        name += "_"
-    return name
-
-
-def _moves(element: ElementTree.Element) -> bool:
-    """Whether a child of a body is the beginning of a branch with joints that is not free itself."""
-    return (
-        element.tag in ("body", "frame")
-        and element.find("freejoint") is None
-        and all(joint.get("type") != "free" for joint in element.findall("joint"))
-        and any(True for _ in element.iter("joint"))
-    )
-
-
-def _branches(body: ElementTree.Element) -> int:
-    return sum(_moves(child) for child in _children(body))
-
-
-def _children(element: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    """Children, through frames."""
-    for child in element:
-        if child.tag == "frame":
-            yield from _children(child)
-        else:
-            yield child
-
-
-def check_mimics(robot: ElementTree.Element, tied: Container[str], findings: list[Finding]) -> None:
-    """Hold joints still that mimic one that is fixed.
-
-    Args:
-        robot: root of a URDF; it is changed.
-        tied: joints whose couplings the user gives.
-        findings: what was done is added.
-
-    Raises:
-        FungraspError: a joint mimics one that does not exist.
-    """
-    joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
-    for name, joint in joints.items():
-        mimic = joint.find("mimic")
-        if mimic is None:
-            continue
-        driver = joints.get(mimic.get("joint", ""))
-        if name in tied:
-            joint.remove(mimic)
-        elif driver is None or driver is joint:
-            raise FungraspError(
-                f"the joint '{name}' mimics '{mimic.get('joint')}', which is no other joint: say what it "
-                f"follows with --couple '{name}=OFFSET+SLOPE*DRIVER'"
-            )
-        elif driver.get("type") == "fixed":
-            mimic.set("joint", next(n for n, j in joints.items() if j.get("type") != "fixed" and n != name))
-            mimic.set("multiplier", "0")
-            words = f"the joint '{name}' mimics '{driver.get('name')}', which is fixed: it is held still"
-            findings.append(warning(words))
-
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.hands.findings import Finding, listed, warning
+from fungrasp.hands.kinematic_tree import ancestors, body_name, subtree
 
 FINGER_RANGE = (-0.2, 1.6)
 """Proposed for a hinge without limits [rad]: that of a human finger's joint, with some extension."""
@@ -270,3 +133,105 @@ def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
     ):
         if names:
             findings.append(warning(f"the joint {listed(names)} {text}"))
+
+
+def drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
+    """Leave out inertials that no mass can have; names of the bodies that are left without one."""
+    wrong, massless = [], set()
+    for body in spec.bodies[1:]:
+        if body.explicitinertial:
+            moments = _principal_inertias(body)
+            radius = np.sqrt(max(moments[2], 0) / body.mass) if body.mass > 0 else np.inf
+            sound = moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-3)
+            if body.mass > 1e-6 and sound and 3e-4 < radius < 0.3:
+                continue
+            # A wrong inertia does not make the mass wrong.
+            if body.mass > 1e-6:
+                wrong.append(body.name)
+                body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+                body.inertia = [body.mass * 1e-4] * 3
+                continue
+            body.explicitinertial = False
+        if not any(geom.contype or geom.conaffinity for geom in body.geoms):
+            massless.add(body.name)
+    if wrong:
+        findings.append(
+            warning(
+                f"no mass has the inertia of the body {listed(wrong)}: replaced by that of a body with a "
+                "radius of gyration of 10 mm"
+            )
+        )
+    return massless
+
+
+def _principal_inertias(body: mujoco.MjsBody) -> np.ndarray:
+    """In rising order [kg m2], shape [3]."""
+    diagonal, full = np.asarray(body.inertia), np.asarray(body.fullinertia)
+    return np.linalg.eigvalsh(np.diag(diagonal) if np.isnan(full[0]) else _symmetric(full))
+
+
+def _symmetric(full: np.ndarray) -> np.ndarray:
+    """xx, yy, zz, xy, xz, yz to a matrix, shape [3, 3]."""
+    xx, yy, zz, xy, xz, yz = full
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+PALM_SHARE = 0.8
+"""The palm is the last body that carries more than this share of the tree's ends."""
+
+MIN_BRANCHES = 3
+"""Several bodies from which so many branches go out are the palms of several hands."""
+
+
+def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
+    """Id of the palm: the body that is given, else the last that carries nearly all ends of the tree.
+
+    Raises:
+        FungraspError: no such body, or no body carries the fingers.
+    """
+    names = {model.body(b).name: b for b in range(1, model.nbody)}
+    if answer is not None:
+        if answer not in names:
+            raise FungraspError(f"--palm: {UnknownNameError('body', answer, names)}")
+        return names[answer]
+    moving = set(np.flatnonzero(model.body_jntnum > 0).tolist())
+    if not moving:
+        raise FungraspError("the model has no joints, so it is no hand")
+    hands = _palms(model, moving)
+    if len(hands) > 1:
+        raise FungraspError(
+            f"several bodies carry fingers: {listed([body_name(model, body) for body in hands])}; choose the "
+            "palm with --palm BODY"
+        )
+    ends = branch_ends(model, moving)
+    if len(ends) == 1:
+        raise FungraspError(
+            f"one chain of joints is all there is, up to '{body_name(model, ends[0])}': a gripper with one "
+            "jaw, or an arm without a hand"
+        )
+    # A scene may hold things beside the hand: the tree with most ends is the hand's.
+    roots = [ancestors(model, end)[-1] for end in ends]
+    root = max(dict.fromkeys(roots), key=roots.count)
+    ends = [end for end, top in zip(ends, roots, strict=True) if top == root]
+    held = {body: sum(body in ancestors(model, end)[1:] for end in ends) for body in range(1, model.nbody)}
+    candidates = [body for body, count in held.items() if count > PALM_SHARE * len(ends) and count > 1]
+    if not candidates:
+        raise FungraspError(
+            f"the fingers {listed([body_name(model, end) for end in ends])} hang on no common body; name the "
+            "palm with --palm BODY (if they hang on the world, put the palm into a body of its own)"
+        )
+    return max(candidates, key=lambda body: len(ancestors(model, body)))
+
+
+def branch_ends(model: mujoco.MjModel, moving: set[int]) -> list[int]:
+    """Moving bodies that carry no other."""
+    return [body for body in sorted(moving) if not moving & (set(subtree(model, body)) - {body})]
+
+
+def _palms(model: mujoco.MjModel, moving: set[int]) -> list[int]:
+    """Bodies on which at least three moving branches begin, and no other such body."""
+    branches = np.zeros(model.nbody, dtype=int)
+    for body in range(1, model.nbody):
+        branches[model.body_parentid[body]] += bool(moving & set(subtree(model, body)))
+    wide = {body for body in range(1, model.nbody) if branches[body] >= MIN_BRANCHES}
+    return [body for body in sorted(wide) if not wide & (set(subtree(model, body)) - {body})]

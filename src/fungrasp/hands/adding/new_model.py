@@ -7,16 +7,16 @@ from itertools import combinations
 import mujoco
 import numpy as np
 
-from fungrasp.hands.adding.couplings import Coupling
+from fungrasp.hands.adding.couplings import from_reference
 from fungrasp.hands.adding.link_shapes import HandShapes, LinkShapes
 from fungrasp.hands.adding.model_file import DENSITY, ForeignModel
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.servos import JointPhysics
 from fungrasp.hands.adding.shape_fitting import Box, Capsule, coarse
 from fungrasp.hands.adding.structure import HandStructure
-from fungrasp.hands.checking.findings import listed, note, warning
 from fungrasp.hands.collisions import self_contacts, zero_and_random_poses
-from fungrasp.hands.kinematic_tree import body_name, joint_name
+from fungrasp.hands.findings import listed, note, warning
+from fungrasp.hands.kinematic_tree import Drive, body_name, joint_name
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """Geom groups, by MuJoCo's convention, where a link has meshes for pictures."""
@@ -30,7 +30,7 @@ def new_model(
     structure: HandStructure,
     poses: Poses,
     shapes: HandShapes,
-    couplings: list[Coupling],
+    couplings: dict[int, Drive],
     physics: JointPhysics,
 ) -> mujoco.MjSpec:
     """Build the model; its palm stands still at the origin. Sites mark joints ("index_joint_1") and tips
@@ -63,17 +63,17 @@ def new_model(
         bodies[chain.bodies[-1]].add_site(
             name=f"{finger}_tip", pos=shapes.tips[finger], size=[0.002, 0, 0], group=4
         )
-    for coupling in couplings:
-        ends = [int(model.jnt_bodyid[j]) for j in (coupling.joint, coupling.driver)]
+    for joint, drive in couplings.items():
+        ends = [int(model.jnt_bodyid[j]) for j in (joint, drive.driver)]
         if not set(ends) <= set(shapes.links) - {structure.palm}:
             continue
         equality = spec.add_equality(
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            name1=joint_name(model, coupling.joint),
-            name2=joint_name(model, coupling.driver),
+            name1=joint_name(model, joint),
+            name2=joint_name(model, drive.driver),
         )
-        equality.data[:5] = [coupling.from_reference(model), coupling.slope, 0.0, 0.0, 0.0]
+        equality.data[:5] = [from_reference(model, joint, drive), drive.slope, 0.0, 0.0, 0.0]
         equality.solref[:2] = [0.01, 1.0]
         equality.solimp[:3] = [0.99, 0.999, 0.001]
     if guessed:

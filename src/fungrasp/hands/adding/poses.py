@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from fungrasp.hands.adding.couplings import Coupling, coupling_matrix
-from fungrasp.hands.checking.findings import Finding, listed, note, warning
-from fungrasp.hands.kinematic_tree import joint_name
+from fungrasp.hands.findings import Finding, listed, note, warning
+from fungrasp.hands.kinematic_tree import Drive, coupling_matrix, joint_name
 
 NOTICED = 0.1
 """Change of a joint's range that is mentioned [rad]."""
@@ -18,7 +17,7 @@ NOTICED = 0.1
 class Poses:
     """Poses of a model's bodies and joints at any joint positions, in the palm body's frame."""
 
-    def __init__(self, model: mujoco.MjModel, couplings: list[Coupling], palm: int):
+    def __init__(self, model: mujoco.MjModel, couplings: dict[int, Drive], palm: int):
         self.model, self.palm = model, palm
         self.matrix, self.offset = coupling_matrix(model.njnt, couplings)
         self.data = mujoco.MjData(model)
@@ -72,7 +71,7 @@ def independent_limits(
     return low, high
 
 
-def narrowed_ranges(model: mujoco.MjModel, couplings: list[Coupling]) -> Iterator[Finding]:
+def narrowed_ranges(model: mujoco.MjModel, couplings: dict[int, Drive]) -> Iterator[Finding]:
     """Joints whose range shrinks because one that they drive would leave its own, or that push it beyond."""
     matrix, offset = coupling_matrix(model.njnt, couplings)
     low, high = independent_limits(model, matrix, offset)

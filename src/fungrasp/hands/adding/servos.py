@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.structure import HandStructure
-from fungrasp.hands.checking.findings import Finding, listed, warning
+from fungrasp.hands.findings import Finding, listed, warning
 from fungrasp.hands.kinematic_tree import ancestors, joint_name
 
 TIP_FORCE = 10.0

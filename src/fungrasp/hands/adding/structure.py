@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.hands.adding.couplings import Coupling, GivenCoupling
+from fungrasp.hands.adding.couplings import GivenCoupling
 from fungrasp.hands.adding.finger_chains import (
     Chain,
     chain_joints,
@@ -22,9 +22,9 @@ from fungrasp.hands.adding.finger_chains import (
     straight_fingers,
 )
 from fungrasp.hands.adding.poses import Poses
-from fungrasp.hands.checking.findings import Finding, finger_of, listed, warning
+from fungrasp.hands.findings import Finding, finger_of, listed, warning
 from fungrasp.hands.hand import FINGERS
-from fungrasp.hands.kinematic_tree import ancestors, body_name, subtree
+from fungrasp.hands.kinematic_tree import Drive, ancestors, body_name, subtree
 
 SIDE_RATIO = 0.15
 """The thumb's distance to the side below which the side is not certain, as a share of a finger's length."""
@@ -77,7 +77,7 @@ class Answers:
 def find_structure(
     model: mujoco.MjModel,
     palm: int,
-    couplings: list[Coupling],
+    couplings: dict[int, Drive],
     ties: Sequence[tuple[int, int]],
     tips: Mapping[int, np.ndarray],
     answers: Answers,

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.formats.text_files import read_json
-from fungrasp.grasps.human_hand import ORDERS, bone_ratios, hand_size, joint_bends, joint_order
+from fungrasp.grasps.human_hand import ORDERS, hand_size, joint_bends, joint_order, order_misfit
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
 from fungrasp.perception.io.capture import Intrinsics
 from fungrasp.perception.io.estimates import Side
@@ -186,7 +186,7 @@ def _joints(fields: HandFields) -> np.ndarray:
     given = fields.numbers("joints", (21, 3))
     joints = given[:, joint_order(order)]
     # The fingers' bones differ in length: in another order they have those of other fingers.
-    unlike = {name: _unlike_adults(given[:, places]) for name, places in ORDERS.items()}
+    unlike = {name: float(order_misfit(given[:, places]).mean()) for name, places in ORDERS.items()}
     best = min(unlike, key=lambda name: unlike[name])
     if unlike[best] < unlike[order]:
         raise FungraspError(
@@ -194,16 +194,6 @@ def _joints(fields: HandFields) -> np.ndarray:
             f"not '{order}': say 'order': '{best}'"
         )
     return joints
-
-
-def _unlike_adults(joints: np.ndarray) -> float:
-    """How much the proportions of hands differ from adults': sum of squares of the logarithm of the
-    bones' lengths over adults', the hand's size taken out. joints: [m], shape [hands, 21, 3]."""
-    ratios = bone_ratios(joints)
-    if not (ratios > 0).all():
-        return float("inf")
-    away = np.log(ratios)
-    return float(np.square(away - np.median(away, axis=-1, keepdims=True)).sum())
 
 
 def _sides(fields: HandFields, count: int) -> np.ndarray:

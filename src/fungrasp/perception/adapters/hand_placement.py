@@ -17,10 +17,9 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded
 from fungrasp.grasps.human_hand import HAND_SIZE_SPREAD, hand_size
 from fungrasp.perception.adapters.hand_file import hands_of, read_fields, turn_to
-from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand
+from fungrasp.perception.hand.detected_hand import DetectedHand, choose_hand, object_box
 from fungrasp.perception.hand.fit_problem import joint_confidence
 from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
-from fungrasp.perception.hand.hand_hypotheses import object_box
 from fungrasp.perception.hand.hand_measurements import HandMeasurements
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, Side

@@ -6,7 +6,6 @@ Least squares goes downhill only; a thumb that was guessed on the wrong side of 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,36 +32,21 @@ WIDE = 1.3  # Factor on the usual spread of postures for those that are tried.
 SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Parts of each link that are looked at.
 
 
-@dataclass(frozen=True)
-class FingerSearchSettings:
-    """What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse."""
-
-    landmark: float = 0.06
-    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
-    landmark_worst: float = 3.0
-    """A landmark farther off [standard deviations] is wrong: those of hidden fingers are guesses."""
-    point: float = 0.006
-    """Standard deviation of a measured point's distance from the skin [m]."""
-    point_worst: float = 0.02
-    """Distance from the skin beyond which the cost of a point does not grow [m]."""
-    points_weight: float = 60.0
-    """Number of independent measurements that all measured points together count as."""
-    front: float = 0.006
-    """Standard deviation of how far skin is in front of what is seen there [m]."""
-    front_worst: float = 0.04
-    """Distance in front beyond which the cost does not grow [m]."""
-    inside: float = 0.004
-    """Standard deviation of how deep the finger is in the object or the table [m]."""
-    overlap: float = 0.004
-    """Standard deviation of how deep the finger is in other fingers [m]."""
-    touch: float = 0.008
-    """Standard deviation of the gap between the last link and the object [m]."""
-    touch_worst: float = 0.02
-    """Gap beyond which the cost does not grow [m]."""
-    opposed: float = 4.0
-    """Cost of thumb and fingers that touch the object from the same side."""
-    unusual: float = 1.0
-    """Weight of the cost of an unusual posture."""
+# What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse.
+LANDMARK_PART = 0.06  # Standard deviation of a landmark, as a part of the hand's extent in the image.
+# A landmark farther off [standard deviations] is wrong: those of hidden fingers are guesses.
+LANDMARK_WORST = 3.0
+POINT_SPREAD = 0.006  # Standard deviation of a measured point's distance from the skin [m].
+POINT_WORST = 0.02  # Distance from the skin beyond which the cost of a point does not grow [m].
+POINTS_WEIGHT = 60.0  # Number of independent measurements that all measured points together count as.
+FRONT_SPREAD = 0.006  # Standard deviation of how far skin is in front of what is seen there [m].
+FRONT_WORST = 0.04  # Distance in front beyond which the cost does not grow [m].
+INSIDE_SPREAD = 0.004  # Standard deviation of how deep the finger is in the object or the table [m].
+OVERLAP_SPREAD = 0.004  # Standard deviation of how deep the finger is in other fingers [m].
+TOUCH_SPREAD = 0.008  # Standard deviation of the gap between the last link and the object [m].
+TOUCH_WORST = 0.02  # Gap beyond which the cost does not grow [m].
+OPPOSED_COST = 4.0  # Cost of thumb and fingers that touch the object from the same side.
+UNUSUAL_WEIGHT = 1.0  # Weight of the cost of an unusual posture.
 
 
 def finger_joints(hand: Skeleton, finger: int, angles: np.ndarray) -> np.ndarray:
@@ -113,12 +97,11 @@ def search_fingers(
         landmarks: [pixels], shape [21, 2].
         spread: standard deviation of a landmark [pixels], if it is known.
     """
-    settings = FingerSearchSettings()
     if spread is None:
-        spread = settings.landmark * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
+        spread = LANDMARK_PART * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
     for finger in ORDER:
         tried = np.concatenate([hand.angles[None, finger], postures(finger, TRIES, rng)])
-        cost = finger_cost(hand, finger, tried, view, landmarks, spread, settings)
+        cost = finger_cost(hand, finger, tried, view, landmarks, spread)
         angles = hand.angles.copy()
         angles[finger] = tried[cost.argmin()]
         hand = dataclasses.replace(hand, angles=angles)
@@ -132,15 +115,14 @@ def finger_cost(
     view: HandView,
     landmarks: np.ndarray,
     spread: float,
-    settings: FingerSearchSettings,
 ) -> np.ndarray:
     """What speaks against each posture of a finger, shape [S]. tried: [rad], shape [S, 3, 3]."""
     joints = finger_joints(hand, finger, tried)
     scale = np.exp(hand.size)
     own = slice(1 + 4 * finger, 5 + 4 * finger)
     off = np.linalg.norm(view.intrinsics.project(joints[:, 1:]) - landmarks[own][1:], axis=-1) / spread
-    cost = _limited(off, settings.landmark_worst).sum(axis=1)
-    cost += _points_cost(hand, finger, joints, view, settings)
+    cost = _limited(off, LANDMARK_WORST).sum(axis=1)
+    cost += _points_cost(hand, finger, joints, view)
     # Samples along the links, each with the distance to the skin around it.
     last = np.where(np.arange(3) == 2, 0.8, 1.0)[:, None] * SAMPLED_PARTS
     first, step = joints[:, :-1, None], np.diff(joints, axis=1)[:, :, None]
@@ -148,23 +130,23 @@ def finger_cost(
     radius = scale * (FINGER_RADII[finger, :-1, None] + last * np.diff(FINGER_RADII[finger])[:, None]).ravel()
     seen = view.depth_at(view.intrinsics.project(samples))
     front = np.nan_to_num(np.maximum(seen - samples[..., 2] + radius - 0.006, 0.0))
-    cost += _limited(front / settings.front, settings.front_worst / settings.front).sum(axis=1) / 2
+    cost += _limited(front / FRONT_SPREAD, FRONT_WORST / FRONT_SPREAD).sum(axis=1) / 2
     distance, normal = view.surroundings.object_distance(samples.reshape(-1, 3))
     distance, normal = distance.reshape(samples.shape[:2]), normal.reshape(samples.shape)
-    cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
+    cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / INSIDE_SPREAD).sum(axis=1)
     gap = np.maximum((distance - 0.8 * radius)[:, -3:].min(axis=1), 0.0)
-    cost += _limited(gap / settings.touch, settings.touch_worst / settings.touch)
-    cost += np.square(finger_overlap(samples, radius, hand, finger) / settings.overlap).sum(axis=1)
+    cost += _limited(gap / TOUCH_SPREAD, TOUCH_WORST / TOUCH_SPREAD)
+    cost += np.square(finger_overlap(samples, radius, hand, finger) / OVERLAP_SPREAD).sum(axis=1)
     facing = _opposite(hand, finger, view)
     if facing is not None:
-        cost += settings.opposed * 0.5 * (1.0 - normal[:, -1] @ facing)
+        cost += OPPOSED_COST * 0.5 * (1.0 - normal[:, -1] @ facing)
     table = view.surroundings.table_distance(samples.reshape(-1, 3))
     if table is not None:
         height = table[0].reshape(samples.shape[:2])
-        cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / settings.inside).sum(axis=1)
+        cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / INSIDE_SPREAD).sum(axis=1)
     usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / (2.0 * ANGLE_SPREAD[finger, :, 1])
     beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
-    cost += settings.unusual * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
+    cost += UNUSUAL_WEIGHT * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
     return cost
 
 
@@ -182,9 +164,7 @@ def _opposite(hand: Skeleton, finger: int, view: HandView) -> np.ndarray | None:
     return mean / length if length > 0.3 else None
 
 
-def _points_cost(
-    hand: Skeleton, finger: int, joints: np.ndarray, view: HandView, settings: FingerSearchSettings
-) -> np.ndarray:
+def _points_cost(hand: Skeleton, finger: int, joints: np.ndarray, view: HandView) -> np.ndarray:
     whole = hand.joints()
     scale = np.exp(hand.size)
     others = HAND_CAPSULES.finger != finger
@@ -208,8 +188,8 @@ def _points_cost(
         nearest_capsules(points, first[:, own], last[:, own], scale * HAND_CAPSULES.radius[own])[1]
     )
     distance = np.minimum(distance, rest[free])
-    weight = settings.points_weight * apart / max(len(view.points), 1)
-    return weight * _limited(distance / settings.point, settings.point_worst / settings.point).sum(axis=1)
+    weight = POINTS_WEIGHT * apart / max(len(view.points), 1)
+    return weight * _limited(distance / POINT_SPREAD, POINT_WORST / POINT_SPREAD).sum(axis=1)
 
 
 def _limited(residual: np.ndarray, worst: float) -> np.ndarray:

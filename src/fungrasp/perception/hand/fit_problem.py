@@ -25,7 +25,6 @@ from fungrasp.perception.hand.image_evidence import (
     silhouette_evidence,
 )
 from fungrasp.perception.hand.physical_evidence import (
-    HandContactSettings,
     HandSurroundings,
     anatomy_evidence,
     contact_evidence,
@@ -48,55 +47,33 @@ TRUSTED_ERROR = 0.015  # A joint's confidence is the probability that its error 
 COVARIANCE_FACTOR = 1.3
 
 
-@dataclass(frozen=True)
-class HandFitSettings:
-    """Standard deviations and weights of the measurements."""
-
-    landmark_spread: float = 0.03
-    """Standard deviation of a landmark, as a part of the hand's extent in the image."""
-    least_landmark_spread: float = 2.0
-    """Least standard deviation of a landmark [pixels]."""
-    late_landmarks: float = 0.35
-    """Factor of a landmark's residual once the fingers have been searched, and in the cost."""
-    hidden: float = 0.03
-    """A joint so far behind what is seen there [m] is hidden."""
-    hidden_landmarks: float = 0.5
-    """Further factor of the residual of a hidden joint's landmark then."""
-    depth_spread: float = 0.012
-    """Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err
-    alike."""
-    object_depth: float = 0.004
-    """What is seen so near to the known object's surface [m] is the object."""
-    background: float = 0.02
-    """What is seen farther behind a part of the hand [m] is background to it."""
-    background_levels: int = 3
-    """Number of depth levels that the hand's parts are sorted into to find their background."""
-    held_background_levels: int = 2
-    """Number of depth levels where the object is known."""
-    silhouette_spread: float = 3.0
-    """Standard deviation of the silhouette [pixels]."""
-    silhouette_outlier: float = 20.0
-    """A part farther in the background [pixels] is likelier hidden by a hole in the depth."""
-    silhouette_inset: float = 0.7
-    """Part of the hand's thickness that is surely inside the silhouette."""
-    direction_spread: float = 0.35
-    """Standard deviation of the landmark model's bone directions [rad]."""
-    turn_spread: float = 0.25
-    """Standard deviation of the turn of all bone directions together [rad]."""
-    point_spread: tuple[float, float, float] = (0.004, 0.008, 0.025)
-    """Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm."""
-    points_worth: float = 85.0
-    """Number of independent measurements that all measured points together count as: neighbors err alike."""
-    front_spread: float = 0.016
-    """Standard deviation of how far skin may be in front of what is seen there [m]."""
-    front_outlier: float = 0.05
-    """Skin farther in front [m] is likelier a fault of the depth."""
-    front_slack: float = 0.004
-    """Skin so little in front [m] is not."""
-    overlap_spread: float = 0.002
-    """Standard deviation of how deep fingers are in each other [m]."""
-    contact: HandContactSettings = field(default_factory=HandContactSettings)
-    """Weights of what the object and the table say, where they are known."""
+# Standard deviations and weights of the measurements.
+LANDMARK_SPREAD = 0.03  # Standard deviation of a landmark, as a part of the hand's extent in the image.
+LEAST_LANDMARK_SPREAD = 2.0  # Least standard deviation of a landmark [pixels].
+LATE_LANDMARKS = 0.35  # Factor of a landmark's residual once the fingers have been searched, and in the cost.
+HIDDEN_BEHIND = 0.03  # A joint so far behind what is seen there [m] is hidden.
+HIDDEN_LANDMARKS = 0.5  # Further factor of the residual of a hidden joint's landmark then.
+# Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err alike.
+DEPTH_SPREAD = 0.012
+OBJECT_DEPTH = 0.004  # What is seen so near to the known object's surface [m] is the object.
+BACKGROUND_BEHIND = 0.02  # What is seen farther behind a part of the hand [m] is background to it.
+# Number of depth levels that the hand's parts are sorted into to find their background.
+BACKGROUND_LEVELS = 3
+HELD_BACKGROUND_LEVELS = 2  # Number of depth levels where the object is known.
+SILHOUETTE_SPREAD = 3.0  # Standard deviation of the silhouette [pixels].
+# A part farther in the background [pixels] is likelier hidden by a hole in the depth.
+SILHOUETTE_OUTLIER = 20.0
+SILHOUETTE_INSET = 0.7  # Part of the hand's thickness that is surely inside the silhouette.
+DIRECTION_SPREAD = 0.35  # Standard deviation of the landmark model's bone directions [rad].
+TURN_SPREAD = 0.25  # Standard deviation of the turn of all bone directions together [rad].
+# Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm.
+POINT_SPREAD = (0.004, 0.008, 0.025)
+# Number of independent measurements that all measured points together count as: neighbors err alike.
+POINTS_WORTH = 85.0
+FRONT_SPREAD = 0.016  # Standard deviation of how far skin may be in front of what is seen there [m].
+FRONT_OUTLIER = 0.05  # Skin farther in front [m] is likelier a fault of the depth.
+FRONT_SLACK = 0.004  # Skin so little in front [m] is not.
+OVERLAP_SPREAD = 0.002  # Standard deviation of how deep fingers are in each other [m].
 
 
 @dataclass(frozen=True)
@@ -141,12 +118,11 @@ class HandFitProblem:
             surroundings: known object and table; by default those of ``view``.
         """
         self.seen, self.view = seen, view
-        self.settings = HandFitSettings()
         self.surroundings = view.surroundings if view is not None else surroundings
         self.size = SIZE if seen is None else SIZE + 3
         if seen is not None:
-            least = self.settings.least_landmark_spread
-            self._landmark_spread = seen.landmark_spread(self.settings.landmark_spread, least)
+            least = LEAST_LANDMARK_SPREAD
+            self._landmark_spread = seen.landmark_spread(LANDMARK_SPREAD, least)
         if estimate is not None:
             # W with W^T W the inverse covariance, shape [21, 3, 3].
             self._whitening = np.linalg.cholesky(np.linalg.inv(estimate.covariance)).transpose(0, 2, 1)
@@ -155,16 +131,16 @@ class HandFitProblem:
     def find_background(self, skeleton: Skeleton) -> None:
         """Look where the background and hidden joints are, for a hand about there."""
         assert self.seen is not None
-        settings, lens = self.settings, self.seen.intrinsics
+        lens = self.seen.intrinsics
         points, slopes = SURFACE_SAMPLES.place(*skeleton.joints_and_derivatives())
         pixels, _ = project(points, slopes, lens)
-        levels = settings.background_levels if self.view is None else settings.held_background_levels
+        levels = BACKGROUND_LEVELS if self.view is None else HELD_BACKGROUND_LEVELS
         self._silhouettes = Silhouettes.around(
-            self.seen.depth, pixels, points[:, 2], levels, settings.background
+            self.seen.depth, pixels, points[:, 2], levels, BACKGROUND_BEHIND
         )
         if self.view is not None:
             joints = skeleton.joints()
-            self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > settings.hidden
+            self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > HIDDEN_BEHIND
 
     def solve(self, start: HandParameters, stage: HandFitStage, iterations: int) -> HandParameters:
         """Gauss-Newton steps from a start."""
@@ -190,10 +166,10 @@ class HandFitProblem:
         if self.seen is not None:
             found += self._image_evidence(self.seen, parameters, joints, jacobian, stage)
         if self.view is not None:
-            found.append(overlap_evidence(hand, joints, jacobian, self.settings.overlap_spread))
+            found.append(overlap_evidence(hand, joints, jacobian, OVERLAP_SPREAD))
         found += anatomy_evidence(hand)
         if self.surroundings is not None and stage.contact:
-            found += contact_evidence(hand, joints, jacobian, self.surroundings, self.settings.contact)
+            found += contact_evidence(hand, joints, jacobian, self.surroundings)
         return found
 
     def _image_evidence(
@@ -205,49 +181,49 @@ class HandFitProblem:
         stage: HandFitStage,
     ) -> list[HandEvidence]:
         """Landmarks and depth first."""
-        settings, lens, hand = self.settings, seen.intrinsics, parameters.skeleton
+        lens, hand = seen.intrinsics, parameters.skeleton
         points, slopes = SURFACE_SAMPLES.place(joints, jacobian)
         pixels, pixel_slopes = project(points, slopes, lens)
         radius = SURFACE_SAMPLES.radius * np.exp(hand.size)
         measured = of_hand = seen.measured(pixels)
-        weight = settings.late_landmarks if stage.late else 1.0
+        weight = LATE_LANDMARKS if stage.late else 1.0
         landmark_spread = np.full(len(joints), self._landmark_spread)
         if stage.late and seen.spread is None:
-            landmark_spread /= weight * np.where(self._hidden, settings.hidden_landmarks, 1.0)
+            landmark_spread /= weight * np.where(self._hidden, HIDDEN_LANDMARKS, 1.0)
         shown = []
         if self.view is not None:
             distance = self.view.surroundings.object_distance(lens.deproject(pixels, measured))[0]
-            of_hand = np.where(distance < settings.object_depth, 0.0, measured)
-            many = np.sqrt(settings.points_worth / max(len(self.view.points), 1))
-            spread = tuple(width / many for width in settings.point_spread)
+            of_hand = np.where(distance < OBJECT_DEPTH, 0.0, measured)
+            many = np.sqrt(POINTS_WORTH / max(len(self.view.points), 1))
+            spread = tuple(width / many for width in POINT_SPREAD)
             shown = [
                 point_evidence(hand, joints, jacobian, self.view.points, spread, stage.point_outlier),
                 front_evidence(
                     points,
                     slopes,
-                    radius + settings.front_slack,
+                    radius + FRONT_SLACK,
                     measured,
-                    settings.front_spread,
-                    settings.front_outlier,
+                    FRONT_SPREAD,
+                    FRONT_OUTLIER,
                 ),
             ]
         directions = Rotation.from_rotvec(parameters.turn).apply(seen.directions)
-        turn_columns = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / settings.turn_spread
+        turn_columns = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / TURN_SPREAD
         return [
             landmark_evidence(joints, jacobian, lens, seen.pixels, landmark_spread),
-            depth_evidence(points, slopes, radius, of_hand, settings.depth_spread, stage.depth_outlier),
+            depth_evidence(points, slopes, radius, of_hand, DEPTH_SPREAD, stage.depth_outlier),
             *shown,
             silhouette_evidence(
                 self._silhouettes,
                 pixels,
                 pixel_slopes,
                 points[:, 2],
-                settings.silhouette_inset * radius * lens.fx / points[:, 2],
-                settings.silhouette_spread,
-                settings.silhouette_outlier,
+                SILHOUETTE_INSET * radius * lens.fx / points[:, 2],
+                SILHOUETTE_SPREAD,
+                SILHOUETTE_OUTLIER,
             ),
-            direction_evidence(joints, jacobian, directions, settings.direction_spread / weight),
-            HandEvidence(parameters.turn / settings.turn_spread, turn_columns),
+            direction_evidence(joints, jacobian, directions, DIRECTION_SPREAD / weight),
+            HandEvidence(parameters.turn / TURN_SPREAD, turn_columns),
         ]
 
     def joints(

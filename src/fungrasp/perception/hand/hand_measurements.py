@@ -80,17 +80,27 @@ class HandMeasurements:
         return max(least, part * extent if self.spread is None else self.spread)
 
     def measured(self, pixels: np.ndarray) -> np.ndarray:
-        """Median depth around each pixel [m], 0 where there is hardly any. pixels: shape [P, 2]."""
-        height, width = self.depth.shape
-        around = np.arange(-1, 2)
-        middle = np.rint(pixels).astype(int)
-        columns, rows = middle[:, 0, None, None] + around, middle[:, 1, None, None] + around[:, None]
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        values = self.depth[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
-        values = np.sort(np.where(inside, values, np.nan).reshape(len(pixels), -1), axis=1)
-        count = np.isfinite(values).sum(axis=1)
-        median = values[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
-        return np.where(count >= 3, median, 0.0)
+        """``median_depth`` of this image [m], 0 where there is hardly any. pixels: shape [P, 2]."""
+        return np.nan_to_num(median_depth(self.depth, pixels))
+
+
+def median_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Median depth around each pixel [m], NaN where there is hardly any, shape [P].
+
+    Args:
+        depth: [m], shape [H, W]; NaN where it was not measured.
+        pixels: shape [P, 2].
+    """
+    height, width = depth.shape
+    around = np.arange(-1, 2)
+    middle = np.rint(np.nan_to_num(pixels, nan=-9.0)).astype(int)
+    columns, rows = middle[:, 0, None, None] + around, middle[:, 1, None, None] + around[:, None]
+    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    values = depth[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]
+    values = np.sort(np.where(inside, values, np.nan).reshape(len(pixels), -1), axis=1)
+    count = np.isfinite(values).sum(axis=1)
+    median = values[np.arange(len(values)), np.maximum(count - 1, 0) // 2]
+    return np.where(count >= 3, median, np.nan)
 
 
 @dataclass(frozen=True, eq=False)

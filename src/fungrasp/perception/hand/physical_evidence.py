@@ -5,7 +5,6 @@ and table are known, fingers that touch them and nothing inside them.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -169,20 +168,12 @@ FINGERTIP_TOLERANCE, OTHER_TOLERANCE = 0.010, -0.005
 TOLERANCES = np.array([OTHER_TOLERANCE] + [OTHER_TOLERANCE, OTHER_TOLERANCE, FINGERTIP_TOLERANCE] * 5)
 
 
-@dataclass(frozen=True)
-class HandContactSettings:
-    """Standard deviations and limits of the contact evidence."""
-
-    spread: float = 0.004
-    """Standard deviation of the gap between a touching finger's skin and the surface [m]."""
-    reach: float = 0.008
-    """A gap beyond this [m] is likelier no contact."""
-    pad: float = 0.6
-    """Part of the hand's thickness that is between bone and surface when a finger presses."""
-    bone: float = 0.4
-    """Part of the hand's thickness that nothing goes into."""
-    penetration_spread: float = 0.003
-    """Standard deviation of how deep that part is in the object or the table [m]."""
+# Standard deviations and limits of the contact evidence.
+CONTACT_SPREAD = 0.004  # Standard deviation of the gap between a touching finger's skin and the surface [m].
+CONTACT_REACH = 0.008  # A gap beyond this [m] is likelier no contact.
+PRESSED = 0.6  # Part of the hand's thickness that is between bone and surface when a finger presses.
+SOLID = 0.4  # Part of the hand's thickness that nothing goes into.
+PENETRATION_SPREAD = 0.003  # Standard deviation of how deep that part is in the object or the table [m].
 
 
 class HandSurroundings:
@@ -227,7 +218,6 @@ def contact_evidence(
     joints: np.ndarray,
     jacobian: np.ndarray,
     surroundings: HandSurroundings,
-    settings: HandContactSettings,
 ) -> list[HandEvidence]:
     """Each finger's last link touches the object where it is nearest, if it is near; no part is inside.
 
@@ -238,22 +228,22 @@ def contact_evidence(
     distance, gradient = surroundings.object_distance(points)
     # Change of each sample's signed distance by the n parameters, shape [P, n].
     by_step = np.einsum("pi,pin->pn", gradient, slopes)
-    gap = distance - settings.pad * radius
+    gap = distance - PRESSED * radius
     touching = np.array([samples[gap[samples].argmin()] for samples in FINGERTIP_SAMPLES])
     touching = touching[gap[touching] > 0]
     found = [
         HandEvidence(
-            gap[touching] / settings.spread,
-            by_step[touching] / settings.spread,
-            settings.reach / settings.spread,
+            gap[touching] / CONTACT_SPREAD,
+            by_step[touching] / CONTACT_SPREAD,
+            CONTACT_REACH / CONTACT_SPREAD,
         ),
-        _not_inside(distance - settings.bone * radius, by_step, settings.penetration_spread),
+        _not_inside(distance - SOLID * radius, by_step, PENETRATION_SPREAD),
     ]
     table = surroundings.table_distance(points)
     if table is not None:
         height, normal = table
         by_step = np.einsum("pi,pin->pn", normal, slopes)
-        found.append(_not_inside(height - settings.bone * radius, by_step, settings.penetration_spread))
+        found.append(_not_inside(height - SOLID * radius, by_step, PENETRATION_SPREAD))
     return found
 
 

@@ -186,6 +186,32 @@ class Capture:
         """The same capture with the object's mask, box or point (see the fields), checked."""
         return dataclasses.replace(self, mask=mask, box=box, point=point)
 
+    def reduced(self, longest: int) -> Capture:
+        """The capture with every so many rows and columns, so that its longer side is at most ``longest``
+        pixels; colors are averaged, depth is that of single pixels. Itself where it is small enough."""
+        lens = self.intrinsics
+        stride = -(-max(lens.width, lens.height) // longest)
+        if stride == 1:
+            return self
+        width, height = lens.width // stride, lens.height // stride
+        blocks = (height, stride, width, stride)
+        whole, middle = np.s_[: height * stride, : width * stride], stride // 2
+        color = self.color[whole].reshape(*blocks, 3).mean(axis=(1, 3)).round().astype(np.uint8)
+        point, box = self.point, self.box
+        if point is not None:
+            point = min(point[0] / stride, width - 1.0), min(point[1] / stride, height - 1.0)
+        if box is not None:
+            box = box[0] / stride, box[1] / stride, box[2] / stride, box[3] / stride
+        return Capture(
+            color,
+            np.ascontiguousarray(self.depth[whole][middle::stride, middle::stride]),
+            dataclasses.replace(lens, width=width * stride, height=height * stride).resized(width, height),
+            None if self.mask is None else np.asarray(self.mask[whole].reshape(blocks).any(axis=(1, 3))),
+            box,
+            point,
+            self.warnings,
+        )
+
 
 def _check_array(name: str, array: np.ndarray, dtype: type, shape: tuple[int, ...]) -> None:
     if not isinstance(array, np.ndarray) or array.dtype != dtype:

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 from scipy import ndimage
 
 from fungrasp.core.errors import FungraspError
@@ -74,7 +74,13 @@ def read_capture(
             f"image {size[0]} x {size[1]}: align the depth to the color first"
         )
     marked = None if mask is None else read_mask(mask, picture.shape[:2])
-    capture = _not_too_large(Capture(picture, distance, lens, marked, box, point, remarks))
+    whole = Capture(picture, distance, lens, marked, box, point, remarks)
+    capture = whole.reduced(LONGEST_SIDE)
+    if capture is not whole:
+        smaller = capture.intrinsics
+        _log.warning(
+            "the images of %d x %d pixels are made smaller: %d x %d", *size, smaller.width, smaller.height
+        )
     shift = check_alignment(capture)
     if shift is None:
         return capture
@@ -164,29 +170,23 @@ def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def parse_box(text: str) -> Box:
-    """The box written as ``x0,y0,x1,y1`` [pixels].
-
-    Raises:
-        FungraspError: it is something else.
-    """
-    try:
-        x0, y0, x1, y1 = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise FungraspError(f"a box is x0,y0,x1,y1 in pixels, not '{text}'") from error
+    """The box written as ``x0,y0,x1,y1`` [pixels]. Raises: FungraspError: it is something else."""
+    x0, y0, x1, y1 = _parsed(text, 4, "a box is x0,y0,x1,y1 in pixels")
     return x0, y0, x1, y1
 
 
 def parse_point(text: str) -> Pixel:
-    """The pixel written as ``u,v``: column and row.
-
-    Raises:
-        FungraspError: it is something else.
-    """
-    try:
-        u, v = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise FungraspError(f"a point is u,v (column and row) in pixels, not '{text}'") from error
+    """The pixel written as ``u,v``: column and row. Raises: FungraspError: it is something else."""
+    u, v = _parsed(text, 2, "a point is u,v (column and row) in pixels")
     return u, v
+
+
+def _parsed(text: str, count: int, words: str) -> list[float]:
+    with suppress(ValueError):
+        numbers = [float(part) for part in text.split(",")]
+        if len(numbers) == count:
+            return numbers
+    raise FungraspError(f"{words}, not '{text}'")
 
 
 def _depth_pixels(path: Path) -> np.ndarray:
@@ -196,35 +196,6 @@ def _depth_pixels(path: Path) -> np.ndarray:
             f"{path} has pixels of type '{image.mode}': a picture of depth; save depth as a 16-bit PNG"
         )
     return np.array(image)
-
-
-def _not_too_large(capture: Capture) -> Capture:
-    height, width = capture.depth.shape
-    stride = -(-max(width, height) // LONGEST_SIDE)
-    if stride == 1:
-        return capture
-    size = (width // stride, height // stride)
-    _log.warning("the images of %d x %d pixels are made smaller: %d x %d", width, height, *size)
-    whole = np.s_[: size[1] * stride, : size[0] * stride]
-    middle = np.s_[stride // 2 : size[1] * stride : stride, stride // 2 : size[0] * stride : stride]
-    cropped = dataclasses.replace(capture.intrinsics, width=size[0] * stride, height=size[1] * stride)
-    color = Image.fromarray(capture.color[whole]).reduce(stride)
-    box = capture.box
-    return Capture(
-        np.array(color),
-        capture.depth[middle],
-        cropped.resized(*size),
-        None if capture.mask is None else capture.mask[middle],
-        None if box is None else tuple(edge / stride for edge in box),
-        None if capture.point is None else _within(capture.point, stride, size),
-        capture.warnings,
-    )
-
-
-def _within(point: Pixel, stride: int, size: tuple[int, int]) -> Pixel:
-    """The pixel in the image that is smaller by ``stride``, of that width and height."""
-    u, v = point
-    return min(u / stride, size[0] - 1.0), min(v / stride, size[1] - 1.0)
 
 
 DEPTH_RANGE = (0.1, 8.0)  # Where the middle of a capture's depth must lie [m].

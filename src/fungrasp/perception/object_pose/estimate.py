@@ -14,14 +14,7 @@ from fungrasp.perception.acceptance import ACCEPT, SIZES, object_score
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
 from fungrasp.perception.object_pose.object_template import ObjectTemplate, object_template
-from fungrasp.perception.object_pose.object_view import (
-    LEAST_PIXELS,
-    ObjectView,
-    explained_mask,
-    object_evidence,
-    thinned,
-    view_of_object,
-)
+from fungrasp.perception.object_pose.object_view import WIDEST, ObjectView, view_of_object
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.pose_evidence import RIVAL_DISTANCE, best_rival, pose_evidence
 from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores, color_agreement
@@ -41,13 +34,11 @@ from fungrasp.perception.scene.table import largest_plane
 if TYPE_CHECKING:
     import trimesh
 
-GOOD = (0.85, 0.6)  # Quality of an answer that needs no second search, with and without a mask.
-# The same where depth is smoothed: no answer is as good there, and polishing makes up for it.
-GOOD_SMOOTHED = 0.55
 COLOR_WEIGHT = 0.15  # Quality that full agreement of colors adds, as a part of the best pose's.
 POLISHED = 6  # Poses that are polished where depth is smoothed.
 RAYS = 1000  # About how many rays that meet a mask an answer is judged by.
 ANSWERS = 5  # Most alternatives that are kept.
+ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not the object's.
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +91,7 @@ def search_object_pose(
     seed: int = 0,
 ) -> PoseAnswers:
     """All that ``estimate_object_pose`` finds, with the scores of each pose."""
-    capture = thinned(capture)
+    capture = capture.reduced(WIDEST)
     if isinstance(mesh, ObjectTemplate):
         size = mesh.size
     else:
@@ -150,31 +141,6 @@ def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses
     few, many = view.scorer(250), view.scorer(RAYS)
     known, evidence = view.known, view.evidence
     found = search_poses(known, evidence, (few, many), rng, settings)
-    masked = view.capture.mask is not None
-    good = GOOD[0 if masked else 1] if view.seen.edge_width <= SHARP else GOOD_SMOOTHED
-    if float(many(found.poses, found.owner).quality.max()) < good:
-        harder = replace(settings, rotations=2 * settings.rotations)
-        again = search_poses(known, evidence, (few, many), rng, harder)
-        found = PoseHypotheses(
-            np.concatenate([found.poses, again.poses]), np.concatenate([found.owner, again.owner])
-        )
-    if not masked:
-        found = best_poses(found, known, many, 6)
-        allowed = view.support > 0.25
-        masks = [explained_mask(known, view.capture, pose, allowed) for pose in found.poses[:3]]
-        sharper = [
-            object_evidence(view.capture, mask, view.seen, view.table, rng)
-            for mask in masks
-            if mask.sum() > LEAST_PIXELS
-        ]
-        for seen in sharper:
-            best = found.poses[:3]
-            poses = refine_poses(
-                known, [seen], PoseHypotheses(best, np.zeros(len(best), int)), settings.rounds[-1]
-            ).poses
-            found = PoseHypotheses(
-                np.concatenate([found.poses, poses]), np.concatenate([found.owner, found.owner[:3]])
-            )
     if len(known.symmetries):
         # What tells the sides apart may be hidden: then all are answers, and colors may tell.
         found = refine_poses(
@@ -182,13 +148,10 @@ def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses
         )
         found = refine_poses(known, evidence, best_poses(found, known, many, 24), settings.rounds[4])
     if view.seen.edge_width > SHARP:
-        best = best_poses(found, known, many, POLISHED)
-        best = polish_poses(best, known, few, rng)
-        found = PoseHypotheses(
-            np.concatenate([found.poses, best.poses]), np.concatenate([found.owner, best.owner])
-        )
+        polished = polish_poses(best_poses(found, known, many, POLISHED), known, few, rng)
+        found = found.joined(polished)
     found = best_poses(found, known, many, 24)
-    color = color_agreement(known, view.capture, found.poses, view.support > 0.25)
+    color = color_agreement(known, view.capture, found.poses, view.support > ALLOWED)
     return found, many(found.poses, found.owner), color
 
 
@@ -203,9 +166,6 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
     none = PoseScores(*np.zeros((6, 1)))
     return PoseAnswers(pose[None], none, float("nan"), problem=why)
-
-
-ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not the object's.
 
 
 def score_given_pose(
@@ -238,7 +198,7 @@ def score_given_pose(
     """
     known, rng = object_template(mesh), np.random.default_rng(seed)
     joints = None if hand is None else hand.joints_camera
-    view, problem = view_of_object(known, thinned(capture), joints, table, rng)
+    view, problem = view_of_object(known, capture.reduced(WIDEST), joints, table, rng)
     if view is None:
         warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
         return replace(obj, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
@@ -251,19 +211,12 @@ def _scored(
 ) -> tuple[np.ndarray, PoseAnswers]:
     """A pose, or the best fit nearby; that fit and what near-symmetries make of it, with their scores."""
     known, rounds = view.known, PoseSearchSettings().rounds
-    evidence = list(view.evidence)
-    mask = explained_mask(known, view.capture, pose, view.support > ALLOWED)
-    if mask.sum() > LEAST_PIXELS:
-        evidence.append(object_evidence(view.capture, mask, view.seen, view.table, rng))
-    found = PoseHypotheses(np.repeat(pose[None], len(evidence), axis=0), np.arange(len(evidence)))
-    for step in rounds[3:]:
-        found = refine_poses(known, evidence, found, step)
-    # The last one was fitted to what the pose explains, which is no proposal: all proposals score it.
     proposals = np.arange(len(view.masks))
-    fits = [(fit, owner) for fit, own in zip(found.poses, found.owner, strict=True)
-            for owner in (proposals if own >= len(proposals) else [own])]  # fmt: skip
-    poses = np.array([*(fit for fit, _ in fits), *(pose for _ in proposals)])
-    owners = np.array([*(owner for _, owner in fits), *proposals])
+    given = found = PoseHypotheses(np.repeat(pose[None], len(proposals), axis=0), proposals)
+    for step in rounds[3:]:
+        found = refine_poses(known, view.evidence, found, step)
+    found = found.joined(given)
+    poses, owners = found.poses, found.owner
     scores = scorer(poses, owners)
     near = add_s(known.surface.samples, poses, pose) < RIVAL_DISTANCE
     best = int(np.argmax(np.where(near, scores.quality, -1.0)))
@@ -271,10 +224,10 @@ def _scored(
     residual = known.surface.median_distance(view.evidence[owners[best]].points, chosen)
     first = PoseHypotheses(poses[best : best + 1], owners[best : best + 1])
     others = _turned(first, view, scorer)
-    answers = np.concatenate([first.poses, others.poses])
-    scores = scorer(answers, np.concatenate([first.owner, others.owner]))
+    answers = first.joined(others)
+    scores = scorer(answers.poses, answers.owner)
     evidence = pose_evidence(view, scorer, poses[best], int(owners[best]), 0.0, rng)
-    return chosen, PoseAnswers(answers, scores, residual, evidence)
+    return chosen, PoseAnswers(answers.poses, scores, residual, evidence)
 
 
 def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> PoseHypotheses:

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry.poses import transform_points
-from fungrasp.perception.io.capture import Capture, Intrinsics, depth_noise
+from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.object_template import ObjectTemplate
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
 from fungrasp.perception.object_pose.search import ObjectEvidence, free_space
@@ -61,25 +60,6 @@ class ObjectView:
         """Scores poses by about so many rays that meet a mask."""
         known, capture = self.known, self.capture
         return pose_scorer(known, capture, self.seen, self.masks, self.table, self.joints, rays)
-
-
-def thinned(capture: Capture) -> Capture:
-    """Every so many rows and columns, so that the longer side is at most ``WIDEST``."""
-    k = capture.intrinsics
-    step = -(-max(k.width, k.height) // WIDEST)
-    if step == 1:
-        return capture
-    color, depth = capture.color[::step, ::step], capture.depth[::step, ::step]
-    lens = Intrinsics(depth.shape[1], depth.shape[0], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
-    mask = None if capture.mask is None else capture.mask[::step, ::step]
-    if mask is not None and not mask.any():
-        return capture
-    x0, y0, x1, y1 = np.array(capture.box or (0.0, 0.0, 1.0, 1.0)) / step
-    box = None if capture.box is None else (float(x0), float(y0), float(x1), float(y1))
-    point = None
-    if capture.point is not None:
-        point = (min(capture.point[0] / step, lens.width - 1), min(capture.point[1] / step, lens.height - 1))
-    return Capture(color, depth, lens, mask, box, point)
 
 
 def view_of_object(
@@ -159,35 +139,3 @@ def object_evidence(
         capture.depth, capture.intrinsics, mask, table, uncertain=uncertain, background=background
     )
     return ObjectEvidence(points, free, np.maximum(spread, 1.0))
-
-
-def explained_mask(
-    known: ObjectTemplate, capture: Capture, pose: np.ndarray, allowed: np.ndarray
-) -> np.ndarray:
-    """Pixels whose depth is that of the mesh, shape [H, W] bool.
-
-    Args:
-        pose: object in the camera frame, shape [7].
-        allowed: pixels that may belong to the object, shape [H, W] bool.
-    """
-    k = capture.intrinsics
-    result = np.zeros(allowed.shape, dtype=bool)
-    corners = transform_points(pose, known.surface.samples)
-    pixels = k.project(corners[corners[:, 2] > 0.05])
-    if not len(pixels):
-        return result
-    low = np.clip(np.floor(pixels.min(axis=0)) - 2, 0, [k.width - 1, k.height - 1]).astype(int)
-    high = np.clip(np.ceil(pixels.max(axis=0)) + 2, 1, [k.width, k.height]).astype(int)
-    if np.any(high <= low):
-        return result
-    step = max(1, int(np.sqrt(float(np.prod(high - low)) / 15000)))
-    u, v = np.meshgrid(np.arange(low[0], high[0], step), np.arange(low[1], high[1], step))
-    flat = np.stack([u.ravel(), v.ravel()], axis=-1)
-    seen = known.rays.cast(pose[None], k.deproject(flat, np.ones(len(flat))))[0].reshape(u.shape)
-    depth = capture.depth[v, u]
-    agrees = (np.abs(seen - depth) < 3 * depth_noise(depth)) & (depth > 0)
-    grown = agrees.repeat(step, axis=0).repeat(step, axis=1)
-    part = result[low[1] :, low[0] :]
-    rows, columns = min(len(grown), part.shape[0]), min(len(grown[0]), part.shape[1])
-    part[:rows, :columns] = grown[:rows, :columns]
-    return result & allowed

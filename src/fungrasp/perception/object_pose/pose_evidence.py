@@ -2,11 +2,20 @@
 pose.
 
 Where another size of the mesh fits the image as well, it need not be the mesh of what is seen.
+
+The outline of a pose in the image: whether colors change where the mesh ends, and what it leaves over. Depth
+says little about the size of a thing whose outlines are smoothed or hidden; colors change at its outline all
+the same. As in region-based tracking, lines across the silhouette's rim are searched for that change
+(Tjaden et al., IJCV 2019; Stoiber et al., CVPR 2022).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+from scipy import ndimage
 
 from fungrasp.geometry.poses import (
     inverse_transform_points,
@@ -21,7 +30,7 @@ from fungrasp.perception.object_pose.object_template import ObjectTemplate, obje
 from fungrasp.perception.object_pose.object_view import ObjectView
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.scoring import PoseScorer
-from fungrasp.perception.object_pose.silhouette_edges import silhouette_edges
+from fungrasp.perception.scene.table import plane_tolerance
 
 SIZE_RAYS = 170  # About how many rays decide whether another size of the mesh fits as well.
 # Sizes that are tried of the whole mesh, and of each side alone.
@@ -150,3 +159,177 @@ def ambiguity(model: ObjectModel, obj: ObjectEstimate) -> PerceptionWarning | No
         how = f"turned by {turn_deg:.0f} degrees" if turn_deg > TURNED else "elsewhere"
         return PerceptionWarning.of("object_elsewhere", how=how, distance_mm=distance_mm)
     return PerceptionWarning.of("object_orientation", turn_deg=turn_deg, distance_mm=distance_mm)
+
+
+SILHOUETTE_RAYS = 40_000  # At most about so many rays draw the silhouette.
+# Lines across the rim end so far inside and outside [pixels]: the other side of a small thing is farther.
+REACH = 14
+# Standard deviation of where the color is expected to change from the rim [pixels]: of two changes of one
+# strength the nearer one counts.
+NEAR = 6.0
+APART = 2  # Colors are compared so far to both sides of a place [pixels]: outlines are a pixel or two wide.
+LINES = 400  # At most about so many lines.
+FEWEST = 15  # Fewer lines do not tell.
+# Lines are not used where, so near the rim [pixels], something is in front of the object or the image ends on
+# more than this part of them.
+CLEAR, BLOCKED = 8, 0.15
+# What is measured nearer than the mesh by more than this [m] and three standard deviations is in front of it.
+IN_FRONT = 0.004
+FAINT = 3.0  # Lines on which colors change by less [of 255] do not tell: the noise of a camera is more.
+STILL = 5.0  # So many lines that say the outline does not move are added: few lines move it little.
+# Parts of the outline, by the direction from its middle: too short a mesh is wrong at one end only.
+EIGHTHS = 8
+FEW = 6  # Fewer lines do not tell about such a part.
+# Percentile of the distances of the object's pixels from the silhouette: single pixels are wrong.
+LEFT_OVER = 99.5
+# Pixels of a mask so near to the silhouette are its rim, and so are pieces of which no pixel is farther away
+# than the second [pixels]: outlines are a pixel or two wide.
+RIM = 2.5, 5.0
+# What is farther from the silhouette, or deeper than the object, by more than this part of the mesh's size is
+# another thing.
+ANOTHER = 0.5
+
+
+@dataclass(frozen=True)
+class SilhouetteEdges:
+    """What the outline of a pose says about it."""
+
+    larger: float
+    """By how much the outline in the image is larger than the silhouette, from the middle [pixels]; negative:
+    smaller. NaN where too little of it is seen."""
+    off: float
+    """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
+    [pixels]; NaN as above."""
+    left_over: float
+    """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
+    mask_piece: float
+    """The largest connected piece of the given mask beyond it [pixels]; 0 without a mask. A thing that goes
+    on behind a finger shows again on its other side."""
+
+
+def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> SilhouetteEdges:
+    """Compare the silhouette of a pose with the image.
+
+    Args:
+        pose: object in the camera frame, shape [7].
+        owner: the mask that it was fitted to.
+    """
+    capture, lens = view.capture, view.capture.intrinsics
+    own, mask = view.masks[owner] & capture.measured, capture.mask
+    shows = own & (view.support > 0.5) if mask is None else mask
+    rows, columns = np.nonzero(own | shows if view.given is None else own | shows | view.given)
+    drawn = lens.project(transform_points(pose, view.known.surface.samples))
+    low = np.floor(np.minimum(drawn.min(axis=0), [columns.min(), rows.min()])).astype(int) - REACH - 4
+    high = np.ceil(np.maximum(drawn.max(axis=0), [columns.max(), rows.max()])).astype(int) + REACH + 5
+    low, high = np.maximum(low, 0), np.minimum(high, [lens.width, lens.height])
+    step = max(1, int(np.sqrt(np.prod(high - low) / SILHOUETTE_RAYS)))
+    part = (slice(low[1], high[1], step), slice(low[0], high[0], step))
+    v, u = np.mgrid[part]
+    rays = lens.deproject(np.stack([u.ravel(), v.ravel()], axis=-1), np.ones(u.size))
+    seen = view.known.rays.cast(pose[None], rays)[0].reshape(u.shape)
+    inside = np.isfinite(seen)
+    if not inside.any():
+        return SilhouetteEdges(np.nan, np.nan, 1.0, 0.0)
+    from_rim: Any = ndimage.distance_transform_edt(~inside)
+    away = step * from_rim
+    meters = float(np.median(capture.depth[own])) / lens.fx
+    beyond = np.maximum(away[shows[part]] - 1.0, 0.0)
+    far = float(np.percentile(beyond, LEFT_OVER)) if len(beyond) else 0.0
+    depth, spread = capture.depth[part], view.seen.spread[part]
+    in_front = (depth > 0) & inside & (depth < seen - 3 * spread - IN_FRONT)
+    hidden = in_front | (view.seen.classes.skin[part] > 0.5)
+    larger, off = edge_offset(capture.color[part], inside, hidden)
+    piece = 0.0
+    if view.given is not None:
+        pieces = view.given[part] & (away > RIM[0]) & (meters * away < ANOTHER * view.known.size)
+        nearer = float(np.percentile(capture.depth[own], 98)) + ANOTHER * view.known.size
+        pieces &= (depth > 0) & (depth < nearer)
+        if view.table is not None:
+            height = rays.reshape(*depth.shape, 3) @ view.table[:3] * depth + view.table[3]
+            pieces &= height > plane_tolerance(depth)
+        piece = step**2 * _largest_piece(pieces, away)
+    return SilhouetteEdges(step * larger, step * off, meters * far / view.known.size, piece)
+
+
+def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
+    """Pixels of the largest piece of an image, shape [H, W] bool, that is no rim."""
+    if not shown.any():
+        return 0.0
+    # What is a pixel wide is noise.
+    opened: Any = ndimage.binary_opening(shown, np.ones((2, 2)))
+    labelled: Any = ndimage.label(opened)
+    labels, count = labelled
+    sizes, farthest = np.bincount(labels[opened], minlength=count + 1), np.zeros(count + 1)
+    np.maximum.at(farthest, labels[opened], away[opened])
+    return float(sizes[farthest > RIM[1]].max(initial=0))
+
+
+def edge_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tuple[float, float]:
+    """Where the outline in an image is, beside that of a silhouette.
+
+    Each line across the rim tells how far away the color changes most; a shift, a stretch and a dilation are
+    fitted to that, lines with a strong change counting more.
+
+    Args:
+        color: RGB, 0 to 255, shape [H, W, 3].
+        inside: the silhouette, shape [H, W] bool.
+        hidden: where something is in front of the object, shape [H, W] bool.
+
+    Returns:
+        ``larger`` and ``off`` of ``SilhouetteEdges`` [pixels].
+    """
+    depth_in: Any = ndimage.distance_transform_edt(inside)
+    depth_out: Any = ndimage.distance_transform_edt(~inside)
+    # From the rim between the pixels, positive inside.
+    field = np.where(inside, depth_in - 0.5, 0.5 - depth_out)
+    slope = np.array(np.gradient(ndimage.gaussian_filter(field, 1.5)))
+    rim = inside & (field < 1.0)
+    rim[[0, 1, -2, -1]] = rim[:, [0, 1, -2, -1]] = False
+    at = np.stack(np.nonzero(rim))
+    at = at[:, :: max(1, round(at.shape[1] / LINES))]
+    inward = slope[:, *at] / (np.linalg.norm(slope[:, *at], axis=0) + 1e-6)
+    along = np.arange(-REACH, REACH + 1)
+    places = at[:, :, None] + inward[:, :, None] * (along - field[*at][:, None])
+    last = np.array(inside.shape)[:, None, None] - 1
+    blocked = ((places < 0) | (places > last)).any(axis=0)
+    blocked |= hidden[tuple(np.clip(np.rint(places).astype(int), 0, last))]
+    used = blocked[:, np.abs(along) <= CLEAR].mean(axis=1) < BLOCKED
+    if used.sum() < FEWEST:
+        return np.nan, np.nan
+    at, inward, places, blocked = at[:, used], inward[:, used], places[:, used], blocked[used]
+    red, green, blue = np.moveaxis(color.astype(np.float32), -1, 0)
+    # Brightness and opponent colors: shadows change the first alone.
+    channels = (red + green + blue) / 3.0, red - green, 0.5 * (red + green) - blue
+    lines = np.stack(
+        [
+            ndimage.map_coordinates(ndimage.gaussian_filter(one, 1.0), places, order=1, mode="nearest")
+            for one in channels
+        ]
+    )
+    change = np.linalg.norm(lines[..., 2 * APART :] - lines[..., : -2 * APART], axis=0)
+    change, offset = np.where(blocked[:, APART:-APART], 0.0, change), along[APART:-APART]
+    strength = change.max(axis=1)
+    telling = strength > FAINT
+    if telling.sum() < FEWEST:
+        return np.nan, np.nan
+    at, inward, change, strength = at[:, telling], inward[:, telling], change[telling], strength[telling]
+    found = _peaks(change * np.exp(-0.5 * np.square(offset / NEAR)), offset)
+    weight = strength / strength.mean()
+    middle, radius = np.stack(np.nonzero(inside)).mean(axis=1), np.sqrt(inside.sum() / np.pi)
+    (y, x), (out_y, out_x) = (at - middle[:, None]) / radius, -inward
+    moves = np.stack([out_y, out_x, out_y * y + out_x * x, out_y * y - out_x * x, out_y * x + out_x * y], 1)
+    weighted = moves * weight[:, None]
+    # Lines tell how far inward the change is.
+    larger = float(np.linalg.solve(weighted.T @ moves + STILL * np.eye(5), weighted.T @ -found)[2])
+    eighth = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * EIGHTHS).astype(int) % EIGHTHS
+    count = np.bincount(eighth, minlength=EIGHTHS)
+    means = np.bincount(eighth, np.abs(found), EIGHTHS)[count >= FEW] / count[count >= FEW]
+    return larger, float(means.max()) if len(means) else np.nan
+
+
+def _peaks(height: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Where each row of heights, shape [N, M], is highest, between the M offsets by a parabola, shape [N]."""
+    row, best = np.arange(len(height)), np.clip(height.argmax(axis=1), 1, len(offset) - 2)
+    before, top, after = (height[row, best + i] for i in (-1, 0, 1))
+    bend = np.maximum(2.0 * top - before - after, 1e-6)
+    return offset[best] + np.clip(0.5 * (after - before) / bend, -0.5, 0.5)

@@ -227,6 +227,12 @@ class PoseHypotheses:
     owner: np.ndarray
     """Row of the evidence that each pose was fitted to, shape [H] int."""
 
+    def joined(self, other: PoseHypotheses) -> PoseHypotheses:
+        """These and others."""
+        return PoseHypotheses(
+            np.concatenate([self.poses, other.poses]), np.concatenate([self.owner, other.owner])
+        )
+
 
 def search_poses(
     known: ObjectTemplate,
@@ -318,5 +324,4 @@ def with_symmetries(found: PoseHypotheses, known: ObjectTemplate) -> PoseHypothe
     turned = quaternion_multiply(found.poses[:, None, 3:], known.symmetries[:, 3:])
     moved = transform_points(found.poses, known.symmetries[:, :3])
     variants = np.concatenate([moved, turned], axis=-1).reshape(-1, 7)
-    owner = np.repeat(found.owner, len(known.symmetries))
-    return PoseHypotheses(np.concatenate([found.poses, variants]), np.concatenate([found.owner, owner]))
+    return found.joined(PoseHypotheses(variants, np.repeat(found.owner, len(known.symmetries))))

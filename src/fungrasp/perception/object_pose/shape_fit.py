@@ -17,7 +17,7 @@ from fungrasp.geometry.poses import quaternion_from_rotation_vector, quaternion_
 from fungrasp.objects import plain_shape
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.object_pose.object_template import object_template
-from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, cleaned_mask, thinned
+from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, WIDEST, cleaned_mask
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
 from fungrasp.perception.scene.segmentation import segment
 
@@ -71,7 +71,7 @@ def fit_shape(
     Raises:
         FungraspError: too little of an object is seen.
     """
-    capture, rng = thinned(capture), np.random.default_rng(seed)
+    capture, rng = capture.reduced(WIDEST), np.random.default_rng(seed)
     if capture.mask is not None and (capture.mask & capture.measured).any():
         capture = capture.with_object(mask=cleaned_mask(capture, 2 * REACH, rng)[0])
     view = segment(capture, joints, table, REACH)

@@ -38,7 +38,6 @@ CAPSULE_RADII = np.concatenate(
 )
 FOREARM = (0.35, 0.045)  # Length and radius of forearm and sleeve [m].
 TIPS = (4, 8, 12, 16, 20)  # The fingertips among the 21 joints.
-MARGINS = (0.012, 0.004, 0.02)  # Pixels nearer to the skin [m] are left out of the masks; several are tried.
 NEAR_HAND = 0.06  # A thing this near to the hand's skin [m] may be what it holds.
 FARTHEST = 3.0  # Nobody holds an object farther away [m].
 GROUND_MARGIN = 60  # The table's colors are learned within so many pixels of where the object may be.
@@ -134,13 +133,13 @@ def segment(
     candidate = near.copy() if table is None else near & ~(height <= plane_tolerance(capture.depth))
     rows, columns = np.nonzero(candidate)
     flat = points[rows, columns]
-    hand, clear = np.full((2, *candidate.shape), np.inf)
+    hand, arm = np.full((2, *candidate.shape), np.inf)
     if joints is not None:
         hand[rows, columns] = distance_from_hand(flat, joints)
-        clear[rows, columns] = np.minimum(hand[rows, columns], distance_from_forearm(flat, joints))
+        arm[rows, columns] = distance_from_forearm(flat, joints)
     prior = np.where(measured, prior, NEVER)
     outline, palm, ground = _hand_and_ground(capture, joints, prior > NEVER, samples, height)
-    evidence = PixelEvidence(prior, samples, height, spread, outline, clear < hand, palm, ground)
+    evidence = PixelEvidence(prior, samples, height, spread, outline, arm < hand, palm, ground)
     classes = classify(capture, evidence, mesh_colors)
     seen = (classes.obj > 0.5) & near
     if capture.mask is not None:
@@ -149,13 +148,6 @@ def segment(
         masks = pointed_pieces(_pieces(seen, capture.depth), capture.point)
     else:
         masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not hinted)
-    if capture.mask is None:
-        for margin in MARGINS if joints is not None else (0.0,):
-            pieces = _pieces(candidate & (clear > margin), capture.depth)
-            if capture.point is not None:
-                masks.extend(pointed_pieces(pieces, capture.point))
-            else:
-                masks.extend(_groups(pieces, hand, joints is not None))
     return Segmentation(_different(masks), classes.obj * near, classes, spread, width)
 
 

@@ -8,9 +8,9 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from fungrasp.hands.checking.findings import Finding, error, finger_of, listed, warning
-from fungrasp.hands.hand import FINGERS, Hand
-from fungrasp.hands.kinematic_tree import ancestors, coupled_positions, joint_name
+from fungrasp.hands.findings import Finding, error, finger_of, listed, warning
+from fungrasp.hands.hand import Hand
+from fungrasp.hands.kinematic_tree import ancestors, coupled_positions, joint_name, place_of
 
 LARGEST = 0.5
 """Extent of a hand with straight fingers [m]: of the largest robot hands it is 0.45."""
@@ -32,6 +32,9 @@ STILL = 0.05
 
 LEAST_BEND = 5e-3
 """Motion of the fingertips to the middle pose that tells to which side they bend [m]."""
+
+STRAIGHTER = 1.1
+"""A finger that is this much longer at an end of its joints' range than at zero is bent at zero."""
 
 
 def check_plausibility(hand: Hand) -> Iterator[Finding]:
@@ -63,7 +66,7 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
         turns = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in bodies]
         if turns and (high - low)[turns].max() < STILL:
             yield warning(f"the {name} does not move: its joints are fixed, or held still by couplings")
-        places = [_place(data, key) for key in (*finger.joints, finger.tip)]
+        places = [place_of(data, key) for key in (*finger.joints, finger.tip)]
         length = float(sum(np.linalg.norm(b - a) for a, b in pairwise(places)))
         if not FINGER_LENGTHS[0] <= length <= FINGER_LENGTHS[1]:
             yield error(
@@ -89,7 +92,7 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
             wide.append(f"{joint_name(model, joint)} by {high[joint] - low[joint]:.2f} rad")
     if wide:
         yield error(f"{listed(wide)}: no joint of a finger turns so far; write its true limits into the file")
-    yield from _bend_side(hand, data, straight)
+    yield from _palm_frame(hand, data, straight)
     named = {name: finger_of(finger.links[0]) for name, finger in hand.fingers.items()}
     wrong = [
         f"{hand.fingers[name].links[0]} as {name}" for name, said in named.items() if said not in (None, name)
@@ -111,30 +114,42 @@ def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.
     return np.ptp(np.concatenate(points), axis=0)
 
 
-def _place(data: mujoco.MjData, name: str) -> np.ndarray:
-    is_site = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_SITE, name) >= 0
-    return (data.site(name) if is_site else data.body(name)).xpos.copy()
-
-
-def _bend_side(hand: Hand, data: mujoco.MjData, straight: np.ndarray) -> Iterator[Finding]:
-    """Do the fingers bend to the side that the palm faces?"""
-    model = hand.model
-    fingers = [hand.fingers[name].tip for name in FINGERS if name in hand.fingers and name != "thumb"]
+def _palm_frame(hand: Hand, data: mujoco.MjData, straight: np.ndarray) -> Iterator[Finding]:
+    """Do the fingers point where the palm's frame says, and bend to where it says?"""
+    model, along, normal = hand.model, hand.palm_fingers, hand.palm_normal
+    if abs(float(along @ normal)) > 0.1:
+        yield warning("palm_frame: 'fingers' and 'normal' must be perpendicular")
+    fingers = [finger for name, finger in hand.fingers.items() if name != "thumb"]
     turn = data.body(hand.palm).xmat.reshape(3, 3).copy()
-    before = np.array([_place(data, tip) for tip in fingers])
-    data.qpos[:] = coupled_positions(model, 0.5 * (straight + model.jnt_range[:, 1]))
-    upper = _moved(model, data, fingers, before) @ turn @ hand.palm_normal
-    data.qpos[:] = coupled_positions(model, 0.5 * (straight + model.jnt_range[:, 0]))
-    lower = _moved(model, data, fingers, before) @ turn @ hand.palm_normal
-    # Which way a joint counts differs from finger to finger: each may bend at either end of its range.
-    best = np.maximum(upper, lower).mean()
-    if best < -LEAST_BEND or (best < LEAST_BEND and np.minimum(upper, lower).mean() < -4 * LEAST_BEND):
+
+    def spans(positions: np.ndarray) -> np.ndarray:
+        """From base to tip of each finger, palm frame [m], shape [F, 3]."""
+        data.qpos[:] = coupled_positions(model, positions)
+        mujoco.mj_kinematics(model, data)
+        return np.array([place_of(data, f.tip) - place_of(data, f.links[0]) for f in fingers]) @ turn
+
+    lower, upper = model.jnt_range.T
+    poses = np.stack([spans(positions) for positions in (straight, lower, upper)])
+    lengths = np.linalg.norm(poses, axis=-1)
+    # Where zero is a bent pose, the finger is straight at an end of its range.
+    best = np.where(lengths.max(axis=0) > STRAIGHTER * lengths[0], lengths.argmax(axis=0), 0)
+    motion = (spans(0.5 * (lower + upper)) - poses[best, np.arange(len(fingers))]).mean(axis=0)
+    direction = (poses / np.maximum(lengths, 1e-9)[..., None]).mean(axis=1)
+    cosines = direction @ along / np.maximum(np.linalg.norm(direction, axis=1), 1e-9)
+    angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    if angles.min() > 60.0:
         yield error(
-            f"the fingertips move {1e3 * -np.minimum(upper, lower).mean():.0f} mm out of the back of the "
-            "hand as they bend: the palm faces the other way (--normal), or the limits have the wrong sign"
+            f"palm_frame.fingers is {angles[0]:.0f} degrees off the direction of the fingers at the zero "
+            f"pose, {_numbers(direction[0])}"
+        )
+    across = motion - (motion @ along) * along
+    if across @ normal < -0.3 * np.linalg.norm(across) - LEAST_BEND:
+        yield error(
+            f"palm_frame.normal (--normal) points out of the back of the hand: fingers bend along "
+            f"{_numbers(motion)}"
         )
 
 
-def _moved(model: mujoco.MjModel, data: mujoco.MjData, tips: list[str], before: np.ndarray) -> np.ndarray:
-    mujoco.mj_kinematics(model, data)
-    return np.array([_place(data, tip) for tip in tips]) - before
+def _numbers(vector: np.ndarray) -> str:
+    unit = vector / max(float(np.linalg.norm(vector)), 1e-9)
+    return "(" + ", ".join(f"{value:.2f}" for value in unit) + ")"
