@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import av
 import numpy as np
@@ -133,7 +134,7 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Lets the next image be seen as it truly is, without the hand models."""
     truth = builtin_truth()
 
-    def set_up(side: str = "right", score: float = 0.9) -> None:
+    def set_up(side: Literal["right", "left"] = "right", score: float = 0.9) -> None:
         real = pipeline.perceive
 
         def seen(capture, model, **options) -> Perceived:

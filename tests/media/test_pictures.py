@@ -57,7 +57,7 @@ def test_a_contact_sheet_holds_every_picture():
 
 
 def test_places_are_marked_where_they_are():
-    camera = orbit_camera(POSE[:3], 0.5, 30.0, 20.0, width=640, height=480)
+    camera = orbit_camera(POSE[:3].tolist(), 0.5, 30.0, 20.0, width=640, height=480)
     places = np.array([[0.03, 0.0, 0.0], [0.0, 0.03, 0.02]])
     marks = PlaceMarks(
         places, places + np.array([[0.0, 0.0, 0.01], [0.0, -0.05, 0.0]]), np.array([True, False])

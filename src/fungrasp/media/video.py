@@ -56,7 +56,7 @@ def write_video(
         raise FungraspError(
             f"{path}: this build of PyAV has no H.264; the wheels on the package index have it"
         )
-    options = {"crf": f"{quality:g}", "preset": "veryfast"}
+    options: dict[str, object] = {"crf": f"{quality:g}", "preset": "veryfast"}
     options |= {} if keyframes is None else {"g": str(keyframes), "bf": "0"}
     odd = ((0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0))
     with atomic_path(path) as temporary:
