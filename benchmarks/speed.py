@@ -74,7 +74,7 @@ class Speed:
         found = {"retargeting [grasps/s]": len(human) / seconds}
         some = robot.select(np.unique(np.linspace(0, len(robot) - 1, self.planned).astype(int)))
         for rollouts in (True, False):
-            name = f"planning, {'with rollouts' if rollouts else 'predictor alone'} [core s/grasp]"
+            name = f"planning, {'with rollouts' if rollouts else 'one motion'} [core s/grasp]"
             with progress_bar(name, 1.0) as show:
                 start = process_time()
                 plan(some, objects, self.policy, rollouts=rollouts, threads=self.threads, progress=show)

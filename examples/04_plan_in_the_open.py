@@ -15,7 +15,7 @@ start[:, 2] += 0.25
 fingers = 0.5 * hand.independent(robot.joint_positions)
 belief = fungrasp.Belief.nominal(robot.object_rest_pose, robot.object_mass, start, fingers)
 
-# One motion, nothing simulated; then the best of 24 candidates, by a learned predictor and rollouts.
+# One motion, nothing simulated; then the best of many candidates, which rollouts choose.
 motion = fungrasp.MotionPlanner(hand, objects).plan(robot, belief)
 planner = fungrasp.make_planner("plan", hand, objects)
 plan = planner.plan(robot, belief, seed=0)

@@ -207,7 +207,7 @@ class PaperTable:
         folder = self._folder(variant, seed)
         print(f"{variant.title}, seed {seed}: training {name}")
         sets = load_training_sets(self.grasps, self.objects, hand, variant.method, threads=self.threads)
-        count = sum(len(s.grasps) for s in sets) * self.variety.planned(False)
+        count = sum(len(s.grasps) for s in sets) * self.variety.copies
         environment = replace(self.environment, randomization=preset(self.worlds))
         spec = TrainSpec(
             self.steps,

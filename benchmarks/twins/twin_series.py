@@ -33,7 +33,7 @@ from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, check_objects
-from fungrasp.policies import policy_files
+from fungrasp.policies import policy_source
 from fungrasp.robots.assembly import limited_hand
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
@@ -95,7 +95,7 @@ class TwinSeriesSpec:
             if value is not None and value < 1:
                 raise FungraspError(f"--{name.replace('_', '-')} must be at least 1, not {value}")
         again = [name for name in self.variants if VARIANTS[name].attempts > 1]
-        if again and policy_files(self.policy, load_hand(load_cell(self.cell).hand).name).network is None:
+        if again and policy_source(self.policy, load_hand(load_cell(self.cell).hand).name).network is None:
             raise FungraspError(
                 f"the variant '{again[0]}' needs a policy that watches, and '{self.policy}' plays its plan "
                 "blindly: take --policy student, or leave the variant out"
@@ -224,7 +224,7 @@ def evaluate_on_twins(
     result = None
     with PartStore.beside(out) as store:
         planner = robot_planner(spec.policy, limited_hand(cell, hand), objects, threads)
-        files = policy_files("student" if spec.policy == "plan" else spec.policy, hand.name)
+        files = policy_source(spec.policy, hand.name)
         setup = TwinSetup(
             objects,
             hand,
@@ -232,7 +232,7 @@ def evaluate_on_twins(
             deployable_policy(spec.policy, hand, objects),
             planner,
             store,
-            digest(spec.policy, files.digests(), getattr(planner, "key", "")),
+            digest(spec.policy, files.digest, getattr(planner, "key", "")),
             spec.placements,
         )
 

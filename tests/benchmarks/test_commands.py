@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from benchmark_runs import run_benchmark
@@ -10,7 +11,6 @@ from grasp_files import some_grasps
 
 from fungrasp.grasps import save_human_grasps
 from fungrasp.planning.selection import SelectionSettings
-from fungrasp.planning.selection.settings import FurtherSearch
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +22,8 @@ def human(tmp_path_factory):
 
 def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_path, capsys, monkeypatch):
     def few(protocol, rollouts=True, for_use=False, other_places=False):
-        further = FurtherSearch(most=0)
-        small = SelectionSettings(candidates=2, sure=0.0, first_rounds=((2, 1),), search=further)
-        return small if rollouts else SelectionSettings(candidates=2, rollouts=None)
+        small = SelectionSettings(candidates=2, confirmations=1, searches=0)
+        return small if rollouts else replace(small, rollouts=None)
 
     monkeypatch.setattr(SelectionSettings, "for_protocol", few)
     path = tmp_path / "b.json"

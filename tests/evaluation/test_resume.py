@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects
-from residual_policies import policy_file, predictor_file
+from residual_policies import policy_file
 
 from fungrasp.core import jobs
 from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
 from fungrasp.evaluation.lift_episodes import LiftTest
 from fungrasp.planning.selection import SelectionSettings
+from fungrasp.policies.checkpoint.card import SEARCH
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol
 
 SHORT = LiftProtocol(hold_time=0.2)
-PREDICTED = SelectionSettings(2, rollouts=None)
+ONE = SelectionSettings(2, rollouts=None)
 
 
 @pytest.fixture
@@ -120,22 +121,8 @@ def test_another_number_of_attempts_is_tried_anew(tried, runs, tmp_path):
     assert runs == [0, 0]
 
 
-@pytest.mark.parametrize("what", ["predictor", "policy"])
-def test_another_success_predictor_in_the_same_file_is_tried_anew(tried, runs, tmp_path, what):
-    """Given by itself, or beside the policy that follows its plans."""
-    path = predictor_file(tmp_path, "likes", 0.5)
-    if what == "policy":
-        path = policy_file(tmp_path, plans="likes")
-    for _ in range(2):
-        tried(str(path), selection=PREDICTED)
-    assert runs == [0]
-    predictor_file(tmp_path, "likes", 0.6)
-    tried(str(path), selection=PREDICTED)
-    assert runs == [0, 0]
-
-
 def test_other_settings_of_the_selection_are_tried_anew(tried, runs, tmp_path):
-    path = str(predictor_file(tmp_path, "likes", 0.5))
-    for settings in (PREDICTED, PREDICTED, replace(PREDICTED, candidates=3), replace(PREDICTED, prior=5.0)):
+    path = str(policy_file(tmp_path, plans=SEARCH))
+    for settings in (ONE, ONE, replace(ONE, candidates=3), replace(ONE, confirmations=5)):
         tried(path, selection=settings)
     assert runs == [0, 0, 0]

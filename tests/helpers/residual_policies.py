@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from onnx import helper
-from planned_grasps import grasps_and_objects, layouts, plan
+from planned_grasps import layouts
 from small_policies import allegro_card, model
 
-from fungrasp.planning.selection.success_predictor import plan_features
 from fungrasp.policies.checkpoint.card import ActionPart, Part
 from fungrasp.policies.checkpoint.checkpoint_file import save_policy
 from fungrasp.policies.residual_action import ResidualSettings
-from fungrasp.task.features import layout
 
 ACTION = (ActionPart("position", 3, 0.02), ActionPart("rotation", 3, 0.1), ActionPart("fingers", 16, 0.2))
 SIZE = 22
@@ -54,27 +52,5 @@ def policy_file(
         {"matrix": matrix, "offset": constant.astype(np.float32)},
     )
     path = folder / "p.onnx"
-    save_policy(path, graph, described)
-    return path
-
-
-def predictor_file(folder: Path, name: str, constant: float) -> Path:
-    """A success predictor that expects the same of all plans, and writes its constant into its file."""
-    _, objects = grasps_and_objects()
-    parts = layout(plan_features(plan(), objects, None))
-    size = sum(number for _, number in parts)
-    described = allegro_card(
-        name=name,
-        kind="predictor",
-        observation=tuple(Part(*part) for part in parts),
-        action=(ActionPart("success", 1, 1.0), ActionPart("as_shown", 1, 1.0)),
-    )
-    graph = model(
-        [helper.make_node("Gemm", ["observation", "matrix", "offset"], ["action"])],
-        {"observation": ["worlds", size]},
-        {"action": ["worlds", 2]},
-        {"matrix": np.zeros((size, 2), np.float32), "offset": np.full(2, constant, np.float32)},
-    )
-    path = folder / f"{name}.onnx"
     save_policy(path, graph, described)
     return path

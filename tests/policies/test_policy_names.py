@@ -3,15 +3,15 @@
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.policies.registry import KINDS, policy_files
+from fungrasp.policies.registry import KINDS, policy_source
 
 
 @pytest.mark.parametrize(
     ("kind", "commands"),
-    [("teacher", ["train"]), ("student", ["train", "distill"]), ("predictor", ["predictor"])],
+    [("teacher", ["train"]), ("student", ["train", "distill"])],
 )
 def test_kinds_that_do_not_come_for_a_hand_say_what_makes_them(kind, commands):
     assert kind in KINDS
     with pytest.raises(FungraspError, match="'my_hand'") as refused:
-        policy_files(kind, "my_hand")
+        policy_source(kind, "my_hand")
     assert all(f"fungrasp {command}" in str(refused.value) for command in commands)

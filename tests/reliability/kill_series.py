@@ -41,7 +41,6 @@ from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
 from fungrasp.planning import make_planner
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutSettings
-from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.retargeting import retarget
 from fungrasp.task import LiftProtocol
 from fungrasp.training.distill import STUDENT
@@ -52,11 +51,7 @@ from fungrasp.training.train import POLICY
 UPDATES, ROUNDS = 42, 25
 DISTILL = DistillSettings(steps=2, teacher_rounds=1, updates=2, minibatch=16, kept_rounds=12)
 PLAN = SelectionSettings(
-    candidates=4,
-    rollouts=RolloutSettings(hold_time=0.3),
-    sure=0.0,
-    first_rounds=((2, 1),),
-    search=FurtherSearch(most=1, rounds=((2, 1),)),
+    candidates=4, rollouts=RolloutSettings(hold_time=0.3), confirmations=1, searches=1, more=2
 )
 OBJECTS = ("can", "tennis_ball", "mug", "banana")
 TOO_LONG = 900.0
@@ -107,26 +102,15 @@ def planning(scratch: Path) -> tuple[Work, Result]:
     objects = load_objects(grasps)
 
     def work(folder: Path) -> None:
-        planner = make_planner("predictor", hand(), objects, PLAN, threads=1)
+        planner = make_planner("plan", hand(), objects, PLAN, threads=1)
         store = PartStore(folder / "planned.json.partial")
-        spec = LiftTestSpec(policy="predictor", lift=replace(LiftProtocol(), hold_time=0.5))
+        spec = LiftTestSpec(policy="plan", lift=replace(LiftProtocol(), hold_time=0.5))
         with parts_of(1):
             tested = evaluate(grasps, objects, spec=spec, plans=planner, threads=1, store=store)
         write_result(folder / "planned.json", *split_rows(result_json(tested)))
         store.remove()
 
     return work, lambda folder: read_result(folder / "planned.json").rows
-
-
-def predictor(scratch: Path) -> tuple[Work, Result]:
-    grasps = robot_file(scratch)
-
-    def work(folder: Path) -> None:
-        small = ("--attempts", 3, "--chunk", 6, "--hold-time", 0.3)
-        small += ("--networks", 2, "--hidden", 16, 8, "--epochs", 2)
-        run("predictor", "--grasps", grasps, "--out", folder / "p.onnx", "--threads", 1, *small)
-
-    return work, lambda folder: weights(folder / "p.onnx")
 
 
 def training(scratch: Path) -> tuple[Work, Result]:
@@ -156,7 +140,6 @@ def distillation(scratch: Path) -> tuple[Work, Result]:
 KINDS = {
     "evaluate": evaluation,
     "plan": planning,
-    "predictor": predictor,
     "train": training,
     "distill": distillation,
 }

@@ -66,12 +66,12 @@ class Demo(Answering):
 
     def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
-        from fungrasp.policies import default_policy, policy_files
+        from fungrasp.policies import default_policy, policy_source
 
         self._check()
         hand = load_hand(self.hand)
         policy = self.policy or default_policy(hand.name)
-        policy_files(policy, hand.name)
+        policy_source(policy, hand.name)
         folder = self.from_image or self._usual_image()
         picked = None
         if self.from_image is None:

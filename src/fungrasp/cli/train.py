@@ -1,5 +1,4 @@
-"""``fungrasp train``, ``distill`` and ``predictor``: policies learn from reward, students from their teacher,
-and success predictors from tried plans.
+"""``fungrasp train`` and ``distill``: policies learn from reward, students from their teacher.
 Options are the fields of the verb's spec, which a command holds as ``spec`` without a name of its own.
 """
 
@@ -19,7 +18,7 @@ from fungrasp.cli.console import Answering, CommandResult, progress_bar
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.features import LayoutName
-from fungrasp.training.settings import PredictorSpec, StudentSpec, TrainSpec
+from fungrasp.training.settings import StudentSpec, TrainSpec
 
 LINE_PERIOD = 10.0
 """Time between two lines of progress [s]."""
@@ -93,7 +92,7 @@ class Train(TrainingGrasps, Answering):
             environment = replace(environment, randomization=preset(self.worlds))
         spec = replace(self.spec, ppo=ppo, environment=environment)
         sets, hand = self.load(spec.threads)
-        copies = sum(len(s.grasps) for s in sets) * spec.variety.planned(spec.plans is not None)
+        copies = sum(len(s.grasps) for s in sets) * spec.variety.copies
         with progress_bar("planning", copies) as show:
             policy = train(
                 self.folder, sets, hand, spec, planning=show, progress=progress_lines(int(spec.steps))
@@ -127,37 +126,6 @@ class Distill(Answering):
 
         lines = progress_lines(int(self.spec.steps))
         return _trained(train_student(self.teacher, self.out, self.spec, progress=lines))
-
-
-@dataclass(frozen=True)
-class TrainPredictor(TrainingGrasps, Answering):
-    """Try many variations of grasps in physics, and train a success predictor that chooses among such
-    variations.
-
-    Its file is a policy: `fungrasp evaluate --policy predictor.onnx` plays the plans that it chooses.
-    """
-
-    out: Path
-    """The predictor's file (.onnx)."""
-    spec: Annotated[PredictorSpec, tyro.conf.arg(name="")] = field(default_factory=PredictorSpec)
-    """How."""
-
-    def run(self) -> CommandResult:
-        prepare_torch()
-        from fungrasp.policies.checkpoint.checkpoint_file import load_policy
-        from fungrasp.training.success_predictor import MEASURED, train_predictor
-
-        sets, hand = self.load(self.spec.threads)
-        with progress_bar("trying plans", 1.0) as show:
-            train_predictor(self.out, sets, hand, self.spec, progress=show)
-        card = load_policy(self.out).card
-        measured, budget = card.measured[MEASURED], card.budget
-        return CommandResult(
-            {"policy": self.out, "card": card.to_json()},
-            f"{self.out}: of grasps it has not seen, {measured['first']:.1%} hold as they are, "
-            f"{measured['chosen']:.1%} of those it chooses, {measured['any']:.1%} in some variation "
-            f"({budget.steps} episodes in {budget.seconds / 60:.1f} min)",
-        )
 
 
 COMMAND = Train

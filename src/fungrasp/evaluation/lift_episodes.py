@@ -22,7 +22,8 @@ from fungrasp.planning import MotionPlanner, MotionSettings, Planner, make_plann
 from fungrasp.planning.attempts import AttemptSetting, check_attempts, play_attempts
 from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.planning.selection import SearchPlanner
-from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy_files
+from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy_source
+from fungrasp.policies.registry import PolicySource
 from fungrasp.sim2real import Randomization, draw_each, random_stream
 from fungrasp.simulation import Scene, build_scene
 from fungrasp.task import LiftEnvironment, Policy, PrivilegedPolicy, play
@@ -82,7 +83,7 @@ class LiftTest:
     def __post_init__(self) -> None:
         spec = self.spec
         self.grasps.check_hand(self.hand)
-        _ = self.policy_digests
+        _ = self.policy_digest
         check_attempts(spec.attempts, not isinstance(self.policy, OpenLoopPolicy))
         if spec.attempts > 1 and self.record is not None:
             raise FungraspError("--record keeps one attempt: record one attempt, or leave --record out")
@@ -94,11 +95,15 @@ class LiftTest:
             )
 
     @cached_property
-    def policy_digests(self) -> tuple[str, str]:
-        """SHA-256 of the policy's network and of its success predictor, "" for none."""
+    def _source(self) -> PolicySource:
         if self.given_policy is not None:
-            return "", ""
-        return policy_files(self.spec.policy, self.hand.name).digests()
+            return PolicySource(None, False)
+        return policy_source(self.spec.policy, self.hand.name)
+
+    @property
+    def policy_digest(self) -> str:
+        """SHA-256 of the policy's network, "" for none."""
+        return self._source.digest
 
     @cached_property
     def policy(self) -> Policy | PrivilegedPolicy:
@@ -121,7 +126,7 @@ class LiftTest:
     @cached_property
     def searches(self) -> bool:
         """Whether plans are searched for, which takes ten times as long and more."""
-        return bool(self.policy_digests[1]) and not isinstance(self.given_planner, GivenPlans)
+        return self._source.searches and not isinstance(self.given_planner, GivenPlans)
 
     @cached_property
     def _scenes(self) -> dict[str, Scene]:

@@ -167,7 +167,7 @@ class LiftTestJob(LiftTest, Job[Episodes]):
             self.hand,
             grasps,
             {name: self.objects[name] for name in np.unique(grasps.object_name).tolist()},
-            (spec.policy, self.policy_digests),
+            (spec.policy, self.policy_digest),
             getattr(self.given_planner or self.planner, "key", ""),
             (spec.lift, spec.conditions[part.condition], spec.physics, spec.attempts),
             (part.rows, part.seed),

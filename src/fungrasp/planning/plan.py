@@ -14,10 +14,9 @@ from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings
 from fungrasp.planning.planner import Planner
 from fungrasp.planning.selection.search import SearchPlanner
 from fungrasp.planning.selection.settings import SelectionSettings
-from fungrasp.planning.selection.success_predictor import NetworkPredictor
-from fungrasp.policies import OpenLoopPolicy, policy_files
+from fungrasp.policies import OpenLoopPolicy, policy_source
 from fungrasp.policies.checkpoint.checkpoint_file import load_policy, read_card
-from fungrasp.policies.registry import PLAN, REFERENCE
+from fungrasp.policies.registry import REFERENCE
 from fungrasp.policies.residual_policy import check_card, residual_policy
 from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.sim2real import ProtocolName
@@ -48,7 +47,7 @@ def plan(
     Args:
         grasps: N grasps of a robot hand or of people, which are retargeted first; a set or one alone.
         objects: their objects, as for ``retarget``.
-        policy: whose planner it is: a name or a file (``fungrasp.policies.policy_files``).
+        policy: whose planner it is: a name or a file (``fungrasp.policies.policy_source``).
         hand: of human grasps, allegro if None.
         protocol: what rollouts are to expect of the worlds.
         rollouts: whether a planner that chooses among candidates tries them in simulation.
@@ -90,7 +89,7 @@ def make_planner(
     """The planner whose plans a policy follows.
 
     Args:
-        name: of the policy, as for ``policy_files``.
+        name: of the policy, as for ``policy_source``.
         settings: of the selection among candidates; the defaults if None.
         protocol: of the motions; the published one if None.
         threads: 0 means all processors. Plans do not depend on it.
@@ -99,15 +98,12 @@ def make_planner(
     Raises:
         FungraspError: no such policy, or one for another hand.
     """
-    # The student's own plans, selected by rollouts of the student, are what "plan" plays open loop.
-    files = policy_files("student" if name == PLAN else name, hand.name)
-    if files.predictor is None:
+    source = policy_source(name, hand.name)
+    if not source.searches:
         return MotionPlanner(hand, objects, motions, protocol)
-    predictor = NetworkPredictor(load_policy(files.predictor), hand, objects)
     policy: Policy = OpenLoopPolicy()
-    if files.network is not None:
-        check_card(read_card(files.network), hand)
-        made = residual_policy(load_policy(files.network), hand, objects)
+    if source.network is not None:
+        check_card(read_card(source.network), hand)
+        made = residual_policy(load_policy(source.network), hand, objects)
         policy = made  # pyright: ignore[reportAssignmentType]
-    digest = files.digests()[0]
-    return SearchPlanner(hand, objects, predictor, policy, digest, settings, protocol, threads, motions)
+    return SearchPlanner(hand, objects, policy, source.digest, settings, protocol, threads, motions)

@@ -1,7 +1,7 @@
 """Policies: they see observations and nothing else, and act ten times a second."""
 
 from fungrasp.policies.open_loop import OpenLoopPolicy
-from fungrasp.policies.registry import default_policy, make_policy, policy_files
+from fungrasp.policies.registry import default_policy, make_policy, policy_source
 from fungrasp.policies.residual_policy import StudentPolicy, TeacherPolicy
 
 __all__ = [
@@ -10,5 +10,5 @@ __all__ = [
     "TeacherPolicy",
     "default_policy",
     "make_policy",
-    "policy_files",
+    "policy_source",
 ]

@@ -17,43 +17,39 @@ from fungrasp.task import Policy, PrivilegedPolicy
 REFERENCE = "reference"
 """Name of the policy that plays one planned motion open loop, without a network and without rollouts."""
 PLAN = "plan"
-"""Name of the policy that plays the student's plan open loop: the difference is the benefit of feedback."""
-KINDS = ("teacher", "student", "predictor")
+"""Name of the policy that plays, open loop, the best of many plans, which rollouts choose: it needs no
+network, so any hand has it."""
+KINDS = ("teacher", "student")
 """Short for the policies ``<hand>-<kind>-free`` that come with the package."""
 
 MADE_BY = {
     "teacher": "train one (fungrasp train)",
     "student": "train a teacher, distill it (fungrasp train, fungrasp distill)",
-    "predictor": "train one (fungrasp predictor)",
 }
 """What makes each kind."""
 
 
 @dataclass(frozen=True, eq=False)
-class PolicyFiles:
+class PolicySource:
     """What a policy's name stands for."""
 
     network: Path | None
     """File of the network that acts; None where the plan is played open loop."""
-    predictor: Path | None
-    """File of the success predictor that candidates are chosen by; None where there is one motion for each
-    grasp."""
+    searches: bool
+    """Whether its plan is the best of many, which rollouts choose, or the one motion of each grasp."""
 
-    def digests(self) -> tuple[str, str]:
-        """SHA-256 of both files, "" for none.
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the network's file, "" for none.
 
         Raises:
-            FungraspError: a file can't be read.
+            FungraspError: the file can't be read.
         """
-
-        def sha256(path: Path | None) -> str:
-            return "" if path is None else read_card(path).sha256
-
-        return sha256(self.network), sha256(self.predictor)
+        return "" if self.network is None else read_card(self.network).sha256
 
 
-def policy_files(name: str, hand: str) -> PolicyFiles:
-    """The files of a policy.
+def policy_source(name: str, hand: str) -> PolicySource:
+    """What a policy's name stands for.
 
     Args:
         name: "reference", "plan", one of ``KINDS``, a policy that comes with the package, or a file.
@@ -62,15 +58,15 @@ def policy_files(name: str, hand: str) -> PolicyFiles:
     Raises:
         FungraspError: no such policy, or a file that can't be read.
     """
-    if name == REFERENCE:
-        return PolicyFiles(None, None)
-    if name == PLAN:
-        return PolicyFiles(None, policy_files("student", hand).predictor)
+    if name in (REFERENCE, PLAN):
+        return PolicySource(None, name == PLAN)
     path = _find(name, hand)
     card = read_card(path)
     if card.kind == "predictor":
-        return PolicyFiles(None, path)
-    return PolicyFiles(path, path.with_name(card.plans + SUFFIX) if card.plans else None)
+        raise FungraspError(
+            f"{path} is a success predictor, which nothing needs any more: use --policy {PLAN}"
+        )
+    return PolicySource(path, bool(card.plans))
 
 
 def _find(name: str, hand: str) -> Path:
@@ -88,19 +84,19 @@ def _find(name: str, hand: str) -> Path:
 
 
 def default_policy(hand: str) -> str:
-    """The student of a hand, or "reference" if none comes with the package. hand: its name."""
+    """The student of a hand, or "plan" if none comes with the package. hand: its name."""
     name = f"{hand}-student-free"
-    return name if name in list_policies() else REFERENCE
+    return name if name in list_policies() else PLAN
 
 
 def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy | PrivilegedPolicy:
     """A policy by name.
 
     Args:
-        name: as for ``policy_files``.
+        name: as for ``policy_source``.
 
     Raises:
         FungraspError: no such policy, or one for another hand.
     """
-    path = policy_files(name, hand.name).network
+    path = policy_source(name, hand.name).network
     return OpenLoopPolicy() if path is None else residual_policy(load_policy(path), hand, objects)

@@ -1,5 +1,4 @@
-"""Learned policies at work: they follow a plan, look at the observation, and correct; and success predictors,
-which judge plans."""
+"""Learned policies at work: they follow a plan, look at the observation, and correct."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training: teachers by PPO, students by distillation, success predictors."""
+"""Training: teachers by PPO, students by distillation."""
 
 import os
 

@@ -27,7 +27,7 @@ from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, load_object
 from fungrasp.policies.checkpoint.card import Budget, TrainingData
-from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, hand_digest
+from fungrasp.policies.checkpoint.checkpoint_file import hand_digest
 from fungrasp.sim2real.joint_dynamics import identified_hand
 from fungrasp.training.environment import HISTORY, Step, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
@@ -43,7 +43,7 @@ from fungrasp.training.imitation import imitated_round, learn_imitation
 from fungrasp.training.networks import make_student
 from fungrasp.training.ppo import Trainer
 from fungrasp.training.settings import DistillSettings, StudentSpec, TrainSpec
-from fungrasp.training.train import EXPLORING, PLANNED_FROM, PLANS, checkpoint_digest, keep_beside
+from fungrasp.training.train import EXPLORING, PLANNED_FROM, PLANS, checkpoint_digest
 from fungrasp.training.training_sets import PlanLibrary, kept_library
 
 _log = logging.getLogger(__name__)
@@ -98,7 +98,7 @@ class TeacherRun:
     licence: str
     """Licence of the teacher's policy."""
     plans: str
-    """Name of the success predictor whose plans it follows, a file beside it; none if empty."""
+    """``SEARCH`` if students follow the best of many plans; "" if the grasps' own."""
     shrink: float
     """Factor on its corrections, and on those of its students."""
 
@@ -217,8 +217,6 @@ def train_student(
         licence=teacher.licence,
         plans=teacher.plans,
     )
-    if teacher.plans:
-        keep_beside(folder, teacher_folder / (teacher.plans + SUFFIX))
     export_policy(done.student, folder / STUDENT, card)
     return folder / STUDENT
 

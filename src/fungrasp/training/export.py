@@ -108,7 +108,7 @@ def make_card(
     """A card with what the hand and the training say.
 
     Args:
-        kind: "teacher", "student" or "predictor".
+        kind: "teacher" or "student".
         privileged: layout of the privileged observation; empty but for a teacher.
     """
     gains = servo_gains(hand)

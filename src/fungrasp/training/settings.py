@@ -74,22 +74,13 @@ class Variety:
     """How many variations of a grasp there are, and how they differ."""
 
     copies: int = 8
-    """Perturbed copies of each grasp."""
-    tries: int = 24
-    """Variations that a success predictor chooses these copies from, if there is one; else the grasp as it
-    is, and ``copies`` - 1 variations, are taken as they come."""
+    """Of each grasp: as it is, and variations of it."""
     spread: VariationSpread = field(default_factory=VariationSpread)
     """How far the variations differ from the grasp."""
 
     def __post_init__(self) -> None:
         if self.copies < 1:
             raise FungraspError(f"training needs at least one copy of each grasp, not {self.copies}")
-        if self.tries < self.copies:
-            raise FungraspError(f"{self.copies} copies can't be chosen from {self.tries} variations")
-
-    def planned(self, with_predictor: bool) -> int:
-        """Plans that are made for each grasp."""
-        return self.tries if with_predictor else self.copies
 
 
 @dataclass(frozen=True)
@@ -190,45 +181,15 @@ class DistillSettings:
 
 
 @dataclass(frozen=True)
-class PredictorSettings:
-    """Settings of the episodes that a success predictor learns from, and of its learning."""
-
-    attempts: int = 24
-    """Variations of each grasp, the unchanged one included."""
-    timestep: float = 0.01
-    """Physics step [s]."""
-    hold_time: float = 2.0
-    """Time that the object has to be held [s]; the lift test has 3."""
-    early: int = 5
-    """Control steps before the fingers close at which episodes begin."""
-    chunk: int = 128
-    """Episodes simulated together: what an interrupted command may lose."""
-    networks: int = 4
-    """Networks whose mean is the predictor."""
-    hidden: tuple[int, int] = (256, 128)
-    """Units of a network's hidden layers."""
-    dropout: float = 0.3
-    """Probability that a hidden unit is left out in training."""
-    weight_decay: float = 0.02
-    """Weight decay of the optimizer (AdamW)."""
-    learning_rate: float = 1e-3
-    """Learning rate at the beginning; it falls to zero."""
-    epochs: int = 10
-    """Passes over the episodes."""
-    minibatch: int = 256
-    """Episodes in a minibatch."""
-
-
-@dataclass(frozen=True)
 class TrainSpec:
     """How ``train`` trains a policy. A folder's training goes on with the same spec, but for ``steps``,
     ``licence``, ``shrink``, the curve and what the result does not depend on."""
 
     steps: float = 3e6
     """Control steps of all worlds together, earlier runs of this training included."""
-    plans: str | None = None
-    """A success predictor that chooses the plans to follow, in training and at work: one that comes with the
-    package ("predictor" is short for the hand's), or a file. The grasps' own plans by default."""
+    search: bool = False
+    """Whether the finished policy follows, at work, the best of many plans, which rollouts decide
+    (``planning.selection``), and not the grasp's own."""
     plan_file: Path | None = None
     """File of the plans to train on, which several trainings may share; in the training's folder by
     default."""
@@ -294,26 +255,6 @@ class StudentSpec:
 
     def __post_init__(self) -> None:
         check_numbers(self.steps, self.seed, self.threads)
-
-
-@dataclass(frozen=True)
-class PredictorSpec:
-    """How ``train_predictor`` makes a success predictor."""
-
-    episodes: Path | None = None
-    """Folder in which the episodes' outcomes are kept, so that an interrupted command goes on where it was,
-    and more --attempts add to them; beside the predictor by default."""
-    seed: int = 0
-    """Seed of all random numbers."""
-    threads: int = 0
-    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
-    licence: str = ""
-    """Licence of the predictor, for its card."""
-    settings: PredictorSettings = field(default_factory=PredictorSettings)
-    """Settings of the episodes and of the learning."""
-
-    def __post_init__(self) -> None:
-        check_numbers(1, self.seed, self.threads)
 
 
 def check_numbers(steps: float, seed: int, threads: int) -> None:

@@ -12,13 +12,11 @@ from torch.utils.tensorboard import SummaryWriter
 
 from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.files import digest
 from fungrasp.core.provenance import git_revision, machine
 from fungrasp.hands import Hand, as_hand, hand_files
-from fungrasp.planning.selection.success_predictor import NetworkPredictor
-from fungrasp.policies import policy_files
-from fungrasp.policies.checkpoint.card import Budget, PolicyCard, TrainingData
-from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, PolicyNetwork, hand_digest, load_policy
+from fungrasp.policies.checkpoint.card import SEARCH, Budget, PolicyCard, TrainingData
+from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, hand_digest
 from fungrasp.simulation import BufferSizes, SceneSettings, found_device
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card, policy_graph
@@ -41,7 +39,7 @@ POLICY = "policy.onnx"
 EXPLORING = "in training, exploring"
 """Name of what a policy's card says of the last episodes of its training."""
 
-PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "plans_sha256", "hand_dynamics_sha256")
+PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "hand_dynamics_sha256")
 """Settings that the plans depend on."""
 
 
@@ -65,8 +63,7 @@ def train(
         progress: called after each update.
 
     Returns:
-        The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take. Beside it
-        lies a copy of the success predictor whose plans it follows, if there is one.
+        The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take.
 
     Raises:
         FungraspError: no usable grasp, a folder of another training, a damaged checkpoint, a missing
@@ -103,16 +100,13 @@ def _train(
     curve = spec.curve
     sets, held_out = split_sets(sets, curve.held_out, curve.seed)
     about = [s.about() for s in sets]
-    plans = None if spec.plans is None else predictor_file(spec.plans, hand)
-    plans_name = "" if plans is None else plans.stem
-    predictor = None if plans is None else NetworkPredictor(load_policy(plans), hand, objects)
+    plans_name = SEARCH if spec.search else ""
     planned_from = {
         "hand": hand.name,
         "hand_sha256": hand_digest(hand),
         "sets": about,
         "variety": asdict(spec.variety),
         "seed": spec.seed,
-        "plans_sha256": "" if predictor is None else predictor.digest,
     }
     if hand.dynamics_path is not None:
         planned_from["hand_dynamics_sha256"] = digest(hand.dynamics_path.read_bytes())
@@ -136,19 +130,17 @@ def _train(
     library = kept_library(
         plan_file,
         digest(__version__, json.dumps(planned_from)),
-        lambda: planned_sets(sets, hand, spec, planning, predictor),
+        lambda: planned_sets(sets, hand, spec, planning),
     )
     unseen = library
     if held_out:
         planned_from["sets"] = [s.about() for s in held_out]
-        before = sum(len(s.grasps) for s in sets) * spec.variety.planned(predictor is not None)
+        before = sum(len(s.grasps) for s in sets) * spec.variety.copies
         unseen = kept_library(
             folder / HELD_OUT_PLANS,
             digest(__version__, json.dumps(planned_from)),
-            lambda: planned_sets(held_out, hand, spec, lambda done: planning(before + done), predictor),
+            lambda: planned_sets(held_out, hand, spec, lambda done: planning(before + done)),
         )
-    if plans is not None:
-        keep_beside(folder, plans)
     if processes.first:
         processes.wait()
     seed = spec.seed + processes.number
@@ -196,18 +188,6 @@ def _train(
     export_policy(trainer.actor, folder / POLICY, card())
 
 
-def predictor_file(name: str, hand: Hand) -> Path:
-    """The file of a success predictor.
-
-    Raises:
-        FungraspError: there is none of this name, or it is another kind of policy.
-    """
-    files = policy_files(name, hand.name)
-    if files.network is not None or files.predictor is None:
-        raise FungraspError(f"--plans takes a success predictor, which '{name}' is not")
-    return files.predictor
-
-
 def checkpoint_digest(folder: Path) -> str:
     """SHA-256 of the checkpoint of a training.
 
@@ -218,18 +198,6 @@ def checkpoint_digest(folder: Path) -> str:
         return hashlib.sha256(RunFolder(folder).checkpoint.read_bytes()).hexdigest()
     except OSError as error:
         raise FungraspError(f"{folder} has no checkpoint yet: train it first") from error
-
-
-def keep_beside(folder: Path, predictor: Path) -> None:
-    """Copy a success predictor's file into the folder of a policy that follows its plans.
-
-    Raises:
-        FungraspError: it can't be written.
-    """
-    copy = folder / (predictor.stem + SUFFIX)
-    if copy.resolve() != predictor.resolve():
-        with atomic_path(copy) as part:
-            part.write_bytes(predictor.read_bytes())
 
 
 def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], spec: TrainSpec) -> PolicyCard:

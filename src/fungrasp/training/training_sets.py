@@ -19,7 +19,6 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.candidates import vary, with_settings
-from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
 from fungrasp.simulation import build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment
@@ -166,37 +165,25 @@ def build_plan_library(
     hand: Hand,
     spec: TrainSpec,
     progress: Callable[[int], None] = lambda done: None,
-    predictor: SuccessPredictor | None = None,
 ) -> PlanLibrary:
     """Plan the motions of variations of grasps.
 
-    Args:
-        predictor: the variations of which most is expected, as shown, become the copies.
-
     Raises:
-        FungraspError: no grasp of the set has a finite plan, or the predictor was made for another hand.
+        FungraspError: no grasp of the set has a finite plan.
     """
-    tries, seed = spec.variety.planned(predictor is not None), spec.seed
-    group, attempt = np.repeat(np.arange(len(grasps)), tries), np.tile(np.arange(tries), len(grasps))
+    copies, seed = spec.variety.copies, spec.seed
+    group, attempt = np.repeat(np.arange(len(grasps)), copies), np.tile(np.arange(copies), len(grasps))
     start, scene = with_settings(grasps), build_scene(hand, objects)
     planner = MotionPlanner(hand, objects)
-    parts, expected = [], []
+    parts = []
     for first in range(0, len(group), CHUNK):
         rows = slice(first, first + CHUNK)
         part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, spec.variety.spread)
         belief = LiftEnvironment(scene, len(part), threads=spec.threads).settle(part)
         parts.append(planner.plan(part, belief))
-        if predictor is not None:
-            expected.append(predictor(parts[-1])[:, 1])
         progress(first + len(part))
     plans = GraspPlan.join(parts)
     chosen = _usable(plans)
-    if predictor is not None:
-        score = np.where(chosen, np.concatenate(expected), -1.0).reshape(len(grasps), tries)
-        best = np.argsort(-score, axis=1, kind="stable")[:, : spec.variety.copies]
-        among = np.zeros(score.shape, dtype=bool)
-        np.put_along_axis(among, best, True, axis=1)
-        chosen &= among.ravel()
     if not chosen.any():
         raise FungraspError("none of the grasps can be trained on: no object settles, or no plan is finite")
     rows = np.flatnonzero(chosen)
@@ -217,7 +204,6 @@ def planned_sets(
     hand: Hand,
     spec: TrainSpec,
     progress: Callable[[int], None] = lambda done: None,
-    predictor: SuccessPredictor | None = None,
 ) -> PlanLibrary:
     """The plans of several sets, each grasp a group of its own.
 
@@ -234,13 +220,12 @@ def planned_sets(
                 hand,
                 replace(spec, seed=spec.seed + number),
                 lambda count, before=done: progress(before + count),
-                predictor,
             )
         except FungraspError as error:
             raise FungraspError(f"{one.name}: {error}") from error
         parts.append(PlanLibrary(part.plans, part.group + groups))
         groups += len(one.grasps)
-        done += len(one.grasps) * spec.variety.planned(predictor is not None)
+        done += len(one.grasps) * spec.variety.copies
     return PlanLibrary(
         GraspPlan.join([part.plans for part in parts]), np.concatenate([part.group for part in parts])
     )

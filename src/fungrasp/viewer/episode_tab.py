@@ -19,7 +19,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionSettings, make_planner
 from fungrasp.planning.selection import SelectionSettings
 from fungrasp.policies import StudentPolicy, default_policy, make_policy
-from fungrasp.policies.registry import REFERENCE
+from fungrasp.policies.registry import PLAN, REFERENCE
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
 from fungrasp.sim2real.episode_sample import draw_each
 from fungrasp.simulation import build_scene
@@ -205,7 +205,7 @@ class EpisodeTab:
         self._stop = gui.add_button("Stop", visible=False)
         with gui.add_folder("World", expand_by_default=False):
             self._policy = gui.add_dropdown(
-                "Policy", [REFERENCE, "student", "teacher"], hint="What moves the hand"
+                "Policy", [REFERENCE, PLAN, "student", "teacher"], hint="What moves the hand"
             )
             self._rollouts = gui.add_checkbox(
                 "Rollouts", False, hint="Try candidate plans first; takes longer"
@@ -227,7 +227,7 @@ class EpisodeTab:
 
     def choose_policy(self, hand: Hand) -> None:
         """Take the best policy that comes with a hand."""
-        self._policy.value = REFERENCE if default_policy(hand.name) == REFERENCE else "student"
+        self._policy.value = PLAN if default_policy(hand.name) == PLAN else "student"
 
     def stop(self) -> None:
         """End an episode that runs."""

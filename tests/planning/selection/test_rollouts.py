@@ -10,21 +10,14 @@ from planned_grasps import belief, grasps_and_objects, hand, scene
 from planned_grasps import plan as shown_plan
 
 import fungrasp.planning.selection.rollouts as rollouts
-from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
-from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds, roll_out, try_candidates
+from fungrasp.planning.selection.candidates import HOPE, HOPE_WEIGHT, Candidates, Tally
+from fungrasp.planning.selection.rollouts import RolloutSettings, RolloutTrials, roll_out
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation, play
 from fungrasp.task.use import UseMotion
 
 SHORT = RolloutSettings(hold_time=0.3)
-ROUNDS, PRIOR = ((3, 1), (2, 2)), 4.0
-PROMISED = np.array([[0.9, 0.9], [0.5, 0.5], [0.4, 0.4]])
-"""Of an open hand, the plan, and a weak copy of it."""
-HOPED = 3 * 0.9 + 3 * 0.5 + 0.4
-"""Rollouts of ``ROUNDS`` that are expected to hold."""
-NOTHING_HELD = PRIOR * 0.9 * PRIOR / (HOPED + PRIOR) / (3 + PRIOR)
-"""What is then expected of the best where none does."""
 
 
 def plan() -> GraspPlan:
@@ -38,33 +31,39 @@ def proposals() -> GraspPlan:
     return GraspPlan.join([opened, plan(), weak])
 
 
-def candidates(plans: GraspPlan, expected: np.ndarray = PROMISED, beliefs=None) -> Candidates:
+def candidates(plans: GraspPlan, count: int = 2) -> Candidates:
+    """Those of ``count`` grasps, one variation after the other."""
     grasps, _ = grasps_and_objects()
-    beliefs = belief() if beliefs is None else beliefs
-    rows = np.tile(np.arange(len(beliefs)), len(expected))
-    return Candidates(grasps.select(rows), plans, beliefs, CandidateStatistics.untried(expected, PRIOR))
+    rows = np.tile(np.arange(count), len(plans) // count)
+    return Candidates(grasps.select(rows), plans, Tally.untried(np.ones((len(plans) // count, count))))
 
 
 def tried(
-    pool: Candidates, rounds: Rounds = ROUNDS, settings=SHORT, policy=None, seed=(0, 0), threads=1
-) -> tuple[np.ndarray, np.ndarray]:
-    """The best of the candidates of each grasp, and the success expected of it."""
-    objects = grasps_and_objects()[1]
-    try_candidates(pool, rounds, objects, hand(), policy or OpenLoopPolicy(), settings, seed, threads)
-    best = pool.statistics.order[0]
-    return best, pool.statistics.success[best, np.arange(len(best))]
+    pool: Candidates, times: int = 1, settings=SHORT, policy=None, seed=(0, 0), threads=1, beliefs=None
+) -> Tally:
+    """How all the candidates did, after so many rollouts of each."""
+    objects, count = grasps_and_objects()[1], pool.tally.tried.shape[1]
+    beliefs = belief().select(np.arange(count)) if beliefs is None else beliefs
+    names = pool.grasps.object_name[:count].tolist()
+    policy = policy or OpenLoopPolicy()
+    roll = RolloutTrials(objects, hand(), policy, settings, beliefs, names, times, seed, threads)
+    chosen, which = (x.ravel() for x in np.indices(pool.tally.tried.shape))
+    for _ in range(times):
+        roll(pool, np.arange(count), chosen, which)
+    return pool.tally
 
 
-def test_what_holds_wins_over_what_was_promised():
+def test_what_holds_is_chosen():
     pool = candidates(proposals())
-    best, value = tried(pool)
-    assert best.tolist() == [1, 1]
-    right = (3 + PRIOR) / (HOPED + PRIOR)
-    np.testing.assert_allclose(value, (3 + PRIOR * 0.5 * right) / (3 + PRIOR))
-    assert pool.statistics.tried.sum(axis=0).tolist() == [3 + 4, 3 + 4]
-    chosen, expected = pool.best()
+    tally = tried(pool, 3)
+    assert tally.held[1].tolist() == [3, 3] and tally.held[0].tolist() == [0, 0]
+    assert (tally.tried == 3).all()
+    chosen = pool.best(0.0)
     np.testing.assert_array_equal(chosen.finger_targets, plan().finger_targets)
-    np.testing.assert_array_equal(expected, value)
+    common = (tally.held.sum(axis=0) + HOPE_WEIGHT * HOPE) / (9 + HOPE_WEIGHT)
+    assert chosen.expected_success is not None
+    np.testing.assert_allclose(chosen.expected_success, (3 + HOPE_WEIGHT * common) / (3 + HOPE_WEIGHT))
+    assert chosen.rollouts is not None and chosen.rollouts.tolist() == [9, 9]
 
 
 def test_what_does_not_withstand_its_use_counts_half(monkeypatch):
@@ -101,29 +100,22 @@ def test_a_way_that_is_not_free_is_tried_from_its_beginning():
     np.testing.assert_allclose(policy.began, [0.0, 0.1 * (plan().closing_step[1] - settings.early)])
 
 
-def test_without_enough_places_the_promise_decides():
-    best, value = tried(candidates(proposals()), rounds=((1, 1),))
-    assert best.tolist() == [0, 0], "the others were not tried"
-    np.testing.assert_allclose(value, PRIOR * 0.9 * PRIOR / (0.9 + PRIOR) / (1 + PRIOR))
-
-
-def test_a_choice_depends_on_its_own_grasp_alone():
+def test_a_result_depends_on_its_own_grasp_alone():
     plans = proposals()
-    best, value = tried(candidates(plans), seed=(3, 0))
+    together = tried(candidates(plans), 2, seed=(3,))
     one = np.array([1])
-    alone = candidates(plans.select(np.array([1, 3, 5])), PROMISED[:, 1:], belief().select(one))
-    alone = replace(alone, grasps=grasps_and_objects()[0].select(np.array([1, 1, 1])))
-    its, expected = tried(alone, seed=(3, 0))
-    assert its[0] == best[1] and expected[0] == value[1]
-    parted = tried(candidates(plans), settings=replace(SHORT, chunk=2), seed=(3, 0), threads=3)
-    np.testing.assert_array_equal(parted[0], best)
-    np.testing.assert_array_equal(parted[1], value)
+    grasps = grasps_and_objects()[0].select(np.array([1, 1, 1]))
+    alone = replace(candidates(plans.select(np.array([1, 3, 5])), 1), grasps=grasps)
+    its = tried(alone, 2, seed=(3,), beliefs=belief().select(one))
+    for field in ("held", "shown", "bonus"):
+        np.testing.assert_array_equal(getattr(its, field)[:, 0], getattr(together, field)[:, 1])
+    parted = tried(candidates(plans), 2, settings=replace(SHORT, chunk=2), seed=(3,), threads=3)
+    np.testing.assert_array_equal(parted.bonus, together.bonus)
 
 
 def test_rollouts_meet_other_worlds_than_are_believed():
     heavy = replace(SHORT, randomization=replace(MODERATE, mass=(40.0, 50.0)))
-    _, value = tried(candidates(proposals()), settings=heavy)
-    np.testing.assert_allclose(value, NOTHING_HELD, err_msg="no hand holds an object that is so heavy")
+    assert not tried(candidates(proposals()), settings=heavy).held.any(), "no hand holds what is so heavy"
 
 
 def test_who_follows_the_plans_follows_them_in_rollouts():
@@ -134,41 +126,46 @@ def test_who_follows_the_plans_follows_them_in_rollouts():
             asked = super().act(observation)
             return replace(asked, finger_targets=0.0 * asked.finger_targets)
 
-    best, value = tried(candidates(proposals()), policy=Idle())
-    assert best.tolist() == [0, 0]
-    np.testing.assert_allclose(value, NOTHING_HELD)
+    assert not tried(candidates(proposals()), policy=Idle()).held.any()
 
 
 def test_slip_counts_against_a_plan():
-    pool = candidates(GraspPlan.join([plan(), plan()]), np.full((2, 2), 0.5))
-    tried(pool, ((2, 1),), replace(SHORT, contact=0.0, slip=0.01))
-    statistics = pool.statistics
-    assert (statistics.held == 1).all()
-    assert (statistics.bonus < 0).all() and (statistics.bonus >= -0.1).all()
+    tally = tried(candidates(GraspPlan.join([plan(), plan()])), 1, replace(SHORT, contact=0.0, slip=0.01))
+    assert (tally.held == 1).all()
+    assert (tally.bonus < 0).all() and (tally.bonus >= -0.1).all()
 
 
-def test_statistics_choose_by_episodes_and_grow():
-    statistics = CandidateStatistics.untried(np.array([[0.9], [0.2]]), PRIOR)
-    assert statistics.order[:, 0].tolist() == [0, 1]
-    success = np.array([False, False, True, True])
-    statistics.add(np.array([[0], [1]]), success, success, np.zeros(4))
-    assert statistics.order[:, 0].tolist() == [0, 1], "3.6 of 6 against 2.8 of 6"
-    statistics.add(np.array([[0], [1]]), success, success, np.zeros(4))
-    assert statistics.order[:, 0].tolist() == [1, 0], "3.6 of 8 against 4.8 of 8"
-    more = statistics.select(np.array([[1]]), np.array([0]))
-    more = more.join(CandidateStatistics.untried(np.array([[0.7]]), PRIOR))
-    assert more.tried[:, 0].tolist() == [4, 0]
-    np.testing.assert_allclose(more.success[:, 0], [0.6, 0.7])
+def counted(held: list[list[int]], shown: list[list[int]] | None = None) -> Tally:
+    """Of one grasp, a list for each candidate of what its rollouts counted."""
+    tally, shown = Tally.untried(np.ones((len(held), 1))), held if shown is None else shown
+    for candidate, (values, kept) in enumerate(zip(held, shown, strict=True)):
+        for value, other in zip(values, kept, strict=True):
+            one = np.array([candidate]), np.array([0])
+            tally.add(*one, np.array([value]), np.array([other]), np.zeros(1))
+    return tally
+
+
+def test_what_holds_is_tried_on_and_what_fails_falls_behind():
+    order = np.argsort(-counted([[0], [1], [], [0, 1]]).hope(0.0, 0.0)[:, 0], kind="stable")
+    assert order.tolist() == [1, 2, 3, 0]
+    impossible = replace(counted([[], []]), promise=np.array([[0.0], [1.0]]))
+    assert np.isneginf(impossible.hope(0.0, 0.2)[0, 0]) and impossible.expected(impossible.held)[0, 0] == 0
+
+
+def test_luck_counts_less_where_little_holds():
+    lucky, usual = counted([[1], *[[0]] * 9]), counted([[1], *[[1]] * 9])
+    assert lucky.expected(lucky.held)[0, 0] < 0.6 < usual.expected(usual.held)[0, 0]
+
+
+def test_what_was_not_tried_is_not_chosen():
+    assert counted([[0], []]).best(0.0)[0, 0] == 0
 
 
 def test_success_otherwise_than_shown_counts_only_where_it_is_allowed():
     """The first candidate holds always and never as shown, the second as shown in one of three."""
-    held, shown = np.array([1.0] * 3 + [1.0, 0.0, 0.0]), np.array([0.0] * 3 + [1.0, 0.0, 0.0])
-    for weight, kept in ((0.0, shown), (0.3, shown), (0.3, np.zeros(6))):
-        statistics = CandidateStatistics.untried(np.full((2, 1), 0.5), 0.1, None, weight)
-        statistics.add(np.array([[0], [1]]), held, kept, np.zeros(6))
-        assert statistics.order[0, 0] == (0 if not kept.any() else 1)
-    np.testing.assert_allclose(statistics.value[0, 0], 0.3 * 3.05 / 3.1, atol=0.01)
+    held = [[1, 1, 1], [1, 0, 0]]
+    for weight, shown, best in ((0.0, [1, 0, 0], 1), (0.3, [1, 0, 0], 1), (0.3, [0, 0, 0], 0)):
+        assert counted(held, [[0, 0, 0], shown]).best(weight)[0, 0] == best
 
 
 def test_a_candidate_that_leaves_the_places_loses_to_one_that_keeps_them():
@@ -176,31 +173,17 @@ def test_a_candidate_that_leaves_the_places_loses_to_one_that_keeps_them():
     away = replace(
         shown_plan(), shown_places=np.asarray(shown_plan().shown_places) + np.array([0.0, 0.0, 0.2])
     )
-    pool = candidates(GraspPlan.join([away, shown_plan()]), np.full((2, 2), 0.5))
-    tried(pool, ((2, 2),))
-    assert (pool.statistics.held == 2).all() and not pool.statistics.shown[0].any()
-    for grasp in range(2):
-        if pool.statistics.shown[1, grasp]:
-            assert pool.statistics.order[0, grasp] == 1
-    assert pool.statistics.shown[1].any()
-
-
-def test_candidates_that_fail_lower_what_is_expected_of_those_not_tried():
-    """Three of four were tried once and lost, each expected to hold in 9 of 10; of another grasp all held."""
-    statistics = CandidateStatistics.untried(np.full((4, 2), 0.9), 4.0)
-    tried = np.array([[0, 0], [1, 1], [2, 2]])
-    held = np.tile([False, True], 3)
-    statistics.add(tried, held, held, np.zeros(6))
-    right = 4.0 / (3 * 0.9 + 4.0)
-    np.testing.assert_allclose(statistics.success[:, 0], [*3 * [3.6 * right / 5], 0.9 * right])
-    np.testing.assert_allclose(statistics.success[:, 1], [*3 * [4.6 / 5], 0.9])
+    tally = tried(candidates(GraspPlan.join([away, shown_plan()])), 2)
+    assert (tally.held == 2).all() and not tally.shown[0].any()
+    kept = tally.shown[1] > 0
+    assert kept.any() and (tally.best(0.0)[0, kept] == 1).all()
 
 
 # What is believed
 
 
 def drawn(monkeypatch, beliefs) -> EpisodeSample:
-    """What 4,000 rollouts of each of two plans are told to differ in."""
+    """What 2,000 rollouts each of two plans, in turn, are told to differ in."""
     seen = []
 
     def spy(plans, rows, sample, *others):
@@ -208,8 +191,8 @@ def drawn(monkeypatch, beliefs) -> EpisodeSample:
         return rollouts.RolloutResults(*np.zeros((5, len(plans))))
 
     monkeypatch.setattr(rollouts, "roll_out", spy)
-    tried(candidates(GraspPlan.join([plan()]), np.full((1, 2), 0.5), beliefs), ((1, 4000),))
-    return seen[0]
+    tried(candidates(plan()), 2000, beliefs=beliefs)
+    return EpisodeSample.join(seen)
 
 
 def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
@@ -218,7 +201,7 @@ def test_pose_errors_are_as_large_as_the_belief_says(monkeypatch):
     mixed = scale[:, None] * rng.normal(size=(2, 6, 6))
     covariance = mixed @ mixed.mT
     errors = drawn(monkeypatch, replace(belief(), object_pose_covariance=covariance)).object_bias
-    for grasp, some in enumerate(errors.reshape(2, 4000, 6)):
+    for grasp, some in enumerate((errors[::2], errors[1::2])):
         np.testing.assert_allclose(np.cov(some.T), covariance[grasp], atol=0.1 * covariance[grasp].max())
         assert np.abs(some[:, 2:5]).max() < 1e-4, "what is sure is not varied"
     spread = drawn(monkeypatch, belief()).object_bias.std(axis=0)

@@ -13,10 +13,9 @@ import fungrasp.planning.selection.search as search
 from fungrasp.core.errors import FungraspError
 from fungrasp.planning import ConstrainedPlanner, MotionPlanner
 from fungrasp.planning.selection import SearchPlanner, SelectionSettings
-from fungrasp.planning.selection.candidates import Candidates, CandidateStatistics
+from fungrasp.planning.selection.candidates import Candidates, Tally
 from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.planning.selection.search import RESOLUTION
-from fungrasp.planning.selection.settings import FurtherSearch
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import NOMINAL
 from fungrasp.task import Belief, GraspPlan
@@ -29,20 +28,8 @@ def plan() -> GraspPlan:
     return replace(shown_plan(), shown_places=None, shown_normals=None)
 
 
-class Liking:
-    """Expects most of plans that squeeze most."""
-
-    digest = "of a predictor"
-
-    def __call__(self, plans: GraspPlan) -> np.ndarray:
-        squeeze = np.abs(plans.finger_targets[:, -1] - plans.grasp_joints).mean(axis=1)
-        return np.repeat(1.0 - np.exp(-5.0 * squeeze)[:, None], 2, axis=1)
-
-
-def planner(settings: SelectionSettings, predictor=None, policy_digest: str = "") -> SearchPlanner:
-    objects = grasps_and_objects()[1]
-    predictor = predictor or Liking()
-    return SearchPlanner(hand(), objects, predictor, OpenLoopPolicy(), policy_digest, settings, threads=1)
+def planner(settings: SelectionSettings) -> SearchPlanner:
+    return SearchPlanner(hand(), grasps_and_objects()[1], OpenLoopPolicy(), "", settings, threads=1)
 
 
 def rows_of(names: list[str]) -> np.ndarray:
@@ -50,102 +37,66 @@ def rows_of(names: list[str]) -> np.ndarray:
     return np.array([known.index(name) for name in names])
 
 
-@pytest.mark.parametrize("rounds", [(), ((0, 1),), ((2, 0),)])
-def test_empty_rollouts_are_refused(rounds):
-    with pytest.raises(FungraspError, match="rounds"):
-        SelectionSettings(rounds=rounds)
-    with pytest.raises(FungraspError, match="rounds"):
-        SelectionSettings(first_rounds=rounds)
-    with pytest.raises(FungraspError, match="rounds"):
-        SelectionSettings(search=FurtherSearch(rounds=rounds))
-
-
-def test_no_candidates_are_refused():
+@pytest.mark.parametrize("wrong", [{"candidates": 0}, {"confirmations": 0}, {"searches": -1}])
+def test_no_candidates_and_no_rollouts_are_refused(wrong):
     with pytest.raises(FungraspError, match="at least one plan"):
-        SelectionSettings(candidates=0)
+        SelectionSettings(**wrong)
 
 
 def test_what_planning_costs_is_told_beforehand_and_afterwards():
-    settings = SelectionSettings(
-        3,
-        replace(SHORT, randomization=NOMINAL),
-        sure=0.0,
-        first_rounds=((2, 1), (1, 2)),
-        rounds=((3, 1),),
-        search=FurtherSearch(most=0),
-    )
-    assert settings.rollouts_per_grasp == (4, 7)
+    settings = SelectionSettings(3, replace(SHORT, randomization=NOMINAL), confirmations=2)
     p = planner(settings).plan(grasps_and_objects()[0], belief())
-    assert p.rollouts is not None and p.rollouts.tolist() == [4, 4]
-    assert p.expected_success is not None and (p.expected_success > 0.4).all()
-    assert SelectionSettings().rollouts_per_grasp == (12, 201)
+    fewest, most = settings.rollouts_per_grasp
+    assert fewest == 2 and most == 3 + 4 + 3 * (24 + 4)
+    assert p.rollouts is not None and (p.rollouts >= fewest).all() and (p.rollouts <= most).all()
+    assert p.expected_success is not None and (p.expected_success > 0.5).all()
     assert SelectionSettings(rollouts=None).rollouts_per_grasp == (0, 0)
 
 
-def test_only_grasps_of_which_no_candidate_is_sure_are_tried_on(monkeypatch):
-    """Two grasps, of which the first has no plan that holds: it alone gets the second rounds, all of whose
-    rollouts count."""
-    opened = replace(plan(), finger_targets=0.0 * plan().finger_targets)
-    pools: list[Candidates] = []
-
-    def propose(single, predictor, hand, beliefs, grasps, attempts, spread, *, prior, **others):
-        rows = rows_of(grasps.object_name.tolist())
-        plans = GraspPlan.join([opened, plan()]).select(rows + 2 * (rows == 1))
-        expected = np.full((len(rows) // len(beliefs), len(beliefs)), 0.5)
-        pools.append(Candidates(grasps, plans, beliefs, CandidateStatistics.untried(expected, prior)))
-        return pools[-1]
-
-    monkeypatch.setattr(search, "propose", propose)
-    settings = SelectionSettings(
-        2,
-        SHORT,
-        sure=0.55,
-        first_rounds=((2, 1),),
-        rounds=((2, 2),),
-        search=FurtherSearch(most=0),
-    )
-    p = planner(settings).plan(grasps_and_objects()[0], belief())
-    assert p.rollouts is not None and p.rollouts.tolist() == [6, 2]
-    np.testing.assert_array_equal(pools[0].statistics.tried, [[3, 1], [3, 1]])
-    np.testing.assert_array_equal(pools[0].statistics.held, [[0, 1], [0, 1]])
-
-
-def test_without_rollouts_the_predictor_alone_decides():
-    grasps, objects = grasps_and_objects()
-    settings = SelectionSettings(6, rollouts=None)
-    best = planner(settings).plan(grasps, belief())
-    assert best.rollouts is not None and best.rollouts.tolist() == [0, 0]
-    single = MotionPlanner(hand(), objects).plan(grasps, belief())
-    # A search rounds beliefs to tenths of a millimeter.
-    assert (Liking()(best)[:, 1] >= Liking()(single)[:, 1] - 1e-4).all()
-    np.testing.assert_allclose(best.expected_success, Liking()(best)[:, 0], atol=1e-9)
-    again = planner(replace(settings, chunk=4)).plan(grasps, belief())
-    np.testing.assert_allclose(again.grasp_palm_pose, best.grasp_palm_pose, atol=1e-6)
-
-
-def test_where_nothing_holds_the_best_plans_are_varied_again(monkeypatch):
-    """The second search finds what holds, for the one grasp that needs it."""
-    asked: list[tuple[int, int]] = []
+@pytest.fixture
+def made(monkeypatch) -> list[tuple[int, int]]:
+    """Number of each search and of its grasps. Of the first grasp nothing holds before the second search; of
+    the other, the second candidate does."""
+    calls: list[tuple[int, int]] = []
     opened = replace(plan(), finger_targets=0.0 * plan().finger_targets)
 
-    def propose(single, predictor, hand, beliefs, grasps, attempts, spread, *, search, prior, **others):
-        asked.append((search, len(beliefs)))
-        rows = rows_of(grasps.object_name.tolist())
-        if search == 0:
-            plans = GraspPlan.join([opened, plan()]).select(rows + 2 * (rows == 1))
-        else:
-            plans = (plan() if search == 2 else opened).select(rows)
-        expected = np.full((len(rows) // len(beliefs), len(beliefs)), 0.5)
-        return Candidates(grasps, plans, beliefs, CandidateStatistics.untried(expected, prior))
+    def propose(single, hand, beliefs, grasps, attempts, spread, *, search, **others):
+        calls.append((search, len(beliefs)))
+        rows, number = rows_of(grasps.object_name.tolist()), np.arange(len(grasps)) // len(beliefs)
+        holds = ((rows == 1) & (number == 1)) | (search == 2)
+        plans = GraspPlan.join([opened, plan()]).select(rows + 2 * holds)
+        tally = Tally.untried(np.ones((len(rows) // len(beliefs), len(beliefs))))
+        return Candidates(grasps, plans, tally)
 
     monkeypatch.setattr(search, "propose", propose)
-    further = FurtherSearch(rounds=((4, 1),), parents=2, enough=0.5)
-    settings = SelectionSettings(2, SHORT, sure=0.0, first_rounds=((2, 1),), search=further)
+    return calls
+
+
+def test_a_grasp_is_searched_for_until_a_candidate_holds(made):
+    settings = SelectionSettings(2, SHORT, confirmations=2, more=2)
     p = planner(settings).plan(grasps_and_objects()[0], belief())
-    assert asked == [(0, 2), (1, 1), (2, 1)]
-    assert p.expected_success is not None and (p.expected_success > 0.5).all()
+    assert made == [(0, 2), (1, 1), (2, 1)]
     np.testing.assert_array_equal(p.finger_targets, plan().finger_targets)
-    assert p.rollouts is not None and p.rollouts.tolist() == [2 + 4 + 4, 2]
+    assert p.rollouts is not None and p.rollouts[1] == 3, "one failed, the next held twice"
+    assert settings.budget(0) + settings.budget(1) < p.rollouts[0] <= settings.rollouts_per_grasp[1]
+    assert p.object_name.tolist() == plan().object_name.tolist()
+
+
+def test_where_nothing_holds_little_is_expected(made):
+    settings = SelectionSettings(2, SHORT, confirmations=2, more=2, searches=1)
+    p = planner(settings).plan(grasps_and_objects()[0], belief())
+    assert p.expected_success is not None and p.expected_as_shown is not None
+    assert p.expected_success[0] < 0.2 < 0.6 < p.expected_success[1]
+    assert p.rollouts is not None and p.rollouts[0] == settings.rollouts_per_grasp[1]
+
+
+def test_without_rollouts_the_one_motion_is_planned():
+    grasps, objects = grasps_and_objects()
+    p = planner(SelectionSettings(6, rollouts=None)).plan(grasps, belief())
+    assert p.rollouts is not None and p.rollouts.tolist() == [0, 0]
+    # A search rounds beliefs to tenths of a millimeter.
+    single = MotionPlanner(hand(), objects).plan(grasps, belief())
+    np.testing.assert_allclose(p.grasp_palm_pose, single.grasp_palm_pose, atol=2e-3)
 
 
 @pytest.fixture
@@ -218,30 +169,26 @@ def test_plans_are_made_on_a_table_at_zero_and_played_where_it_is(asked, known, 
         assert asked == [(0, 2)], "nothing is planned anew where only the table is elsewhere"
 
 
-def test_plans_that_cannot_be_carried_out_come_last() -> None:
-    """Of the candidates only those that squeeze little are allowed: one of them is chosen, although the
-    predictor expects most of the others; where none is allowed, the best is given without any rollout."""
-    settings = SelectionSettings(candidates=8, rollouts=None)
+def test_plans_that_cannot_be_carried_out_are_not_tried() -> None:
+    """Of the candidates only those that squeeze little are allowed: one of them is chosen; where none is
+    allowed, one is given without any rollout."""
+    settings = SelectionSettings(8, SHORT, confirmations=1, searches=0)
     rows = rows_of(["can"])
     grasps, known = grasps_and_objects()[0].select(rows), belief().select(rows)
+    allowed: list[float] = []
 
     def squeeze(plans: GraspPlan) -> np.ndarray:
         return np.abs(plans.finger_targets[:, -1] - plans.grasp_joints).mean(axis=1)
 
-    free = planner(settings)
-    strongest = squeeze(free.plan(grasps, known))[0]
-    seen = []
-
     def gentle(plans: GraspPlan) -> np.ndarray:
-        seen.append(len(plans))
-        return squeeze(plans) < np.median(squeeze(plans))
+        good = squeeze(plans) < np.median(squeeze(plans))
+        allowed.extend(squeeze(plans)[good])
+        return good
 
-    chosen = free.plan_within(grasps, known, gentle)
-    assert seen == [8]
-    assert squeeze(chosen)[0] < strongest
-    assert chosen.expected_success[0] > 0
-    none = planner(replace(settings, rollouts=SHORT)).plan_within(
-        grasps, known, lambda p: np.zeros(len(p), bool)
-    )
+    one = planner(settings)
+    chosen = one.plan_within(grasps, known, gentle)
+    assert len(allowed) == 4 and squeeze(chosen)[0] in allowed
+    none = one.plan_within(grasps, known, lambda p: np.zeros(len(p), bool))
+    assert none.expected_success is not None and none.rollouts is not None
     assert none.expected_success[0] == 0 and none.rollouts[0] == 0
-    assert isinstance(free, ConstrainedPlanner)
+    assert isinstance(one, ConstrainedPlanner)

@@ -1,4 +1,4 @@
-"""Which plan to follow: candidates, a success predictor, simulated rollouts, search."""
+"""Which plan to follow: candidates, simulated rollouts, search."""
 
 from fungrasp.planning.selection.search import Feasible, SearchPlanner
 from fungrasp.planning.selection.settings import SelectionSettings

@@ -1,9 +1,9 @@
-"""Candidates: variations of grasps, their plans, and how likely each is to succeed."""
+"""Candidates: variations of grasps, their plans, and how their rollouts went."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.planning.grasp_motion import MotionSettings
 from fungrasp.planning.planner import Planner
-from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.task import Belief, GraspPlan
 
 
@@ -110,21 +109,18 @@ def vary(
     )
 
 
-_ARRAYS = ("expected", "expected_shown", "tried", "held", "shown", "bonus")
+HOPE, HOPE_WEIGHT = 0.7, 2.0
+"""Success expected of a candidate before its first rollout, and the number of rollouts that this stands for:
+one that fails at once comes after those not tried yet, one that holds comes first."""
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateStatistics:
-    """Expected and observed success of K candidates of each of G grasps; all arrays have the shape [K, G]."""
+class Tally:
+    """How the rollouts of K candidates of each of G grasps went; all arrays have the shape [K, G]."""
 
-    expected: np.ndarray
-    """Probability of success that the predictor expects."""
-    expected_shown: np.ndarray
-    """Probability of success as shown, from the predictor and the planned contacts."""
-    prior: float
-    """Number of rollouts that the expectations stand for."""
-    other_places: float
-    """What success otherwise than shown counts (``SelectionSettings.other_places``)."""
+    promise: np.ndarray
+    """From 0 to 1: which of the candidates that were not tried comes first; 0 for what can't be carried out,
+    which is never tried."""
     tried: np.ndarray
     """Number of rollouts of each candidate."""
     held: np.ndarray
@@ -135,80 +131,56 @@ class CandidateStatistics:
     """Sum over the rollouts of the weighted shown share and contact ratio less the weighted slip."""
 
     @classmethod
-    def untried(
-        cls,
-        expected: np.ndarray,
-        prior: float,
-        expected_shown: np.ndarray | None = None,
-        other_places: float = 0.0,
-    ) -> CandidateStatistics:
-        """Statistics of candidates before any rollout.
+    def untried(cls, promise: np.ndarray) -> Tally:
+        """Before any rollout."""
+        return cls(promise, *(np.zeros(promise.shape) for _ in range(4)))
+
+    def hope(self, other_places: float, share: float) -> np.ndarray:
+        """The larger, the sooner a candidate is tried: success as shown if ``HOPE`` was expected, and the
+        bonus.
 
         Args:
-            expected, expected_shown: shape [K, G]; the second is as the first if None.
+            other_places: what success otherwise than shown counts.
+            share: bonus of a rollout that is expected before the first.
         """
-        expected_shown = expected.copy() if expected_shown is None else expected_shown
-        none = (np.zeros(expected.shape) for _ in range(4))
-        return cls(expected, expected_shown, prior, other_places, *none)
+        weight = self.tried + HOPE_WEIGHT
+        counted = self.shown + other_places * (self.held - self.shown)
+        hope = (counted + HOPE_WEIGHT * HOPE + self.bonus + HOPE_WEIGHT * share * self.promise) / weight
+        return np.where(self.promise > 0, hope, -np.inf)
 
-    @property
-    def success(self) -> np.ndarray:
-        """Success expected after the rollouts (``_after_rollouts``)."""
-        return self._after_rollouts(self.held, self.expected)
+    def expected(self, counted: np.ndarray) -> np.ndarray:
+        """Share of the rollouts that ``counted``; ``HOPE_WEIGHT`` more are added that go like those of all
+        candidates of the grasp, so that luck counts less where little holds."""
+        common = (counted.sum(axis=0) + HOPE_WEIGHT * HOPE) / (self.tried.sum(axis=0) + HOPE_WEIGHT)
+        mean = (counted + HOPE_WEIGHT * common) / (self.tried + HOPE_WEIGHT)
+        return np.where(self.promise > 0, mean, 0.0)
 
-    @property
-    def as_shown(self) -> np.ndarray:
-        """Success as shown that is expected after the rollouts."""
-        return self._after_rollouts(self.shown, self.expected_shown)
-
-    @property
-    def value(self) -> np.ndarray:
-        """What candidates are compared with a threshold by: success as shown, and the share that counts of
-        the other successes."""
-        shown = self.as_shown
-        return shown + self.other_places * np.maximum(self.success - shown, 0.0)
-
-    def _after_rollouts(self, counted: np.ndarray, expected: np.ndarray) -> np.ndarray:
-        """Mean of the rollouts with the prior's added. Where the grasp's candidates together succeed less
-        often than was expected of them, so much less is expected of each: what the predictor does not see of
-        an object fails them all."""
-        hoped = (self.tried * expected).sum(axis=0)
-        right = np.minimum((counted.sum(axis=0) + self.prior) / (hoped + self.prior), 1.0)
-        return (counted + self.prior * right * expected) / (self.tried + self.prior)
-
-    @property
-    def order(self) -> np.ndarray:
-        """Candidates of each grasp, the best first."""
-        score = self.value + self.bonus / np.maximum(self.tried, 1)
-        return np.argsort(-score, axis=0, kind="stable")
+    def best(self, other_places: float) -> np.ndarray:
+        """Candidates of each grasp, the best first; those that were tried before the others."""
+        shown, held = self.expected(self.shown), self.expected(self.held)
+        value = shown + other_places * np.maximum(held - shown, 0.0) + self.bonus / np.maximum(self.tried, 1)
+        return np.lexsort((-self.promise, -value, self.tried == 0), axis=0)
 
     def add(
-        self, candidates: np.ndarray, success: np.ndarray, as_shown: np.ndarray, bonus: np.ndarray
+        self,
+        candidates: np.ndarray,
+        grasps: np.ndarray,
+        held: np.ndarray,
+        shown: np.ndarray,
+        bonus: np.ndarray,
     ) -> None:
-        """Count rollouts.
+        """Count one rollout each of different candidates, shape [R]."""
+        self.tried[candidates, grasps] += 1
+        for total, values in ((self.held, held), (self.shown, shown), (self.bonus, bonus)):
+            total[candidates, grasps] += values
 
-        Args:
-            candidates: of each grasp, shape [P, G].
-            success: of as many rollouts of each, P G candidates in turn.
-            as_shown: success as shown of the same rollouts.
-            bonus: of the same rollouts.
-        """
-        grasps = np.arange(candidates.shape[1])
-        self.tried[candidates, grasps] += len(bonus) // candidates.size
-        for total, values in ((self.held, success), (self.shown, as_shown), (self.bonus, bonus)):
-            total[candidates, grasps] += values.reshape(*candidates.shape, -1).sum(axis=2)
+    def select(self, candidates: np.ndarray, grasps: np.ndarray) -> Tally:
+        """Of candidates, shape [P, S], of some grasps, shape [S]."""
+        return Tally(*(getattr(self, f.name)[candidates, grasps] for f in fields(self)))
 
-    def select(self, candidates: np.ndarray, grasps: np.ndarray) -> CandidateStatistics:
-        """Statistics of candidates, shape [P, S], of some grasps, shape [S]."""
-        return self._each(lambda name: getattr(self, name)[candidates, grasps])
-
-    def join(self, other: CandidateStatistics) -> CandidateStatistics:
+    def join(self, other: Tally) -> Tally:
         """These and more candidates of the same grasps."""
-        return self._each(lambda name: np.concatenate([getattr(self, name), getattr(other, name)]))
-
-    def _each(self, values: Callable[[str], np.ndarray]) -> CandidateStatistics:
-        """A copy with another array in the place of each."""
-        return replace(self, **{name: values(name) for name in _ARRAYS})
+        return Tally(*(np.concatenate([getattr(t, f.name) for t in (self, other)]) for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,32 +192,27 @@ class Candidates:
     """The varied grasps, K G rows."""
     plans: GraspPlan
     """Plans of the varied grasps, K G rows."""
-    beliefs: Belief
-    """Nominal scenes that were planned for, G rows."""
-    statistics: CandidateStatistics
-    """Expected and observed success of the candidates, arrays of shape [K, G]."""
+    tally: Tally
+    """How their rollouts went, arrays of shape [K, G]."""
 
-    def best(self) -> tuple[GraspPlan, np.ndarray]:
-        """The best plan of each grasp, with what is expected of it, and its value, shape [G]."""
-        statistics = self.statistics
-        count = statistics.expected.shape[1]
-        best, grasps = statistics.order[0], np.arange(count)
-        plans = replace(
-            self.plans.select(best * count + grasps),
-            expected_success=statistics.success[best, grasps],
-            expected_as_shown=statistics.as_shown[best, grasps],
+    def best(self, other_places: float) -> GraspPlan:
+        """The best plan of each grasp, with what is expected of it."""
+        tally, grasps = self.tally, np.arange(self.tally.tried.shape[1])
+        best = tally.best(other_places)[0]
+        return replace(
+            self.plans.select(best * len(grasps) + grasps),
+            expected_success=tally.expected(tally.held)[best, grasps],
+            expected_as_shown=tally.expected(tally.shown)[best, grasps],
+            rollouts=tally.tried.sum(axis=0).astype(int),
         )
-        return plans, statistics.value[best, grasps]
 
-    def among_best(self, number: int, grasps: np.ndarray) -> Candidates:
-        """The best so many candidates of some grasps."""
-        best = self.statistics.order[:number, grasps]
-        rows = (best * self.statistics.expected.shape[1] + grasps).ravel()
+    def of(self, grasps: np.ndarray) -> Candidates:
+        """The candidates of some grasps, shape [S] of indices."""
+        count, size = self.tally.tried.shape
+        candidates = np.arange(count)[:, None]
+        rows = (candidates * size + grasps).ravel()
         return Candidates(
-            self.grasps.select(rows),
-            self.plans.select(rows),
-            self.beliefs.select(grasps),
-            self.statistics.select(best, grasps),
+            self.grasps.select(rows), self.plans.select(rows), self.tally.select(candidates, grasps)
         )
 
     def join(self, other: Candidates) -> Candidates:
@@ -253,14 +220,12 @@ class Candidates:
         return Candidates(
             RobotGraspSet.concatenate([self.grasps, other.grasps]),
             GraspPlan.join([self.plans, other.plans]),
-            self.beliefs,
-            self.statistics.join(other.statistics),
+            self.tally.join(other.tally),
         )
 
 
 def propose(
     planner: Planner,
-    predictor: SuccessPredictor,
     hand: Hand,
     beliefs: Belief,
     grasps: RobotGraspSet,
@@ -268,33 +233,29 @@ def propose(
     spread: VariationSpread,
     seed: int,
     search: int,
-    prior: float,
     chunk: int,
-    other_places: float,
-    chance: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
+    promise: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
 ) -> Candidates:
     """Plan variations of grasps.
 
     Args:
-        predictor: says what to expect of them.
         beliefs: of G grasps.
         grasps: to vary, G after G, K G of them.
         attempts: number of each variation, shape [K G].
         search: another number of the variations.
-        prior: number of rollouts that the expectation stands for.
-        chance: factor of what is expected of plans for tasks (``use_strength.chance_of_use``); one if None,
-            and where grasps have no task.
+        promise: of plans for tasks (``use_strength.chance_of_use``); one if None, and for grasps without a
+            task.
     """
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
     varied = vary(grasps, hand, np.full(len(grasps), search), attempts, seed, spread)
-    plans, expected = [], []
+    plans, promised = [], []
     for first in range(0, len(grasps), chunk):
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
-        expected.append(predictor(plans[-1]))
-        if chance is not None and varied.task is not None:
-            expected[-1] = expected[-1] * chance(plans[-1], varied.task[rows])[:, None]
-    success, as_shown = np.concatenate(expected).T.reshape(2, -1, count)
-    statistics = CandidateStatistics.untried(success.copy(), prior, as_shown.copy(), other_places)
-    return Candidates(varied, GraspPlan.join(plans), beliefs, statistics)
+        if promise is None or varied.task is None:
+            promised.append(np.ones(len(plans[-1])))
+        else:
+            promised.append(promise(plans[-1], varied.task[rows]))
+    made = np.concatenate(promised).reshape(-1, count)
+    return Candidates(varied, GraspPlan.join(plans), Tally.untried(made))

@@ -21,9 +21,6 @@ from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, mot
 
 _log = logging.getLogger(__name__)
 
-Rounds = tuple[tuple[int, int], ...]
-"""For each round, the number of the best candidates of a grasp that are tried, and of rollouts of each."""
-
 NEARLY_WITHSTOOD = 0.65
 """What an object that is held counts at most where it fails the use test, so that the search comes nearer to
 what passes; far below what is taken for sure."""
@@ -47,9 +44,9 @@ class RolloutSettings:
     """How the worlds of rollouts differ from the nominal ones; the policy sees none of it."""
     timestep: float = 0.01
     """Physics step [s]."""
-    hold_time: float = 2.0
-    """Time that the object has to be held [s]."""
-    early: int = 4
+    hold_time: float = 1.0
+    """Time that the object has to be held [s]: a third of the test's finds the same plans in less time."""
+    early: int = 2
     """Control steps before the fingers close at which rollouts begin; where the approach is not free
     (``BLOCKED``), they begin where it begins."""
     share: float = 0.2
@@ -87,47 +84,58 @@ class RolloutResults(BatchRecord):
     """Displacement in the hand during the hold [mm/s]; zero for lost objects, shape [R]."""
 
 
-def try_candidates(
-    candidates: Candidates,
-    rounds: Rounds,
-    objects: Mapping[str, ObjectModel],
-    hand: Hand,
-    policy: Policy,
-    settings: RolloutSettings,
-    seed: Sequence[int],
-    threads: int = 0,
-) -> None:
-    """Try the most promising candidates of each grasp, and count how they did.
+class RolloutTrials:
+    """Tries the candidates of a search. All meet the same differences in the same order, so the result of a
+    grasp does not depend on the others."""
 
-    All candidates meet the same differences, so what is found of a grasp does not depend on the others.
+    def __init__(
+        self,
+        objects: Mapping[str, ObjectModel],
+        hand: Hand,
+        policy: Policy,
+        settings: RolloutSettings,
+        beliefs: Belief,
+        object_names: Sequence[str],
+        number: int,
+        seed: Sequence[int],
+        threads: int = 0,
+    ):
+        """
+        Args:
+            beliefs: of G grasps.
+            object_names: of their objects, G names.
+            number: largest number of rollouts of a candidate.
+            threads: 0 means all processors.
+        """
+        self._beliefs, self._policy, self._threads, self.settings = beliefs, policy, threads, settings
+        self._scene = _scene(object_names, objects, hand, settings)
+        self._sample = draw(
+            settings.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed)
+        )
+        self._pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
+        self._mass_errors = random_stream("believed mass errors", *seed).normal(size=number)
 
-    Args:
-        candidates: K of each of G grasps; their statistics are updated.
-        rounds: of the rollouts, at least one.
-        threads: 0 means all processors.
-    """
-    s, plans, statistics = settings, candidates.plans, candidates.statistics
-    count = statistics.expected.shape[1]
-    scene = _scene(plans, objects, hand, s)
-    number = sum(each for _, each in rounds)
-    sample = draw(s.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed))
-    pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
-    mass_errors = random_stream("believed mass errors", *seed).normal(size=number)
-    best, done = statistics.order, 0
-    for most, each in rounds:
-        # Rows of ``best`` [K, G] are candidates; each round keeps the leading ones of the round before.
-        best = np.take_along_axis(best, statistics.select(best, np.arange(count)).order, axis=0)[:most]
-        # Candidates lie one variation after the other: candidate k of grasp g is row k G + g.
-        flat = (best * count + np.arange(count)).ravel()
-        rows, draws = np.repeat(flat, each), np.tile(done + np.arange(each), len(flat))
-        beliefs = candidates.beliefs.select(rows % count)
-        drawn = _with_estimated_errors(sample.select(draws), beliefs, pose_errors[draws], mass_errors[draws])
+    def __call__(
+        self, candidates: Candidates, grasps: np.ndarray, chosen: np.ndarray, which: np.ndarray
+    ) -> None:
+        """One more rollout each of R candidates, which are counted in their tally.
+
+        Args:
+            candidates: of S grasps.
+            grasps: which grasps of the beliefs those are, shape [S].
+            chosen, which: candidate and grasp, an index into S, of each rollout, shape [R]; no pair twice.
+        """
+        s, tally = self.settings, candidates.tally
+        rows, draws = chosen * len(grasps) + which, tally.tried[chosen, which].astype(int)
+        beliefs = self._beliefs.select(grasps[which])
+        pose, mass = self._pose_errors[draws], self._mass_errors[draws]
+        sample = _with_estimated_errors(self._sample.select(draws), beliefs, pose, mass)
         tasks = candidates.grasps.select(rows).task if s.for_use else None
-        found = roll_out(plans.select(rows), beliefs, drawn, scene, policy, s, threads, tasks)
+        plans = candidates.plans.select(rows)
+        found = roll_out(plans, beliefs, sample, self._scene, self._policy, s, self._threads, tasks)
         slip = np.minimum(found.slip, LARGEST_SLIP)
         bonus = s.share * found.shown_share + s.contact * found.contact_ratio - s.slip * slip
-        statistics.add(best, found.success, found.as_shown, bonus)
-        done += each
+        tally.add(chosen, which, found.success, found.as_shown, bonus)
 
 
 def roll_out(
@@ -197,9 +205,9 @@ def _withstood(environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray
 
 
 def _scene(
-    plans: GraspPlan, objects: Mapping[str, ObjectModel], hand: Hand, settings: RolloutSettings
+    names: Sequence[str], objects: Mapping[str, ObjectModel], hand: Hand, settings: RolloutSettings
 ) -> Scene:
-    present = {name: objects[name] for name in sorted(set(plans.object_name.tolist()))}
+    present = {name: objects[name] for name in sorted(set(names))}
     sizes = with_sizes(present, settings.randomization.object_scales)
     s = settings
     physics = SceneSettings(timestep=s.timestep, device=s.device, buffers=s.buffers)

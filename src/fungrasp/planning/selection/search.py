@@ -1,5 +1,4 @@
-"""The best of many candidates of a grasp: a learned predictor selects the promising ones, and simulated
-rollouts decide between them."""
+"""The best of many candidates of a grasp: simulated rollouts decide between them."""
 
 from __future__ import annotations
 
@@ -14,15 +13,27 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings, lowered, table_below
-from fungrasp.planning.selection.candidates import Candidates, VariationSpread, propose, with_settings
-from fungrasp.planning.selection.rollouts import try_candidates
+from fungrasp.planning.selection.candidates import (
+    HOPE,
+    HOPE_WEIGHT,
+    Candidates,
+    VariationSpread,
+    propose,
+    with_settings,
+)
+from fungrasp.planning.selection.rollouts import WITHSTOOD, RolloutTrials
 from fungrasp.planning.selection.settings import SelectionSettings
-from fungrasp.planning.selection.success_predictor import SuccessPredictor
 from fungrasp.planning.selection.use_strength import chance_of_use
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
 Feasible = Callable[[GraspPlan], np.ndarray]
 """Says of P plans which can be carried out, a bool array of shape [P]."""
+
+WIDEST = 8
+"""Most candidates of a grasp that are tried at once."""
+
+PASSED = 0.6
+"""A candidate that counts less than this on average has failed."""
 
 RESOLUTION = 1e-4
 """Beliefs are rounded to steps of so much [m, rad], so that what has settled anew is not planned anew."""
@@ -39,7 +50,6 @@ class SearchPlanner:
         self,
         hand: Hand,
         objects: Mapping[str, ObjectModel],
-        predictor: SuccessPredictor,
         policy: Policy,
         policy_digest: str = "",
         settings: SelectionSettings | None = None,
@@ -49,7 +59,6 @@ class SearchPlanner:
     ):
         """
         Args:
-            predictor: of success, made for the hand.
             policy: what will follow the plans, and follows them in the rollouts.
             settings: the defaults if None.
             protocol: of the motions; the published one if None.
@@ -58,9 +67,9 @@ class SearchPlanner:
         """
         self.settings = settings or SelectionSettings()
         self._hand, self._objects, self._threads = hand, objects, threads
-        self._predictor, self._policy, self._policy_digest = predictor, policy, policy_digest
+        self._policy, self._policy_digest = policy, policy_digest
         self._single = MotionPlanner(hand, objects, motions, protocol)
-        self.key = digest(predictor.digest, policy_digest, self.settings, self._single.key)
+        self.key = digest(policy_digest, self.settings, self._single.key)
         """Digest of all that plans depend on besides the arguments of ``plan``."""
         self._known: dict[str, GraspPlan] = {}
 
@@ -117,85 +126,103 @@ class SearchPlanner:
         feasible: Feasible | None = None,
     ) -> GraspPlan:
         """One plan for each grasp, table at zero. progress: called with the share that is done."""
-        s, everyone = self.settings, np.arange(len(grasps))
-        chance = partial(chance_of_use, hand=self._hand, objects=self._objects) if s.for_use else None
+        s, names = self.settings, grasps.object_name.tolist()
         make = partial(
             propose,
             self._single,
-            self._predictor,
             self._hand,
             seed=seed,
-            prior=s.prior,
             chunk=s.chunk,
-            other_places=s.other_places,
-            chance=chance,
+            promise=partial(chance_of_use, hand=self._hand, objects=self._objects) if s.for_use else None,
         )
-        first = with_settings(grasps).select(np.tile(everyone, s.candidates))
-        numbers = np.repeat(np.arange(s.candidates), len(grasps))
+        number = 1 if s.rollouts is None else s.candidates
+        everyone = np.arange(len(grasps))
+        first = with_settings(grasps).select(np.tile(everyone, number))
+        numbers = np.repeat(np.arange(number), len(grasps))
         pool = _only(make(beliefs, first, numbers, VariationSpread(), search=0), feasible)
-        spent = np.zeros(len(grasps), dtype=int)
-        hopeless = feasible is not None and not pool.statistics.expected.any()
+        hopeless = feasible is not None and not pool.tally.promise.any()
         if s.rollouts is None or hopeless:
-            return replace(pool.best()[0], rollouts=spent)
-        roll = partial(
-            try_candidates,
-            objects=self._objects,
-            hand=self._hand,
-            policy=self._policy,
-            settings=s.rollouts,
-            threads=self._threads,
+            return pool.best(s.other_places)
+        most = s.rollouts_per_grasp[1]
+        roll = RolloutTrials(
+            self._objects, self._hand, self._policy, s.rollouts, beliefs, names, most, (seed,), self._threads
         )
-        most = s.rollouts_per_grasp[1] * len(grasps)
-        roll(pool, s.first_rounds, seed=(seed, 0))
-        pool = self._tried_on(pool, roll, seed)
-        spent += pool.statistics.tried.sum(axis=0).astype(int)
-        progress(spent.sum() / most)
-        chosen, value = pool.best()
+        chosen: list[GraspPlan] = []
+        order: list[np.ndarray] = []
         left = everyone
-        for search in range(1, s.search.most + 1):
-            hard = np.flatnonzero(value < s.search.enough)
-            if not len(hard):
+        for search in range(s.searches + 1):
+            if search:
+                pool = self._varied_again(pool, left, beliefs, make, search, feasible)
+            self._race(pool, left, roll, s.budget(search))
+            sure = self._sure(pool) if search < s.searches else np.ones(len(left), dtype=bool)
+            chosen.append(pool.of(np.flatnonzero(sure)).best(s.other_places))
+            order.append(left[sure])
+            pool, left = pool.of(np.flatnonzero(~sure)), left[~sure]
+            progress((len(everyone) - len(left) * (1 - (search + 1) / (s.searches + 1))) / len(everyone))
+            if not len(left):
                 break
-            left, parents = left[hard], pool.among_best(s.search.parents, hard)
-            number = np.arange(s.candidates)[:, None] % len(parents.statistics.expected)
-            rows = (number * len(left) + np.arange(len(left))).ravel()
-            numbers = np.repeat(np.arange(1, s.candidates + 1), len(left))
-            children = make(
-                beliefs.select(left), parents.grasps.select(rows), numbers, s.search.spread, search=search
-            )
-            before = parents.statistics.tried.sum(axis=0)
-            pool = parents.join(_only(children, feasible))
-            roll(pool, s.search.rounds, seed=(seed, search))
-            spent[left] += (pool.statistics.tried.sum(axis=0) - before).astype(int)
-            progress(spent.sum() / most)
-            found, value = pool.best()
-            place = everyone.copy()
-            place[left] = len(everyone) + np.arange(len(left))
-            chosen = GraspPlan.join([chosen, found]).select(place)
-        return replace(chosen, rollouts=spent)
+        return GraspPlan.join(chosen).select(np.argsort(np.concatenate(order)))
 
-    def _tried_on(
+    def _race(self, pool: Candidates, grasps: np.ndarray, roll: RolloutTrials, budget: int) -> None:
+        """Try the leading candidates of each grasp until one is sure, or the budget spent.
+
+        As many are tried at once as have failed so far, up to 8: hard grasps take fewer turns.
+
+        Args:
+            pool: candidates of S grasps.
+            grasps: which of the search's those are, shape [S].
+            budget: rollouts of each grasp.
+        """
+        tally, s = pool.tally, self.settings
+        before = tally.tried.sum(axis=0)
+        while True:
+            spent = tally.tried.sum(axis=0) - before
+            active = np.flatnonzero(~self._sure(pool) & (spent < budget))
+            if not len(active):
+                return
+            failed = ((tally.tried > 0) & (tally.shown < tally.tried * PASSED)).sum(axis=0)
+            width = np.minimum(np.clip(failed, 1, WIDEST), budget - spent).astype(int)
+            hope = tally.hope(s.other_places, roll.settings.share)
+            order = np.argsort(-hope, axis=0, kind="stable")
+            possible = np.isfinite(hope).sum(axis=0)
+            chosen = [order[: min(width[g], possible[g]), g] for g in active]
+            which = np.repeat(active, [len(some) for some in chosen])
+            if not len(which):
+                return
+            roll(pool, grasps, np.concatenate(chosen), which)
+
+    def _sure(self, pool: Candidates) -> np.ndarray:
+        """Grasps of which a candidate is as good as one that held as shown in ``confirmations`` of as many
+        rollouts, shape [S] bool. In use, what passes counts a little less than one."""
+        s, tally = self.settings, pool.tally
+        passed = WITHSTOOD if s.for_use else 1.0
+        counted = tally.shown + s.other_places * (tally.held - tally.shown)
+        mean = (counted + HOPE_WEIGHT * HOPE) / (tally.tried + HOPE_WEIGHT)
+        enough = (passed * s.confirmations + HOPE_WEIGHT * HOPE) / (s.confirmations + HOPE_WEIGHT)
+        return np.any((tally.tried >= s.confirmations) & (mean >= enough - 1e-9), axis=0)
+
+    def _varied_again(
         self,
         pool: Candidates,
-        roll: Callable[..., None],
-        seed: int,
+        grasps: np.ndarray,
+        beliefs: Belief,
+        make: Callable[..., Candidates],
+        search: int,
+        feasible: Feasible | None,
     ) -> Candidates:
-        """The candidates after more rollouts of those grasps of which none is sure."""
-        statistics, all_of_them = pool.statistics, len(pool.statistics.expected)
-        unsure = np.flatnonzero(pool.best()[1] < self.settings.sure)
-        if len(unsure):
-            order = statistics.order[:, unsure]
-            some = pool.among_best(all_of_them, unsure)
-            roll(some, self.settings.rounds, seed=(seed, 0, 1))
-            for name in ("tried", "held", "shown", "bonus"):
-                getattr(statistics, name)[order, unsure] = getattr(some.statistics, name)
-        return pool
+        """The candidates and variations of the best of them. grasps: which they are of, shape [S]."""
+        s, count = self.settings, len(grasps)
+        parents = pool.tally.best(s.other_places)[: s.parents]
+        number = np.arange(s.more) % len(parents)
+        rows = (parents[number] * count + np.arange(count)).ravel()
+        numbers = np.repeat(np.arange(1, s.more + 1), count)
+        children = make(beliefs.select(grasps), pool.grasps.select(rows), numbers, s.spread, search=search)
+        return pool.join(_only(children, feasible))
 
     def _key(self, grasp: RobotGraspSet, belief: Belief, seed: int) -> str:
         """Digest of all that the choice for one grasp depends on."""
         return digest(
             seed,
-            self._predictor.digest,
             self._policy_digest,
             {name: getattr(grasp, name) for name in grasp.FIELDS},
             grasp.extra,
@@ -205,11 +232,10 @@ class SearchPlanner:
 
 
 def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
-    """The candidates, where of those that can't be carried out nothing is expected: they come last."""
+    """The candidates, where those that can't be carried out promise nothing."""
     if feasible is not None:
-        statistics = candidates.statistics
-        impossible = ~feasible(candidates.plans).reshape(statistics.expected.shape)
-        statistics.expected[impossible] = statistics.expected_shown[impossible] = 0.0
+        tally = candidates.tally
+        tally.promise[~feasible(candidates.plans).reshape(tally.promise.shape)] = 0.0
     return candidates
 
 

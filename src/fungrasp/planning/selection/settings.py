@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.planning.selection.candidates import VariationSpread
-from fungrasp.planning.selection.rollouts import RolloutSettings, Rounds
+from fungrasp.planning.selection.rollouts import RolloutSettings
 from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName
 from fungrasp.simulation import BufferSizes, Device
 
@@ -20,43 +20,30 @@ GPU_CHUNK = 8192
 
 
 @dataclass(frozen=True)
-class FurtherSearch:
-    """Where no candidate is good enough, the best ones are varied again."""
-
-    most: int = 3
-    """Largest number of times that candidates are varied again."""
-    enough: float = 0.6
-    """Expected success from which a candidate is good enough."""
-    parents: int = 3
-    """Best candidates of a grasp that are varied, and kept beside the new ones."""
-    spread: VariationSpread = WIDE_SPREAD
-    """Spread of the variations."""
-    rounds: Rounds = ((27, 1), (8, 2), (3, 3))
-    """Rollouts of old and new candidates."""
-
-
-@dataclass(frozen=True)
 class SelectionSettings:
-    """How many candidates there are, and how one is selected."""
+    """How many candidates of a grasp are planned and tried until one is sure.
 
-    candidates: int = 24
-    """Candidates of each grasp that are planned together, the unchanged grasp included."""
+    The leading candidate is tried again and again until it has been held as shown in ``confirmations`` of as
+    many rollouts. One that fails falls behind. Where none is sure, the best are varied again, more widely.
+    """
+
+    candidates: int = 8
+    """First candidates of each grasp, the unchanged grasp included."""
     rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
-    """Rollouts that decide between the most promising; the predictor alone decides if None."""
-    sure: float = 0.8
-    """Expected success from which the best candidate after the first rollouts is taken without more."""
-    first_rounds: Rounds = ((6, 1), (3, 2))
-    """First rollouts of all grasps: a candidate that holds three times out of three is sure where the
-    predictor expects two of three or more."""
-    rounds: Rounds = ((12, 1), (6, 2), (3, 3))
-    """Rollouts of the first candidates of grasps of which none is sure."""
-    prior: float = 4.0
-    """Number of rollouts that the predictor's expectation stands for."""
-    search: FurtherSearch = field(default_factory=FurtherSearch)
-    """What is done where the rollouts have found nothing that holds."""
+    """The first candidate is taken without any if None."""
+    confirmations: int = 3
+    """Rollouts, all as shown, after which a candidate is sure."""
+    searches: int = 3
+    """Largest number of times that the best candidates are varied again."""
+    more: int = 24
+    """Candidates of each further search."""
+    parents: int = 3
+    """Best candidates that are varied."""
+    spread: VariationSpread = WIDE_SPREAD
+    """Of the further searches."""
     for_use: bool = False
-    """Whether the use motions of the grasps' tasks count: the share of their loads that contacts can take in
-    what is expected, and whether they are withstood in rollouts."""
+    """Whether the use motions of the grasps' tasks count: candidates whose contacts can take more of their
+    loads are tried first, and rollouts go on with them."""
     other_places: float = 0.0
     """What a plan that holds the object otherwise than shown counts, where one that is as shown counts one;
     ``OTHER_PLACES`` where such plans are allowed."""
@@ -68,11 +55,11 @@ class SelectionSettings:
         Raises:
             FungraspError: a number is too small.
         """
-        if min(self.candidates, self.search.parents) < 1:
-            raise FungraspError(f"there must be at least one plan to choose from, not {self}")
-        for rounds in (self.first_rounds, self.rounds, self.search.rounds):
-            if not rounds or min(number for pair in rounds for number in pair) < 1:
-                raise FungraspError(f"rollouts need rounds of at least one plan and episode, not {rounds}")
+        numbers = self.candidates, self.confirmations, self.more, self.parents
+        if min(numbers) < 1 or self.searches < 0:
+            raise FungraspError(
+                f"there must be at least one plan to choose from, and one rollout, not {self}"
+            )
 
     @classmethod
     def for_protocol(
@@ -96,18 +83,9 @@ class SelectionSettings:
         drawn = REALITY_ROLLOUTS if protocol == "reality" else MODERATE
         if not for_use:
             return cls(rollouts=RolloutSettings(drawn), other_places=other)
-        # What holds, but withstands nothing, counts half; the search is to go on after it, although the
-        # predictor, which knows lifts alone, expects much of it.
-        # The use goes on with the hold.
-        return cls(
-            rollouts=RolloutSettings(drawn, for_use=True, hold_time=0.8),
-            prior=2.0,
-            first_rounds=((8, 1), (3, 2)),
-            rounds=((10, 1), (3, 3)),
-            search=FurtherSearch(most=1, enough=0.8, rounds=((16, 1), (5, 2), (2, 2))),
-            for_use=True,
-            other_places=other,
-        )
+        # The use goes on with the hold. One search: what withstands nothing then rarely does later.
+        use = RolloutSettings(drawn, for_use=True, hold_time=0.8)
+        return cls(rollouts=use, searches=1, for_use=True, other_places=other)
 
     def on(self, device: Device, buffers: BufferSizes | None = None) -> SelectionSettings:
         """The same with rollouts on a device; a GPU makes those of many grasps together."""
@@ -122,7 +100,9 @@ class SelectionSettings:
         """Fewest and most episodes that are simulated to plan one grasp."""
         if self.rollouts is None:
             return 0, 0
-        first, second, again = (
-            sum(a * b for a, b in rounds) for rounds in (self.first_rounds, self.rounds, self.search.rounds)
-        )
-        return first, first + second + self.search.most * again
+        return self.confirmations, self.budget(0) + self.searches * self.budget(1)
+
+    def budget(self, search: int) -> int:
+        """Most rollouts of a grasp, of the first candidates (0) or in a further search: each candidate once,
+        and two of them to the end."""
+        return (self.more if search else self.candidates) + 2 * self.confirmations

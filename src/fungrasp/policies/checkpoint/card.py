@@ -14,6 +14,8 @@ from fungrasp.core.formats.text_files import parse_json
 from fungrasp.task.features import LayoutName, check_layout
 
 FORMAT_VERSION = 1
+SEARCH = "search"
+"""``PolicyCard.plans`` of policies that follow the best of many plans."""
 KINDS = ("teacher", "student", "predictor")
 
 
@@ -70,8 +72,8 @@ class PolicyCard:
     name: str
     """Name of the policy; that of its file if it comes with the package."""
     kind: str
-    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has; a
-    predictor judges plans."""
+    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has;
+    predictors of older versions judged plans."""
     hand: str
     """Name of the hand that it moves."""
     hand_digest: str
@@ -93,8 +95,8 @@ class PolicyCard:
     layout_name: LayoutName = "full"
     """Name of the layout of what it sees (``fungrasp.task.features``)."""
     plans: str = ""
-    """Name of the success predictor that chooses the plans it follows, a policy file beside it; none if
-    empty."""
+    """``SEARCH``, or the name of a success predictor in older files, if it follows the best of many plans,
+    which rollouts choose; "" if the grasp's own."""
     action_smoothing: float = 0.0
     """Weight of the previous smoothed action in the next one, in [0, 1); the new action has the rest."""
     normalisation: str = "mean and standard deviation are inside the graph"
