@@ -63,11 +63,11 @@ class View:
 
     def _what(self) -> tuple[Any, Mapping[str, ObjectModel] | None]:
         if self.mesh is not None:
-            from fungrasp.viewer.choose_page import perceived_capture
+            from fungrasp.viewer.choose_page import capture_page
 
             if self.what is None:
                 raise FungraspError("--mesh needs the folder of a capture")
-            return perceived_capture(self.what, self.mesh), None
+            return capture_page(self.what, self.mesh), None
         if self.grasps is not None or self.recordings is not None:
             from fungrasp.viewer.choose_page import shown_result
 
