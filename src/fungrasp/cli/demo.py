@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
-from fungrasp.cli.options import optional_value
+from fungrasp.cli.options import GraspsOption, optional_value
 from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -29,16 +29,12 @@ Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
 
 
 @dataclass(frozen=True)
-class Demo(Answering):
+class Demo(GraspsOption, Answering):
     """Grasp a few objects as people do, and the one in an image where the hand models are there, and show it:
     a film and a page."""
 
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
-    grasps: str = "builtin"
-    """A file of human grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
     grasp: tuple[str, ...] = ()
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few, and
     the one in the built-in image."""

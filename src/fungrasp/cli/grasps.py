@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, write_human_grasps
-from fungrasp.cli.options import ClusterOption, print_use
+from fungrasp.cli.options import ClusterOption, ObjectsOption, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.conversion import Convention
 
@@ -61,7 +61,7 @@ class ListGrasps(Answering):
 
 
 @dataclass(frozen=True)
-class ShowGrasp(Answering):
+class ShowGrasp(ObjectsOption, Answering):
     """Show one grasp: numbers, and on request a picture."""
 
     file: GraspFile
@@ -70,8 +70,6 @@ class ShowGrasp(Answering):
     """The grasp: an object ("mug"), object and task ("mug:drink") or a row number, from 0."""
     picture: Path | None = None
     """Draw the grasp to this PNG file."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj for the picture; built-in objects need none."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps import load_grasps
@@ -177,13 +175,11 @@ class ImportGrasps:
 
 
 @dataclass(frozen=True)
-class CheckGrasps(Answering):
+class CheckGrasps(ObjectsOption, Answering):
     """Say what is probably wrong with human grasps: units, order of joints, side, frames, table."""
 
     file: GraspFile
     """A file of human grasps."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps.anatomy import check_anatomy, grouped
@@ -224,7 +220,7 @@ class CheckGrasps(Answering):
 
 
 @dataclass(frozen=True)
-class ConvertGrasps(Answering):
+class ConvertGrasps(ObjectsOption, Answering):
     """Bring a file of human grasps from other conventions into ours, and compute missing contacts."""
 
     file: GraspFile
@@ -233,8 +229,6 @@ class ConvertGrasps(Answering):
     """Grasp file to write (.npz)."""
     convention: Annotated[Convention, tyro.conf.arg(name="")] = field(default_factory=Convention)
     """How the file is written."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj, for what is computed from them; built-in objects need none."""
     below_table: Literal["keep", "lift", "drop"] = "keep"
     """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
 

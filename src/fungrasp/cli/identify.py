@@ -12,6 +12,7 @@ from fungrasp.cli.console import Answering, CommandResult, table
 from fungrasp.cli.options import CellName
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
+from fungrasp.sim2real.identification.fit import FitSettings
 
 if TYPE_CHECKING:
     from fungrasp.hands import Hand
@@ -113,30 +114,18 @@ class Fit(Answering):
     fingertips."""
     joint: str = "index_proximal_joint"
     """Joint of a .csv."""
-    method: tuple[str, ...] = ("gauss-newton",)
-    """gauss-newton, cma-es; the first one's result is written."""
-    fixed: tuple[str, ...] = ()
-    """Quantities that keep the model's values; stiffness, where the host computes the torques (Allegro)."""
-    errors: tuple[str, ...] = ()
-    """Errors of the drives that are fitted too: offset (of the encoders), backlash."""
-    bound: float = 0.5
-    """A quantity whose standard deviation, relative to it, is larger by the log alone is not identifiable
-    from it, and keeps the model's value."""
-    prior: float = float("inf")
-    """Standard deviation of the logarithms of the factors on the model's values, which decides where the log
-    does not; 1: within a factor of e. Infinite: none."""
-    evaluations: int = 3000
-    """Simulations of cma-es."""
+    settings: Annotated[FitSettings, tyro.conf.arg(name="")] = field(default_factory=FitSettings)
+    """How."""
 
     def run(self) -> CommandResult:
         import numpy as np
 
         from fungrasp.hands import load_hand
-        from fungrasp.sim2real.identification.fit import FitSettings, fit_dynamics
+        from fungrasp.sim2real.identification.fit import fit_dynamics
         from fungrasp.sim2real.identification.motion_log import load_motion_log, read_step_csv
         from fungrasp.sim2real.joint_dynamics import QUANTITIES, save_dynamics
 
-        for name in self.fixed:
+        for name in self.settings.fixed:
             if name not in QUANTITIES:
                 raise FungraspError(f"--fixed takes {', '.join(QUANTITIES)}, not '{name}'")
         hand = load_hand(self.hand)
@@ -155,58 +144,43 @@ class Fit(Answering):
         fitted = [one.part(0, 1 - HELD_OUT) for one in logs]
         if step:
             fitted[0] = log.rows(np.r_[0 : len(log.times) : 2])
-        results = []
-        for method in self.method:
-            settings = FitSettings(
-                method=method,
-                fixed=self.fixed,
-                errors=self.errors,
-                bound=self.bound,
-                prior=self.prior,
-                evaluations=self.evaluations,
-            )
-            results.append((method, fit_dynamics(hand, fitted, settings)))
-        found = results[0][1]
+        found = fit_dynamics(hand, fitted, self.settings)
         if self.out is not None:
             save_dynamics(self.out, found.dynamics, self._notes(found))
         rows: list[tuple[str, ...]] = [("joint", *QUANTITIES)]
         for j, joint in enumerate(found.dynamics.joints):
             rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
         lines = [table(rows), f"delay {1e3 * found.dynamics.delay:.1f} ms"]
-        methods = [
-            {
-                "method": method,
-                "rms": r.rms,
-                "held_out_rms": self._held_out(hand, logs, r, step),
-                "simulations": r.simulations,
-                "seconds": r.seconds,
-            }
-            for method, r in results
-        ]
+        numbers = {
+            "method": self.settings.method,
+            "rms": found.rms,
+            "held_out_rms": self._held_out(hand, logs, found, step),
+            "simulations": found.simulations,
+            "seconds": found.seconds,
+        }
         rows = [("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")]
-        for one in methods:
-            numbers = (f"{one['rms']:.4f}", f"{one['held_out_rms']:.4f}", str(one["simulations"]))
-            rows.append((one["method"], *numbers, f"{one['seconds']:.1f}"))
+        cells = (f"{found.rms:.4f}", f"{numbers['held_out_rms']:.4f}", str(found.simulations))
+        rows.append((self.settings.method, *cells, f"{found.seconds:.1f}"))
         lines.append(table(rows))
         vague = sum(int((~known).sum()) for known in found.identified.values())
         if vague:
             lines.append(
                 f"{vague} quantities are not identifiable from this log (standard deviation above "
-                f"{self.bound:.0%} by it alone): they keep the model's values. Logs with the palm turned to "
-                "other sides, or with weights on the fingertips, may tell them"
+                f"{self.settings.bound:.0%} by it alone): they keep the model's values. Logs with the palm turned "
+                "to other sides, or with weights on the fingertips, may tell them"
             )
         joints = {
             joint: {
                 name: {
                     "value": getattr(found.dynamics, name)[j],
-                    "identified": found.identified[name][j] and name not in self.fixed,
+                    "identified": found.identified[name][j] and name not in self.settings.fixed,
                     "relative_error": found.relative_error[name][j],
                 }
                 for name in QUANTITIES
             }
             for j, joint in enumerate(found.dynamics.joints)
         }
-        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": methods}
+        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": [numbers]}
         return CommandResult(value, "\n".join(lines))
 
     def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:
@@ -230,7 +204,7 @@ class Fit(Answering):
 
     def _value(self, found: IdentifiedDynamics, quantity: str, joint: int) -> str:
         value = getattr(found.dynamics, quantity)[joint]
-        if quantity in self.fixed:
+        if quantity in self.settings.fixed:
             return f"{value:.4g} (fixed)"
         if not found.identified[quantity][joint]:
             return f"{value:.4g} (model's: not identifiable)"

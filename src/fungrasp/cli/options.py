@@ -22,13 +22,19 @@ CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspsOption:
+class ObjectsOption:
+    """Meshes of one's own."""
+
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspsOption(ObjectsOption):
     """Which grasps, and of what."""
 
     grasps: str = "builtin"
     """A file of human or robot grasps, as the command takes them, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
 
 
 @dataclass(frozen=True, kw_only=True)
