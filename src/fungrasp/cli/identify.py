@@ -166,8 +166,8 @@ class Fit(Answering):
         if vague:
             lines.append(
                 f"{vague} quantities are not identifiable from this log (standard deviation above "
-                f"{self.settings.bound:.0%} by it alone): they keep the model's values. Logs with the palm turned "
-                "to other sides, or with weights on the fingertips, may tell them"
+                f"{self.settings.bound:.0%} by it alone): they keep the model's values. Logs with the palm "
+                "turned to other sides, or with weights on the fingertips, may tell them"
             )
         joints = {
             joint: {
