@@ -17,22 +17,18 @@ from benchmarks.twins.twin_episode import deploy_where_reached
 from fungrasp.cli.console import table
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.provenance import run_record
-from fungrasp.deployment.deploy import deploy_on_robot
+from fungrasp.deployment.deploy import DeploymentTask, deploy_on_robot, deployment_task
 from fungrasp.deployment.deployment_result import DeadlineMonitor, DeploymentResult
-from fungrasp.deployment.deployment_task import DeploymentTask, deployment_task
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import UnreachableError
-from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
-from fungrasp.deployment.twin_deployment import reachable_placements
+from fungrasp.deployment.preparation import UnreachableError, reachable_placements
+from fungrasp.deployment.spec import DeploymentSpec, GraspChoice, Phase
 from fungrasp.evaluation.result_files import Row, read_result, write_result
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
 from fungrasp.robots.twin.parameters import cell_twin
-from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_throughout, hold_sample
 from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
 
@@ -260,7 +256,6 @@ class _Alone(DeploymentObserver):
     """Nobody is there who would say that the hand may let go."""
 
     def hold(self, robot: Robot) -> bool:
-        """See ``DeploymentObserver.hold``."""
         return True
 
 

@@ -80,7 +80,7 @@ class BenchFaultSeries:
         from itertools import islice
 
         from benchmarks.fault_series.moments import scene
-        from fungrasp.deployment.twin_deployment import reachable_placement
+        from fungrasp.deployment.preparation import reachable_placement
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import GraspPreparer, PreparedGrasp
+from fungrasp.deployment.spec import Phase
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -22,9 +22,8 @@ from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
-from fungrasp.robots.twin.judge import TwinJudge
 from fungrasp.robots.twin.parameters import cell_twin
-from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.twin.world import TwinJudge, TwinWorld
 from fungrasp.task import Policy
 
 PLAN_TIME = 0.8
@@ -107,7 +106,6 @@ class PreparerOf:
     def prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
     ) -> PreparedGrasp:
-        """See ``Preparer.prepare``."""
         self._said(PLAN)
         clock = self._robot.clock
         clock.sleep_until(clock.now() + PLAN_TIME)
@@ -123,15 +121,12 @@ class Happened(DeploymentObserver):
         self._said, self._judge = said, judge
 
     def phase(self, time: float, phase: Phase) -> None:
-        """See ``DeploymentObserver.phase``."""
         self._said(phase.value)
 
     def fault(self, time: float, reason: str) -> None:
-        """See ``DeploymentObserver.fault``."""
         self._said(Phase.FAULT.value)
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentObserver.setpoint``."""
         if self._judge is not None:
             self._judge.watch(phase is Phase.HOLD)
 

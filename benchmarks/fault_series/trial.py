@@ -7,11 +7,12 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from benchmarks.fault_series.moments import Moment, Scene
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.robots.arms.ur import URSettings
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.world import TwinWorld
@@ -81,6 +82,10 @@ class FaultKind:
         return cell.limits.palm_speed * (self.reaction(cell) + BRAKING)
 
 
+def _setpoint(cell: RobotCell) -> float:
+    return SETPOINT_PERIOD
+
+
 def _arm_silence(cell: RobotCell) -> float:
     return cell.watchdog.arm_silence + SETPOINT_PERIOD
 
@@ -107,154 +112,97 @@ def _watchdog(cell: RobotCell) -> float:
     return max(WATCHDOG, cell.watchdog.arm_silence) + SETPOINT_PERIOD
 
 
+def _stale_pose(cell: RobotCell) -> float:
+    return cell.watchdog.pose_stale + 2 * CONTROL_PERIOD
+
+
+def _hanging(cell: RobotCell) -> float:
+    return 4 * CONTROL_PERIOD
+
+
+def _paused(cell: RobotCell) -> float:
+    return 0.45 + CONTROL_PERIOD
+
+
+def _asked(cell: RobotCell) -> float:
+    # An Allegro is asked for its faults once a second.
+    return 1.0 + CONTROL_PERIOD
+
+
+def _errors_read(cell: RobotCell) -> float:
+    # Of a hand's motors they are read twice a second or more often.
+    return 0.5 + CONTROL_PERIOD
+
+
 ARM_GONE = r"(the arm|UR\d+ at) .*(disconnected|silent|stands still|cable)"
 HAND_GONE = r"(the hand|Allegro|RH56) .*(disconnected|silent|answer)"
 LATER = tuple(moment for moment in ALL if moment not in TRACKED)
+
+
+def _hand(name: str, fault: Fault, said: str = HAND_GONE, **more: Any) -> FaultKind:
+    return FaultKind(name, Place.WIRE, said, _driver_silence, device="hand", fault=fault, **more)
+
+
+def _unnoticed(
+    name: str, fault: Fault, hands: tuple[str, ...] = FaultKind.hands, said: str = ""
+) -> FaultKind:
+    """A fault of the hand that is ridden out, or noticed after a while."""
+    return _hand(name, fault, said, carried=ALL, gradual=True, hands=hands)
+
+
+def _arm(name: str, fault: Fault, said: str, reaction: Callable[[RobotCell], float] = _setpoint) -> FaultKind:
+    return FaultKind(name, Place.WIRE, said, reaction, device="arm", fault=fault)
+
+
+def _signal(name: str, said: str, *signals: signal.Signals) -> FaultKind:
+    return FaultKind(name, Place.WIRE, said, _control, signals=signals)
+
+
+BUS_IS_OFF = "(the hand|Allegro V.) .*bus is off"
+ALLEGRO, INSPIRE, LEAP = ("allegro",), ("inspire",), ("leap",)
 
 KINDS = (
     FaultKind("arm silent", Place.TWIN, "the arm has been silent|arm.*silent", _arm_silence, MOVING),
     FaultKind("hand silent", Place.TWIN, "the hand has been silent", _hand_silence, MOVING),
     FaultKind("fault of the hand", Place.TWIN, "the hand .*motor hot"),
     FaultKind("tracker jumps", Place.TWIN, "has jumped by", _tracker, carried=LATER),
-    FaultKind(
-        "tracker silent",
-        Place.TWIN,
-        "the tracked pose is .* old",
-        lambda cell: cell.watchdog.pose_stale + 2 * CONTROL_PERIOD,
-        carried=LATER,
-    ),
+    FaultKind("tracker silent", Place.TWIN, "the tracked pose is .* old", _stale_pose, carried=LATER),
     FaultKind("disk full", Place.TWIN, "the log can't be written: No space left", _control, ALL[1:]),
     FaultKind("Ctrl-C", Place.TWIN, "Ctrl-C"),
     FaultKind("stop key", Place.TWIN, "the stop key was pressed"),
     FaultKind("error in the policy", Place.TWIN, "ZeroDivisionError: made up", _control, POLICY),
     FaultKind("policy returns NaN", Place.TWIN, "not finite", _control, POLICY),
-    FaultKind(
-        "computer hangs", Place.TWIN, "the control period was overrun", lambda c: 4 * CONTROL_PERIOD, POLICY
-    ),
-    FaultKind("emergency stop", Place.WIRE, "emergency stop", device="arm", fault=Fault.EMERGENCY_STOP),
-    FaultKind("protective stop", Place.WIRE, "protective stop", device="arm", fault=Fault.PROTECTIVE_STOP),
-    FaultKind("safeguard stop", Place.WIRE, "safeguard stop", device="arm", fault=Fault.SAFEGUARD_STOP),
+    FaultKind("computer hangs", Place.TWIN, "the control period was overrun", _hanging, POLICY),
+    _arm("emergency stop", Fault.EMERGENCY_STOP, "emergency stop"),
+    _arm("protective stop", Fault.PROTECTIVE_STOP, "protective stop"),
+    _arm("safeguard stop", Fault.SAFEGUARD_STOP, "safeguard stop"),
     FaultKind("speed slider", Place.WIRE, "% of its speed", _arm_silence),
-    FaultKind("arm's network lost", Place.WIRE, ARM_GONE, _watchdog, device="arm", fault=Fault.STALLED),
-    FaultKind("arm's controller gone", Place.WIRE, ARM_GONE, _watchdog, device="arm", fault=Fault.KILLED),
-    FaultKind(
-        "hand's line lost",
-        Place.WIRE,
-        HAND_GONE,
-        _driver_silence,
-        device="hand",
-        fault=Fault.STALLED,
-    ),
-    FaultKind(
-        "bus off",
-        Place.WIRE,
-        "(the hand|Allegro V.) .*bus is off",
-        _driver_silence,
-        device="hand",
-        fault=Fault.BUS_OFF,
-        hands=("allegro",),
-    ),
-    FaultKind(
-        "error frames",
-        Place.WIRE,
-        "",
-        carried=ALL,
-        gradual=True,
-        device="hand",
-        fault=Fault.BUS_ERRORS,
-        hands=("allegro",),
-    ),
-    FaultKind(
-        "answers corrupt",
-        Place.WIRE,
-        HAND_GONE,
-        _driver_silence,
-        carried=ALL,
-        gradual=True,
-        device="hand",
-        fault=Fault.CORRUPT,
-        hands=("inspire",),
-    ),
-    FaultKind(
-        "connection reset",
-        Place.WIRE,
-        HAND_GONE,
-        _driver_silence,
-        carried=ALL,
-        gradual=True,
-        device="hand",
-        fault=Fault.RESET,
-        hands=("inspire",),
-    ),
-    FaultKind(
-        "bus off for 0.5 s",
-        Place.WIRE,
-        "(the hand|Allegro V.) .*bus is off",
-        _driver_silence,
-        device="hand",
-        fault=Fault.BUS_OFF,
-        clears=0.5,
-        hands=("allegro",),
-    ),
-    FaultKind(
-        "hand frozen for 3 s",
-        Place.WIRE,
-        HAND_GONE,
-        _driver_silence,
-        device="hand",
-        fault=Fault.STALLED,
-        clears=3.0,
-    ),
-    FaultKind(
-        "frames refused",
-        Place.WIRE,
-        "",
-        carried=ALL,
-        gradual=True,
-        device="hand",
-        fault=Fault.NO_BUFFERS,
-        hands=("allegro",),
-    ),
-    FaultKind(
-        "writes unheard", Place.WIRE, "", carried=ALL, gradual=True, device="hand", fault=Fault.UNHEARD
-    ),
-    FaultKind(
-        "hand too hot",
-        Place.WIRE,
-        "too hot",
-        lambda cell: 1.0 + CONTROL_PERIOD,
-        lets_go=("allegro",),
-        device="hand",
-        fault=Fault.TOO_HOT,
-        hands=("allegro",),
-    ),
-    FaultKind(
-        "motor fault",
-        Place.WIRE,
-        "motor fault|overload",
-        lambda cell: 0.5 + CONTROL_PERIOD,
-        lets_go=("leap",),
-        device="hand",
-        fault=Fault.MOTOR,
-        hands=("inspire", "leap"),
+    _arm("arm's network lost", Fault.STALLED, ARM_GONE, _watchdog),
+    _arm("arm's controller gone", Fault.KILLED, ARM_GONE, _watchdog),
+    _hand("hand's line lost", Fault.STALLED),
+    _hand("hand frozen for 3 s", Fault.STALLED, clears=3.0),
+    _hand("bus off", Fault.BUS_OFF, BUS_IS_OFF, hands=ALLEGRO),
+    _hand("bus off for 0.5 s", Fault.BUS_OFF, BUS_IS_OFF, clears=0.5, hands=ALLEGRO),
+    _unnoticed("error frames", Fault.BUS_ERRORS, ALLEGRO),
+    _unnoticed("frames refused", Fault.NO_BUFFERS, ALLEGRO),
+    _unnoticed("answers corrupt", Fault.CORRUPT, INSPIRE, said=HAND_GONE),
+    _unnoticed("connection reset", Fault.RESET, INSPIRE, said=HAND_GONE),
+    _unnoticed("writes unheard", Fault.UNHEARD),
+    replace(_hand("hand too hot", Fault.TOO_HOT, "too hot", lets_go=ALLEGRO, hands=ALLEGRO), reaction=_asked),
+    replace(
+        _hand("motor fault", Fault.MOTOR, "motor fault|overload", lets_go=LEAP, hands=INSPIRE + LEAP),
+        reaction=_errors_read,
     ),
     FaultKind("hand's process killed", Place.WIRE, "process has ended|disconnected", _driver_silence),
     FaultKind("hand's process frozen", Place.WIRE, HAND_GONE, _driver_silence),
-    FaultKind("Ctrl-C once", Place.WIRE, "Ctrl-C", _control, signals=(signal.SIGINT,)),
-    FaultKind("Ctrl-C twice", Place.WIRE, "Ctrl-C", _control, signals=(signal.SIGINT,) * 2),
-    FaultKind("Ctrl-C three times", Place.WIRE, "Ctrl-C", _control, signals=(signal.SIGINT,) * 3),
-    FaultKind("terminal closed", Place.WIRE, "SIGHUP", _control, signals=(signal.SIGHUP,)),
-    FaultKind("kill", Place.WIRE, "SIGTERM", _control, signals=(signal.SIGTERM,)),
-    FaultKind(
-        "pause of 0.45 s",
-        Place.WIRE,
-        "overrun|silent|disconnected",
-        lambda cell: 0.45 + CONTROL_PERIOD,
-        moments=MOVING,
-        carried=MOVING,
-    ),
-    FaultKind("kill -9", Place.WIRE, "", _watchdog, lets_go=("allegro",)),
-    FaultKind("computer without power", Place.WIRE, "", _watchdog, lets_go=("allegro",)),
+    _signal("Ctrl-C once", "Ctrl-C", signal.SIGINT),
+    _signal("Ctrl-C twice", "Ctrl-C", signal.SIGINT, signal.SIGINT),
+    _signal("Ctrl-C three times", "Ctrl-C", signal.SIGINT, signal.SIGINT, signal.SIGINT),
+    _signal("terminal closed", "SIGHUP", signal.SIGHUP),
+    _signal("kill", "SIGTERM", signal.SIGTERM),
+    FaultKind("pause of 0.45 s", Place.WIRE, "overrun|silent|disconnected", _paused, MOVING, MOVING),
+    FaultKind("kill -9", Place.WIRE, "", _watchdog, lets_go=ALLEGRO),
+    FaultKind("computer without power", Place.WIRE, "", _watchdog, lets_go=ALLEGRO),
 )
 
 WATCHED = 2.0
@@ -264,7 +212,7 @@ RESTING = 0.5
 STILL = 1e-3
 """It stays where it is if it moves by less [m]."""
 SUNK = 0.02
-"""An object is still held if it has sunk by less [m]: fingers and arm yield."""
+"""An object is still held if it has sunk by less below the palm [m]: fingers yield."""
 
 
 @dataclass(frozen=True)
@@ -405,7 +353,9 @@ def judged(
     last = palms[times > times[-1] - RESTING]
     resting = bool(np.linalg.norm(last - last[-1], axis=1).max() < STILL)
     before = watch.in_hand[begin] and not watch.on_table[begin]
-    after = watch.in_hand[-1] and watch.heights[-1] > watch.heights[begin] - SUNK
+    # The arm goes on a little, and what it holds goes with it.
+    above = np.array(watch.heights) - palms[:, 2]
+    after = watch.in_hand[-1] and bool(above[-1] > above[begin] - SUNK)
     lets_go = cell.hand in kind.lets_go
     carried = ended is Phase.DONE
     named = drawn.named(reason) if ended is not None else not kind.said

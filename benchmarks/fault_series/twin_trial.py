@@ -41,7 +41,6 @@ class FaultClock(TwinClock):
     """What happens; may raise."""
 
     def sleep_until(self, when: float) -> None:
-        """See ``Clock.sleep_until``."""
         if not self.watch.times and when >= self._when:
             super().sleep_until(self._when)
             self.watch.look()
@@ -62,7 +61,6 @@ class SpoiledPolicy(OpenLoopPolicy):
         """What it does to its action."""
 
     def act(self, observation: Observation) -> Action:
-        """See ``Policy.act``."""
         action = super().act(observation)
         self.spoil(action)
         return action
@@ -101,7 +99,6 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
             # An error of the policy's is raised anew.
             with suppress(ZeroDivisionError):
                 run.deployment.run(scene.grasp)
-            machine = run.deployment.machine
             clock.sleep_until(world.time + WATCHED)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -109,9 +106,9 @@ def twin_trial(scene: Scene, drawn: Drawn) -> FaultTrial:
         scene,
         drawn,
         clock.watch,
-        ended=machine.phase,
+        ended=run.deployment.phase,
         when=clock.watch.times[0],
-        reason=machine.fault,
+        reason=run.deployment.fault,
         lifted=run.judge.success,
     )
 

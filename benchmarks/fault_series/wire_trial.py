@@ -23,12 +23,11 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.hold_after_stop import OPENING, HoldWatch, endings_as_interrupts
 from fungrasp.deployment.log import McapLog
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import DeviceSettings, RobotCell
-from fungrasp.robots.twin.judge import HoldSample, held_throughout, hold_sample
-from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_throughout, hold_sample
 from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
 from fungrasp_emulators.emulator import Fault
@@ -175,13 +174,15 @@ def run_wire_session(session: WireSession, pipe: Connection) -> None:
                 with contextlib.suppress(KeyboardInterrupt):
                     watch.look()
             opened = not deployment.may_hold or watch.open()
-            pipe.send(("opened", opened, " / ".join(words)))
+            pipe.send(("opened", opened, " / ".join(words), len(watch.held_up) / len(scene.hand.actuators)))
     except (FungraspError, OSError, EOFError) as error:
         pipe.send(("ended", time.monotonic(), "", f"{type(error).__name__}: {error}"))
 
 
 SAMPLE = 0.02
 """Time between two looks at the truth [s]."""
+ONE_FINGER = 0.25
+"""Share of a hand's joints that one finger has."""
 LONGEST = 90.0
 """A deployment that takes longer has failed [s]."""
 
@@ -237,7 +238,10 @@ def wire_trial(scene: Scene, drawn: Drawn, patience: float) -> FaultTrial:
             watch.look()
             _bring(drawn, wires, session)
             ended = _ended(session, judge, watch, drawn, wires)
-            opened, said = session.heard.get("opened", (drawn.kind.said == "" or ended is None, ""))
+            silent = drawn.kind.said == "" or ended is None, "", 1.0
+            opened, said, share = session.heard.get("opened", silent)
+            # A finger may be held up by the table, or by what stands there.
+            opened = opened or (share <= ONE_FINGER and world.look().on_table)
             reason = str(ended[2]) if ended else ""
             phase = Phase(ended[1]) if ended and ended[1] else (Phase.FAULT if ended else None)
     if phase is Phase.FAULT and drawn.may_go_on(scene) and not drawn.named(reason):

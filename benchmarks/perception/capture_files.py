@@ -67,6 +67,7 @@ def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: Object
         "object_rest_pose": grasp.object_rest_pose.tolist(),
         "hand_joints": grasp.hand_joints.tolist(),
         "link_contacts": grasp.link_contacts.tolist(),
+        "held": bool(grasp.link_contacts.any()),
         "side": synthetic.side,
         "object_pose_camera_wxyz": synthetic.pose_camera_object.tolist(),
         "joints_camera_m": synthetic.joints_camera.tolist(),

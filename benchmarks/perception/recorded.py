@@ -27,6 +27,8 @@ class Rendered:
     """How many to render."""
     camera: str = "mixed"
     """One of `DEPTH_CAMERAS`, or "mixed"."""
+    hover_mm: tuple[float, float] | None = None
+    """Least and largest gap between hand and object [mm], for captures in which nothing is held."""
     seed: int = 1000
     """Decides the captures."""
 
@@ -37,7 +39,8 @@ class Rendered:
 
         check_positive(captures=self.captures)
         human = load_human_grasps(self.grasps)
-        objects, settings = load_objects(human, self.objects), camera_settings(self.camera)
+        hover = None if self.hover_mm is None else (1e-3 * self.hover_mm[0], 1e-3 * self.hover_mm[1])
+        objects, settings = load_objects(human, self.objects), camera_settings(self.camera, hover)
         with progress_bar("rendering", self.captures) as show:
             for i in range(self.captures):
                 render_set(self.folder, human, objects, i, self.seed, settings)
@@ -124,6 +127,7 @@ def _print_rest(figures: dict[str, Any]) -> None:
         )
     for name, words in (
         ("no_hand_sure", "sure of a hand in captures without one"),
+        ("hovering_sure", "sure of a hand that holds nothing"),
         ("wrong_meshes_accepted", "wrong meshes accepted"),
         ("lifted", "lifted"),
     ):

@@ -9,6 +9,7 @@ with a file ``truth.json``; all entries of that are optional::
      "joints_camera_m": [[x, y, z], ...],      21 joints, camera frame [m]; null or NaN: not known
      "visible_joint_pixels": [[u, v], ...],    21 joints [pixels]; null: hidden
      "side": "right",
+     "held": true,                             false: the hand does not touch the object
      "table_plane_camera": [nx, ny, nz, d]}    n . x + d is the height above the table [m]
 """
 
@@ -67,6 +68,8 @@ class RecordedCapture:
     """Joints that are seen [pixels], shape [21, 2]; NaN: hidden."""
     table: np.ndarray | None
     """Plane of the table ``[nx ny nz d]``, camera frame, shape [4]."""
+    held: bool = True
+    """Whether the hand holds the object; where it hovers no answer may be sure."""
 
 
 def recorded_folders(folder: str | Path) -> list[Path]:
@@ -110,6 +113,7 @@ def read_recorded(folder: str | Path) -> RecordedCapture:
         _numbers(path, truth, "joints_camera_m", (JOINTS, 3)),
         _numbers(path, truth, "visible_joint_pixels", (JOINTS, 2)),
         _numbers(path, truth, "table_plane_camera", (4,)),
+        truth.get("held") is not False,
     )
 
 

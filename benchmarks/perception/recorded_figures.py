@@ -62,6 +62,8 @@ class HintResult:
     """Of the answer, 0 to 1."""
     accepted: bool
     """Whether it passed the threshold."""
+    sure: bool
+    """Whether hand and touch passed theirs as well."""
     seconds: float
     """Wall time of the search [s]."""
     pose: tuple[float, ...]
@@ -97,6 +99,8 @@ class RecordedResult:
     """Difference of the heights of the table under the object, or under the hand [mm]."""
     hand_seconds: float
     """Time for hand and table [s]."""
+    held: bool
+    """Whether the hand holds the object."""
     objects: tuple[HintResult, ...]
     """Answers to where the object is, one for each hint; none where no object is known."""
     wrong: tuple[bool, ...] = ()
@@ -173,6 +177,7 @@ def measure_recorded(
         angle,
         height,
         seconds,
+        recorded.held,
         tuple(_answer(recorded, hint, one) for hint, one in seen.items()) if known else (),
         tuple(accepted),
     )
@@ -192,12 +197,13 @@ def _seconds(seen: Perceived, *stages: str) -> float:
 
 
 def wrong_meshes(model: ObjectModel) -> list[ObjectModel]:
-    """Meshes that are not the object's: other sizes, its longest side longer and shorter, another object."""
+    """Meshes that are not the object's: other sizes, its longest or second side longer and shorter, another
+    object."""
     found = [scaled_object(model, scale) for scale in (0.5, 0.67, 0.77, 1.3, 1.5, 2.0)]
-    longest = np.arange(3) == int(model.size.argmax())
-    for factor in (0.7, 1.4):
-        vertices = model.vertices * np.where(longest, factor, 1.0)
-        found.append(ObjectModel(f"{model.name} x {factor:g}", model.mass, vertices, model.faces))
+    for side in np.argsort(model.size)[:0:-1].tolist():
+        for factor in (0.7, 1.4):
+            vertices = model.vertices * np.where(np.arange(3) == side, factor, 1.0)
+            found.append(ObjectModel(f"{model.name} x {factor:g}", model.mass, vertices, model.faces))
     return [*found, builtin_object(OTHER_OBJECT if model.name != OTHER_OBJECT else "can")]
 
 
@@ -227,7 +233,7 @@ def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> Hin
     assert model is not None and truth is not None
     if seen is None:
         nothing, nan = float("inf"), float("nan")
-        return HintResult(hint, nothing, nothing, nan, 0.0, False, nan, (), {}, "no hand was found")
+        return HintResult(hint, nothing, nothing, nan, 0.0, False, False, nan, (), {}, "no hand was found")
     best = seen.trace.candidate
     pose = best.object.pose_camera_object
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
@@ -238,6 +244,7 @@ def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> Hin
         rotation_deg=float(np.degrees(rotation_error(pose, truth))),
         score=best.object.score,
         accepted=best.object.accepted,
+        sure=seen.confident,
         seconds=_seconds(seen, "object"),
         pose=tuple(pose.tolist()),
         evidence={} if best.object.evidence is None else best.object.evidence.as_dict(),
@@ -303,6 +310,9 @@ def recorded_figures(results: Sequence[RecordedResult], lifts: Sequence[bool] = 
             "add_s_mm": float(np.median([answer.add_s_mm for answer in answers])),
             "accepted_and_right": rate_of(accepted),
             "right_and_accepted": rate_of([answer.accepted for answer in answers if answer.right]),
+            "right_and_sure": rate_of(
+                [a.sure for r in results if r.held for a in r.objects if a.hint == hint and a.right]
+            ),
             "seconds": _median([answer.seconds for answer in answers]),
         }
     known = [result for result in results if result.hand_found is not None]
@@ -317,6 +327,7 @@ def recorded_figures(results: Sequence[RecordedResult], lifts: Sequence[bool] = 
             },
             "lifted": rate_of(lifts),
             "wrong_meshes_accepted": rate_of([flag for result in results for flag in result.wrong]),
+            "hovering_sure": rate_of([any(a.sure for a in r.objects) for r in results if not r.held]),
             "no_hand_sure": rate_of([result.hand_sure for result in results if result.hand_found is None]),
             "table": {
                 "angle_deg": _median([result.table_angle_deg for result in results]),
@@ -339,7 +350,15 @@ def recorded_rows(results: Sequence[RecordedResult]) -> list[dict[str, Any]]:
 def recorded_table(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """The object's figures as a table, by hint."""
     rows = [
-        ("hint", "ADD-S < 10 mm", "median [mm]", "accepted are right", "right are accepted", "median [s]")
+        (
+            "hint",
+            "ADD-S < 10 mm",
+            "median [mm]",
+            "accepted are right",
+            "right are accepted",
+            "right are sure",
+            "median [s]",
+        )
     ]
     for hint, found in figures["object"].items():
         rows.append(
@@ -349,6 +368,7 @@ def recorded_table(figures: Mapping[str, Any]) -> list[tuple[str, ...]]:
                 _number(found["add_s_mm"], 1),
                 _counted(found["accepted_and_right"]),
                 _counted(found["right_and_accepted"]),
+                _counted(found["right_and_sure"]),
                 _number(found["seconds"], 2),
             )
         )

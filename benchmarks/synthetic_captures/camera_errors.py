@@ -14,11 +14,12 @@ A stereo camera compares windows of two infrared images. What comes of that, in 
 A time-of-flight camera has no shadow and no windows; its pixels at outlines lie between the two surfaces.
 
 Sources: Keselman et al., "Intel RealSense Stereoscopic Depth Cameras", CVPRW 2017 (windows, subpixels);
-Intel, "Depth Post-Processing for Intel RealSense Depth Camera D400 Series" (spatial and hole-filling
-filters) and the D400 data sheet (baseline, reach); Khoshelham and Elberink, Sensors 2012, and Nguyen et
-al., 3DIMPVT 2012 (Kinect: baseline, steps of disparity, noise); Toelgyessy et al., Sensors 2021 (Azure
-Kinect: noise, reach). What these don't say (how outlines melt, waves, how much is filled) was chosen to
-meet the statistics of measured images in ``lab/perception.md``.
+Intel, "Depth Post-Processing for Intel RealSense Depth Camera D400 Series" (spatial and hole-filling filters)
+and the D400 data sheet (baseline, reach); Khoshelham and Elberink, Sensors 2012, and Nguyen et al., 3DIMPVT
+2012 (Kinect: baseline, steps of disparity, noise); Toelgyessy et al., Sensors 2021 (Azure Kinect: noise,
+reach); Wasenmueller and Stricker, ACCVW 2016 (second Kinect: 1 to 2 mm below 2 m, flying pixels); Luxonis'
+documentation of stereo depth (OAK-D: baseline, eighths of a pixel). What these don't say (how outlines melt,
+waves, how much is filled) was chosen to meet the statistics of measured images in ``lab/perception.md``.
 """
 
 from __future__ import annotations
@@ -136,9 +137,42 @@ DEPTH_CAMERAS: Mapping[str, DepthCamera] = {
         grazing=(78.0, 88.0),
         reach=(0.25, 5.5),
     ),
+    "kinect_v2": DepthCamera(
+        baseline=0.0,
+        window=5.0,
+        merge=1e3,
+        fattening=1.0,
+        noise=0.0,
+        waves=0.0,
+        wavelength=10.0,
+        subpixel=0.0,
+        axial=(0.0013, 0.0005),
+        dark=0.015,
+        shiny=1.1,
+        grazing=(75.0, 87.0),
+        speckle=0.002,
+        reach=(0.4, 4.5),
+    ),
+    "oak_d": DepthCamera(
+        baseline=0.075,
+        window=9.0,
+        merge=4.0,
+        fattening=1.6,
+        noise=0.08,
+        waves=0.12,
+        wavelength=14.0,
+        subpixel=1 / 8,
+        filled=0.3,
+        dark=0.01,
+        shiny=1.1,
+        grazing=(65.0, 82.0),
+        speckle=0.003,
+        reach=(0.35, 8.0),
+    ),
 }
 """RealSense D435i with its default preset, with spatial and hole-filling filters, and with the preset "High
-Accuracy"; Asus Xtion or the first Kinect; a time-of-flight camera such as Azure Kinect."""
+Accuracy"; Asus Xtion or the first Kinect; a time-of-flight camera such as Azure Kinect; the second Kinect,
+whose coarser pixels mix more at outlines; OAK-D, a stereo camera without a projector."""
 
 
 def camera_depth(

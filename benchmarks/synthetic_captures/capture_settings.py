@@ -39,6 +39,8 @@ class CaptureSettings:
     fingertips stay where they are."""
     skin_like: float = 0.0
     """Part of the clutter, and of the table tops, with colors that some skin has."""
+    hover: tuple[float, float] | None = None
+    """Range of the gap between hand and object [m] where nothing is held; None: it is held."""
     left: float = 0.0
     """Part of the captures that are seen in a mirror: left hands, with the mirror images of objects."""
     depth_noise: tuple[DepthCamera, ...] = (DEPTH_CAMERAS["d435i"],)
@@ -61,11 +63,12 @@ class CaptureSettings:
             raise FungraspError("captures: the camera must be 0.2 m away or more, and at most 85 degrees up")
 
 
-def camera_settings(camera: str = "mixed") -> CaptureSettings:
+def camera_settings(camera: str = "mixed", hover: tuple[float, float] | None = None) -> CaptureSettings:
     """Captures as the cameras that people have give them: melted depth, wrong exposure, hands of all sizes.
 
     Args:
         camera: one of ``DEPTH_CAMERAS``, or "mixed", which draws one of them for each capture.
+        hover: as in ``CaptureSettings``.
 
     Raises:
         UnknownNameError: there is no such camera.
@@ -77,6 +80,7 @@ def camera_settings(camera: str = "mixed") -> CaptureSettings:
         proportions=0.07,
         left=0.4,
         skin_like=0.4,
+        hover=hover,
         distance=(0.45, 0.9),
         object_seen=0.006,
         depth_noise=cameras,

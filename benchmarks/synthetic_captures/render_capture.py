@@ -16,13 +16,20 @@ from benchmarks.synthetic_captures.camera_errors import ColorNoise, camera_depth
 from benchmarks.synthetic_captures.capture_scene import CaptureScene, Label, capture_scene
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
 from benchmarks.synthetic_captures.painted_mesh import PaintedMesh, mirrored_mesh, painted_object
-from fungrasp.geometry.poses import compose, inverse_transform_points, invert, rotation_matrix
+from fungrasp.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    invert,
+    rotation_matrix,
+    transform_points,
+)
 from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
 from fungrasp.media.camera import orbit_camera
 from fungrasp.media.ray_tracing import NOTHING, PixelRays, RayTracer
 from fungrasp.objects import ObjectModel, mirrored_name
 from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.hand.physical_evidence import link_gaps
 from fungrasp.perception.io.estimates import Side
 
 TRIES = 24
@@ -107,6 +114,8 @@ def render_capture(
     painted = painted_object(model)
     if settings.proportions:
         grasp = replace(grasp, hand_joints=vary_hand(grasp, settings.proportions, rng), hand_qpos=None)
+    if settings.hover:
+        grasp = hovering(grasp, model, float(rng.uniform(*settings.hover)))
     intrinsics = _drawn_intrinsics(settings, rng)
     azimuth = float(rng.uniform(0, 360))
     clutter = int(rng.integers(settings.clutter[0], settings.clutter[1] + 1))
@@ -287,3 +296,34 @@ def vary_hand(grasp: HumanGrasp, spread: float, rng: np.random.Generator) -> np.
     floor = min(float(joints[:, 2].min()), SKIN)
     scaled[:, 2] += max(0.0, floor - float(scaled[:, 2].min()))
     return scaled
+
+
+FARTHEST = 0.3
+"""A hand is taken away from an object by no more than this [m]: a gap of some centimeters needs less."""
+
+
+def hovering(grasp: HumanGrasp, model: ObjectModel, gap: float) -> HumanGrasp:
+    """The hand taken away from the object, along the line between their middles and upwards, until its skin
+    is so far from the surface everywhere [m]; nothing is in contact."""
+    joints = grasp.hand_joints
+    away = (
+        joints[[0, 5, 9, 13, 17]].mean(axis=0)
+        - transform_points(grasp.object_pose, model.center_of_mass[None])[0]
+    )
+    # Over the table: downwards there is none.
+    away[2] = max(float(away[2]), 0.5 * float(np.linalg.norm(away[:2])), 0.01)
+    away /= np.linalg.norm(away)
+
+    def nearest(way: float) -> float:
+        return float(link_gaps(joints + way * away, model.signed_distance, grasp.object_pose).min())
+
+    # A finger that has to pass the object first comes nearer: the last place of that gap counts.
+    ways = np.linspace(0.0, FARTHEST, 601)
+    near = np.array([nearest(way) < gap for way in ways])
+    way = ways[min(int(np.flatnonzero(near)[-1]) + 1, len(ways) - 1)] if near.any() else 0.0
+    return replace(
+        grasp,
+        hand_joints=joints + way * away,
+        link_contacts=np.zeros_like(grasp.link_contacts),
+        hand_qpos=None,
+    )

@@ -11,17 +11,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from fungrasp.core.jobs import PartStore, part_key
+from fungrasp.deployment.deploy import DeploymentTask, deploy_on_twin
 from fungrasp.deployment.deployment_result import DeploymentResult
-from fungrasp.deployment.deployment_task import DeploymentTask
-from fungrasp.deployment.identified_dynamics import HandDynamics
-from fungrasp.deployment.preparation import UnreachableError
+from fungrasp.deployment.preparation import UnreachableError, reachable_placements
 from fungrasp.deployment.spec import DeploymentSpec
-from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placements
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.selection import Feasible
+from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
@@ -107,7 +106,6 @@ class RememberingPlanner:
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """See ``Planner.plan``."""
         return self._remembered(belief, seed, lambda: self._planner.plan(grasps, belief, seed, progress))
 
     def plan_within(

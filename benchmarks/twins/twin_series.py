@@ -26,15 +26,14 @@ from fungrasp.core.jobs import PartStore
 from fungrasp.core.provenance import run_record
 from fungrasp.core.records import record_to_json
 from fungrasp.core.text_table import table
-from fungrasp.deployment.deployment_task import deployable_policy, robot_planner
-from fungrasp.deployment.identified_dynamics import HandDynamics
+from fungrasp.deployment.deploy import deployable_policy, robot_planner
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.policies import policy_source
-from fungrasp.robots.assembly import limited_hand
+from fungrasp.robots.assembly import HandDynamics, limited_hand
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 

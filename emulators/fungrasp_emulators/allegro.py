@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.codecs import allegro as codec
-from fungrasp.robots.hands.allegro import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import import_client
+from fungrasp.robots.hands import allegro_bus as codec
+from fungrasp.robots.hands.allegro_bus import BUS_ERROR, BUS_OFF, LOOPBACK, open_can_bus
 from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
 NO_BUFFERS = 0x1FFFFFFE
@@ -82,14 +82,12 @@ class AllegroEmulator(Emulator):
         return self._torques.copy()
 
     def start(self) -> None:
-        """See ``Emulator.start``."""
         self._can = import_client("can", "allegro", "the Allegro emulator")
         self._bus = open_can_bus(self._interface, self._channel)
         self._ended.clear()
         self._run(self._serve)
 
     def close(self) -> None:
-        """See ``Emulator.close``."""
         self._end_threads()
         if self._bus is not None:
             self._bus.shutdown()

@@ -126,7 +126,6 @@ class TwinArmPlant:
             self._world.command_arm(command.positions)
 
     def state(self, now: float) -> PlantState:
-        """See ``Plant.state``."""
         return PlantState(*self._world.arm_state())
 
 
@@ -137,7 +136,6 @@ class TwinHandPlant:
         self._world = world
 
     def apply(self, command: PlantCommand, now: float) -> None:
-        """See ``Plant.apply``."""
         self._world.powered = command.positions is not None or command.torques is not None
         if command.torques is not None:
             self._world.command_torques(command.torques)
@@ -145,5 +143,4 @@ class TwinHandPlant:
             self._world.command_hand(command.positions)
 
     def state(self, now: float) -> PlantState:
-        """See ``Plant.state``."""
         return PlantState(*self._world.hand_state())

@@ -20,11 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.codecs import inspire as codec
-from fungrasp.robots.codecs import inspire_serial as own
 from fungrasp.robots.device import RobotError
+from fungrasp.robots.hands import hand_joint_limits
+from fungrasp.robots.hands import inspire_link as codec
 from fungrasp.robots.hands.inspire import COMMAND_DELAY
-from fungrasp.robots.hands.joint_order import hand_joint_limits
 from fungrasp_emulators import modbus
 from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
@@ -114,7 +113,6 @@ class InspireEmulator(Emulator):
         self._run(self._serve)
 
     def close(self) -> None:
-        """See ``Emulator.close``."""
         self._end_threads()
         self._hang_up()
         if self._terminal is not None:
@@ -124,7 +122,6 @@ class InspireEmulator(Emulator):
             self._terminal = None
 
     def inject(self, fault: Fault) -> None:
-        """See ``Emulator.inject``."""
         super().inject(fault)
         if fault is Fault.MOTOR:
             self.report_error(FAULTY, MOTOR_FAULT)
@@ -198,9 +195,9 @@ class InspireEmulator(Emulator):
         with contextlib.suppress(BlockingIOError, OSError):
             self._stream += os.read(self._terminal[0], 4096)
         if self._protocol == "serial":
-            requests, self._stream = own.split_frames(own.REQUEST, self._stream)
+            requests, self._stream = codec.split_frames(codec.REQUEST, self._stream)
             for request in requests:
-                self._send_serial(own.encode_frame(own.REQUEST, request), self._own_answer(request))
+                self._send_serial(codec.encode_frame(codec.REQUEST, request), self._own_answer(request))
             return
         requests, self._stream = modbus.split_serial_requests(self._stream)
         for device, data in requests:
@@ -234,21 +231,21 @@ class InspireEmulator(Emulator):
                 self._drop(client)
                 return
 
-    def _own_answer(self, request: own.InspireFrame) -> bytes | None:
+    def _own_answer(self, request: codec.InspireFrame) -> bytes | None:
         if not self._answers(request.device):
             return None
-        if request.command == own.READ:
+        if request.command == codec.READ:
             count = (request.data[0] + 1) // 2
-            data = own.register_bytes(self._values(request.address, count))[: request.data[0]]
-        elif request.command == own.WRITE:
+            data = codec.register_bytes(self._values(request.address, count))[: request.data[0]]
+        elif request.command == codec.WRITE:
             if self._misses_write():
                 return None
             if not self.shows(Fault.REFUSED):
-                self._write(request.address, own.registers_of(request.data))
+                self._write(request.address, codec.registers_of(request.data))
             data = bytes([not self.shows(Fault.REFUSED)])
         else:
             return None
-        return own.encode_frame(own.ANSWER, dataclasses.replace(request, data=data))
+        return codec.encode_frame(codec.ANSWER, dataclasses.replace(request, data=data))
 
     def _answer(self, device: int, data: bytes) -> bytes | None:
         if not self._answers(device):

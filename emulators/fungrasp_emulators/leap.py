@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import RobotError
+from fungrasp.robots.hands import leap as codec
 from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
 PING, READ, WRITE, STATUS = 0x01, 0x02, 0x03, 0x55
@@ -141,7 +141,6 @@ class DynamixelEmulator(Emulator):
         return all(memory[codec.TORQUE_ENABLE] for memory in self._memory.values())
 
     def start(self) -> None:
-        """See ``Emulator.start``."""
         self._ended.clear()
         master, slave = os.openpty()
         tty.setraw(slave)
@@ -154,7 +153,6 @@ class DynamixelEmulator(Emulator):
         self._run(self._serve)
 
     def close(self) -> None:
-        """See ``Emulator.close``."""
         self._end_threads()
         if self._terminal is not None:
             if self._link is not None:

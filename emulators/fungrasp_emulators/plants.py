@@ -34,12 +34,10 @@ class ServoPlant:
         self._velocities = np.zeros_like(self.positions)
 
     def apply(self, command: PlantCommand, now: float) -> None:
-        """See ``Plant.apply``."""
         with self._lock:
             self._pending.append((now + self.delay, command))
 
     def state(self, now: float) -> PlantState:
-        """See ``Plant.state``."""
         with self._lock:
             while self._pending and self._pending[0][0] <= now:
                 at, command = self._pending.pop(0)
@@ -97,14 +95,12 @@ class TorquePlant:
         self._torques = np.zeros_like(self.positions)
 
     def apply(self, command: PlantCommand, now: float) -> None:
-        """See ``Plant.apply``."""
         with self._lock:
             self.state(now)
             none = np.zeros_like(self.positions)
             self._torques = none if command.torques is None else np.array(command.torques, dtype=float)
 
     def state(self, now: float) -> PlantState:
-        """See ``Plant.state``."""
         with self._lock:
             self._now = now if self._now is None else self._now
             elapsed = now - self._now

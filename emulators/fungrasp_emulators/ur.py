@@ -112,7 +112,6 @@ class URControllerEmulator(Emulator):
         self._program.slider = share
 
     def start(self) -> None:
-        """See ``Emulator.start``."""
         self._ended.clear()
         try:
             self._net.listen()
@@ -122,7 +121,6 @@ class URControllerEmulator(Emulator):
         self._run(self._serve)
 
     def close(self) -> None:
-        """See ``Emulator.close``."""
         self._end_threads()
         self._net.hang_up()
 

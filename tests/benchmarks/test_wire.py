@@ -17,7 +17,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.twin.judge import HoldSample, held_throughout
+from fungrasp.robots.twin.world import HoldSample, held_throughout
 from fungrasp.task import LiftProtocol
 
 HELD = [HoldSample(0.1 * i, 0.12, True, True) for i in range(31)]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,13 @@ from fungrasp.cli import bring_up, devices
 from fungrasp.cli.bring_up import FAILED, PASSED, SKIPPED, BringUp, BringUpLog, BringUpStep
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
+from fungrasp.hands import load_hand
 from fungrasp.robots import single_devices
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState
+from fungrasp.robots.kinematics.arm_model import ArmKinematics
+from fungrasp_emulators.emulator import PlantCommand
+from fungrasp_emulators.plants import ServoPlant
 
 CELL = "ur5e-inspire-emulated"
 
@@ -139,39 +144,68 @@ def test_steps_of_one_that_had_more_of_them_are_known(tmp_path: Path) -> None:
     assert BringUpLog(log, cell.name, "").done == {"doctor": PASSED, "kinematics": PASSED, "payload": SKIPPED}
 
 
+@dataclass
+class Emulated:
+    """Emulated devices, and the cell that ``robots new`` writes for them, filled in."""
+
+    file: Path
+    arm: ServoPlant
+
+    def guide(self, joints: np.ndarray) -> None:
+        """Move the arm as a person does in freedrive."""
+        self.arm.apply(PlantCommand(positions=joints), time.monotonic())
+        until = time.monotonic() + 30.0
+        while np.abs(self.arm.state(time.monotonic()).positions - joints).max() > 1e-4:
+            assert time.monotonic() < until
+            time.sleep(0.01)
+
+
+HOME = [0.0, -1.9, 1.9, -1.5708, -1.5708, 0.0]
+MEASURED = {
+    "pose_world_base = []": "pose_world_base = [-0.5, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]",
+    "home = []": f"home = {HOME}",
+    "pose_flange_hand = []": "pose_flange_hand = [0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]",
+}
+"""What a person measures and fills in."""
+
+
 @pytest.fixture
-def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The file of a cell of emulated devices, quick and patient."""
+def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulated]:
     for module in ("rtde_control", "ruckig", "pymodbus", "zmq", "msgpack"):
         pytest.importorskip(module)
     from emulated_robots import ADDRESSES
 
     from fungrasp.robots.pose.stream import PosePublisher
     from fungrasp_emulators.inspire import InspireEmulator
-    from fungrasp_emulators.plants import ServoPlant
     from fungrasp_emulators.ur import URControllerEmulator
 
-    monkeypatch.setattr(single_devices, "JOG_SPEED", 0.4)
+    monkeypatch.setattr(single_devices, "JOG_SPEED", 0.15)
     monkeypatch.setattr(bring_up, "STOP_AFTER", 1.0)
-    home = [0.0, -1.9, 1.9, -1.5708, -1.5708, 0.0]
-    arm_plant = ServoPlant(np.array(home), time_constant=0.02)
+    monkeypatch.chdir(tmp_path)
+    arm_plant = ServoPlant(np.array(HOME), time_constant=0.02)
     hand_plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
-    address, path, end = next(ADDRESSES), tmp_path / "cell.toml", threading.Event()
+    address, path, end = next(ADDRESSES), tmp_path / "my-cell.toml", threading.Event()
     tracker = f"tcp://{address}:5556"
     with (
         URControllerEmulator(arm_plant, address, release_time=0.0),
         InspireEmulator(hand_plant, port=0) as fingers,
     ):
-        path.write_text(
-            f'name = "small"\nhand = "inspire"\nstop_file = "{tmp_path / "stop"}"\n'
-            f'[arm]\ndriver = "ur-rtde"\naddress = "{address}"\nhome = {home}\n'
-            "options = { velocity = 2.0, acceleration = 20.0, jerk = 1000.0, stale_after = 2.0 }\n"
-            "pose_world_base = [-0.5, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]\n"
-            f'[hand_device]\ndriver = "inspire"\naddress = "{fingers.address}"\n'
-            f"options = {{ port = {fingers.port}, stale_after = 2.0, answer_timeout = 0.5 }}\n"
-            f'[tracker]\ndriver = "pose-stream"\naddress = "{tracker}"\ncalibration_residual = 0.001\n'
-            "[watchdog]\narm_silence = 1.0\nhand_silence = 1.0\noverrun = 1.5\n"
-        )
+        assert main(["robots", "new", path.name, "--hand", "inspire"]) == 0
+        text = path.read_text()
+        # An emulator keeps up with more, on a computer that is busy.
+        quick = "options = { velocity = 2.0, acceleration = 20.0, jerk = 1000.0, stale_after = 2.0 }"
+        patient = f"options = {{ port = {fingers.port}, stale_after = 2.0, answer_timeout = 0.5 }}"
+        emulators = {
+            "options = { velocity = 0.3, acceleration = 1.0, jerk = 20.0 }": quick,
+            'address = ""': f'address = "{address}"',
+            'address = "192.168.11.210"': f'address = "{fingers.address}"',
+            "options = { speed = 100, force = 100 }": patient,
+            'address = "tcp://127.0.0.1:5556"': f'address = "{tracker}"\ncalibration_residual = 0.001',
+        }
+        for empty, filled in {**MEASURED, **emulators}.items():
+            assert text.count(empty) == 1, empty
+            text = text.replace(empty, filled)
+        path.write_text(text + "[watchdog]\narm_silence = 1.0\nhand_silence = 1.0\noverrun = 1.5\n")
         publisher = PosePublisher(tracker, "box")
 
         def publish() -> None:
@@ -180,41 +214,82 @@ def emulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
         thread = threading.Thread(target=publish, daemon=True)
         thread.start()
-        yield path
+        yield Emulated(path, arm_plant)
         end.set()
         thread.join()
         publisher.close()
 
 
 def in_this_process(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
-    """As ``run_fungrasp``, without a second to import everything, and with shorter times."""
-    said = io.StringIO()
+    """As ``run_fungrasp``, without a second to import everything, and with shorter times. A grasp is carried
+    out on a twin of the same cell, as fast as it goes."""
+    said, words = io.StringIO(), list(words)
+    if words[0] == "deploy":
+        at = words.index("--robot") + 1
+        text = Path(words[at]).read_text()
+        twin = Path(words[at]).with_name("twin.toml")
+        twin.write_text(re.sub(r'^driver = ".*"', 'driver = "twin"', text, flags=re.M))
+        words[at] = str(twin)
+        words += ["--fast", "--log", f"{time.monotonic()}.mcap"]
     short = {"read": ["--seconds", "0"], "hold": ["--seconds", "0.3"]}
     with contextlib.redirect_stdout(said):
         status = main([*words, *short.get(words[1], [])])
     return status, said.getvalue().splitlines()
 
 
-def test_emulated_devices_are_brought_up_to_the_plan(
-    emulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+PAGE = Path(__file__).parents[2] / "docs" / "robots" / "first-power-on.md"
+JOINTS = {"arm": "shoulder_pan_joint", "hand": next(iter(load_hand("inspire").actuators))}
+
+
+def commands_of_the_page() -> list[list[str]]:
+    """Command lines of fungrasp in the page, in its order, as words."""
+    found = re.findall(r"`(fungrasp[^`]*)`|^\$ (fungrasp .*)$", PAGE.read_text(), flags=re.M)
+    return [(inline or block).split()[1:] for inline, block in found]
+
+
+@pytest.mark.slow
+def test_the_page_of_the_first_power_on_is_true_of_emulated_devices(
+    emulated: Emulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Command by command, up to the lift; a bring-up with all its steps."""
     monkeypatch.setattr(bring_up, "run_fungrasp", in_this_process)
-    every = BringUp.steps
-
-    def of_devices(self: BringUp, *given: Any) -> list[BringUpStep]:
-        return [step for step in every(self, *given) if step.words[0] == "robots"]
-
-    monkeypatch.setattr(BringUp, "steps", of_devices)
-    log = tmp_path / "bring-up.md"
-    command = ["robots", "bring-up", str(emulated), "--log", str(log), "--yes"]
-    # A step may fail on a computer that is too busy to keep an arm's time: the command goes on there.
-    assert 0 in (main(command) for _ in range(3)), capsys.readouterr()
-    done = BringUpLog(log, "small", "").done
-    assert len(done) == 11 and {name for name, how in done.items() if how != PASSED} == {"stop", "base"}
-    text = log.read_text()
+    cell, hand = load_cell(emulated.file), load_hand("inspire")
+    kinematics, done = ArmKinematics(cell, hand), []
+    for words in commands_of_the_page():
+        verb = " ".join(words[:2]) if words[0] != "deploy" else "deploy"
+        done.append(verb)
+        words = [JOINTS[words[3]] if word == "JOINT" else word for word in words]
+        if verb == "robots new":
+            # Refused until it is filled in, which the fixture did.
+            assert in_this_process(["robots", "new", "empty.toml", *words[3:]], False)[0] == 0
+            assert in_this_process(["robots", "check", "empty.toml"], False)[0] == 2
+            continue
+        if verb == "robots touch":
+            for turn in (-0.5, 0.0, 0.5):
+                emulated.guide(posture := np.array([turn, *HOME[1:]]))
+                at = [f"{x:.6f}" for x in kinematics.flange_position(posture)]
+                assert main([*words, "my-cell.toml", "touched.json", "--at", *at]) == 0
+            emulated.guide(np.array(HOME))
+            continue
+        if verb == "robots emulate":
+            continue  # Emulated they are already.
+        more = {
+            "hands show": ["inspire"],
+            "robots bring-up": ["--yes", "--policy", "reference"],
+            "deploy": ["--policy", "reference", "--grasp", "mug"],
+        }.get(verb, [])
+        more += ["--yes"] * (verb in ("robots hold", "robots jog"))
+        # A step may fail on a computer that is too busy to keep an arm's time: the command goes on there.
+        assert 0 in (in_this_process([*words, *more], False)[0] for _ in range(3)), capsys.readouterr()
+    assert len(done) >= 14 and {"robots touch", "robots bring-up", "deploy"} <= set(done)
+    how = BringUpLog(tmp_path / "bring-up.md", "my-cell", "").done
+    assert len(how) == 14 and {name for name, status in how.items() if status != PASSED} == {"stop"}
+    text = (tmp_path / "bring-up.md").read_text()
     assert "the model's flange is 0.0 mm from the controller's" in text
     assert "further; it stays stopped" in text and not (tmp_path / "stop").exists()
+    assert "3 touched points within 0.0 mm" in text and (tmp_path / "bring-up-plan.png").exists()
     assert text.count("moved by 0.") + text.count("moved by -0.") >= 12
+    assert "lifted and held" in text
 
 
 def test_a_command_runs_in_a_process_of_its_own() -> None:

@@ -13,12 +13,12 @@ from robot_cells import Told, cell_and_hand, deploy, grasp_and_object, near_cell
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.log import McapLog, read_log, replay_log
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase, PhaseMachine
 from fungrasp.deployment.preparation import GraspPreparer, UnreachableError
+from fungrasp.deployment.spec import Phase
 from fungrasp.planning import MotionPlanner
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.cell import plan_speed
-from fungrasp.robots.device import RobotCommand, RobotError, RobotState
+from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
@@ -360,19 +360,6 @@ def test_a_palm_too_low_for_the_wrist_is_named(height: float, low: bool) -> None
     assert ("cm above the table" in preparer.hindrance(moved, near)) is low
     said = preparer.hindrance(moved, far)
     assert said.endswith("or from above") if low else said.endswith("; take another grasp")
-
-
-def test_fault_is_latched() -> None:
-    machine = PhaseMachine()
-    machine.go(Phase.MOVE_TO_START)
-    with pytest.raises(RobotError, match="does not follow"):
-        machine.go(Phase.HOLD)
-    machine.fail("first")
-    machine.fail("second")
-    assert machine.fault == "first"
-    for phase in Phase:
-        with pytest.raises(RobotError, match="state of fault"):
-            machine.go(phase)
 
 
 # Several attempts: what is seen not to be held is let go of, and tried again by another plan.

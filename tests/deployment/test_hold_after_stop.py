@@ -16,7 +16,7 @@ from robot_cells import Told, cell_and_hand, grasp_and_object, ideal, near_cell,
 from fungrasp.deployment import deploy, hold_after_stop
 from fungrasp.deployment.deploy import deploy_on_robot
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import DeviceStatus, JointState, StopKind
 from fungrasp.robots.robot import Robot

@@ -11,7 +11,7 @@ from robot_cells import Told, cell_and_hand, deploy, near_cell
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver, PhaseQuestions
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.robots.device import RobotCommand, RobotState, SafetyStop, StopKind
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.kinematics.joint_path import timed_leg

@@ -13,9 +13,9 @@ from robot_cells import cell_and_hand, deploy, grasp_and_object
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.deployment.rehearsal import Motion, rehearse
+from fungrasp.deployment.spec import Phase
 from fungrasp.robots.cell import Obstacle
 from fungrasp.robots.kinematics.arm_model import ClearanceModel
 from fungrasp.robots.robot import Robot

@@ -12,9 +12,9 @@ from emulated_robots import GRASP, EmulatedRobot, MeanwhilePreparer, emulated_ro
 from robot_cells import Told
 
 from fungrasp.deployment.deployment import Deployment
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.spec import DeploymentSpec, Phase
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.robots.device import RobotError
 from fungrasp_emulators.emulator import Fault
 
 for module in ("rtde_control", "ruckig", "pymodbus", "mink"):
@@ -30,7 +30,11 @@ def planned(device: EmulatedRobot, meanwhile: Any) -> tuple[str, float, list[Pha
     # After the motion to the start: there is no plan.
     with contextlib.suppress(AttributeError):
         run.run(grasp)
-    return run.machine.fault, float(np.abs(device.postures()[0] - before).max()), begun
+    if run.fault:
+        # It is latched.
+        with pytest.raises(RobotError, match="in the state of fault"):
+            run.run(grasp)
+    return run.fault, float(np.abs(device.postures()[0] - before).max()), begun
 
 
 @pytest.mark.parametrize("fault", [Fault.EMERGENCY_STOP, Fault.PROTECTIVE_STOP])

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from ideal_twin import IDEAL
 
+from fungrasp.deployment.deploy import DeploymentTask, deploy_on_twin
 from fungrasp.deployment.deployment_result import DeploymentResult
-from fungrasp.deployment.deployment_task import DeploymentTask
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import GraspPreparer
-from fungrasp.deployment.spec import DeploymentSpec, Until
-from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
+from fungrasp.deployment.preparation import GraspPreparer, reachable_placement
+from fungrasp.deployment.spec import DeploymentSpec, Phase, Until
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel

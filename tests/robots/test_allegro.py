@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from fungrasp.robots.codecs import allegro as codec
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
-from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver, open_can_bus
+from fungrasp.robots.hands import allegro_bus as codec
+from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
 from fungrasp_emulators.allegro import AllegroEmulator
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.plants import TorquePlant
@@ -136,7 +136,7 @@ def test_feedforward_carries_the_weight():
 def test_a_hand_that_somebody_else_drives_is_left_alone_while_it_is_looked_at():
     with emulated(load=0.05, friction=0.0) as device:
         settings = device.driver._loop.settings
-        other = open_can_bus(settings.interface, settings.channel)
+        other = codec.open_can_bus(settings.interface, settings.channel)
 
         def say(code: int, data: bytes = b"") -> None:
             other.send(Message(arbitration_id=codec.identifier(code), data=data, is_extended_id=False))

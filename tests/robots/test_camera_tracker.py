@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Self
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture, Intrinsics
+from fungrasp.perception.io.capture import CameraFrame
+from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
 from fungrasp.perception.object_pose.object_template import MeshRays
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import TrackerSettings, load_cell
 from fungrasp.robots.device import RobotError, TrackingStatus
-from fungrasp.robots.pose.camera import LOST_FRAMES, CameraTracker, Frame, RealSenseFrames
+from fungrasp.robots.pose.camera import LOST_FRAMES, CameraTracker
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 # 0.65 m away from the middle of the table, looking down at 50 degrees.
@@ -63,12 +66,16 @@ class RecordedFrames:
     def __init__(self, captures: Sequence[Capture]):
         self._left = list(captures)
 
-    def connect(self) -> None: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def close(self) -> None: ...
+    def __exit__(self, *error: object) -> None: ...
 
-    def newest(self, timeout: float) -> Frame | None:
-        return Frame(self._left.pop(0), time.monotonic()) if self._left else time.sleep(timeout)
+    def newest(self, timeout: float) -> CameraFrame | None:
+        if not self._left:
+            return time.sleep(timeout)
+        one = self._left.pop(0)
+        return CameraFrame(one.color, one.depth, one.intrinsics, time.monotonic())
 
 
 def wait_for(condition, seconds: float = 60.0) -> None:
@@ -128,20 +135,19 @@ def test_a_camera_gives_its_newest_frame_until_it_fails(monkeypatch: pytest.Monk
     fake = FakeRealSense(images=4)
     fake.domain, fake.age = "global", 0.2
     monkeypatch.setitem(sys.modules, "pyrealsense2", fake)
-    frames = RealSenseFrames("77", 64, 48, 15)
-    assert frames.newest(0.0) is None, "not open"
-    frames.connect()
-    frame = frames.newest(0.0)
-    assert frame is not None and frame.capture.color[0, 0, 1] == 3
-    assert 0.2 <= time.monotonic() - frame.captured < 5.0, "the camera's time stamp counts"
-    assert frames.newest(0.0) is None
-    fake.images, fake.millimeters = 5, 0
-    with pytest.raises(FungraspError):
-        frames.newest(0.0)
-    frames.close()
-    frames.close()
+    camera = RealSenseCamera(serial="77", stream=StreamSettings(64, 48, 15))
+    with camera:
+        frame = camera.newest(0.0)
+        assert frame is not None and frame.color[0, 0, 1] == 3
+        assert 0.2 <= time.monotonic() - frame.time < 5.0, "the camera's time stamp counts"
+        assert camera.newest(0.0) is None
+        fake.images, fake.millimeters = 5, 0
+        with pytest.raises(FungraspError):
+            camera.newest(0.0).capture()
     assert (fake.serial, fake.stopped) == ("77", 1)
     assert fake.streams == [("depth", 64, 48, "z16", 15), ("color", 64, 48, "rgb8", 15)]
     fake.start_error = "No device connected"
+    source = CameraTracker(camera, load_object("can"), CAMERA)
     with pytest.raises(RobotError, match="no RealSense camera 77 is connected"):
-        frames.connect()
+        source.connect()
+    source.close()

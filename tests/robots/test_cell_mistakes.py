@@ -71,11 +71,15 @@ MISTAKES = {
         "payload = 1200.0",
         ["'arm.options.payload' is in kilograms", "g?"],
     ),
-    "unknown key": ("stop_file =", "stopfile =", ["unknown field 'stopfile'", "Did you mean 'stop_file'"]),
+    "unknown key": (
+        "stop_file =",
+        "stopfile =",
+        ["no field 'stopfile'", "did you mean 'stop_file'"],
+    ),
     "unknown option": (
         "speed = 100",
         "sped = 100",
-        ["[hand_device]", "option of the driver inspire 'sped'", "Did you mean 'speed'"],
+        ["[hand_device]", "options of the driver inspire: there is no field 'sped'; did you mean 'speed'"],
     ),
     "missing mount": (
         "pose_flange_hand = [0.0, 0.0, 0.156, 0.7071068, 0.0, 0.0, 0.7071068]",
@@ -132,7 +136,7 @@ MISTAKES = {
     "a number as a text": (
         "speed = 100",
         'speed = "slow"',
-        ["[hand_device]", "the option 'speed' must be a whole number, not 'slow'"],
+        ["[hand_device]", "inspire: speed: expected a whole number, not 'slow'"],
     ),
     "no address": (
         'address = "192.168.0.10"',

@@ -30,7 +30,7 @@ LAB = """
 import time
 import numpy as np
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, TrackedPose, TrackingStatus
-from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp.robots.hands import hand_joint_limits
 
 
 class Arm:

@@ -17,7 +17,8 @@ from driver_contract import wait_for
 
 from fungrasp.hands import load_hand
 from fungrasp.robots.arms.ur import URSettings, ur_driver
-from fungrasp.robots.codecs import dynamixel, inspire
+from fungrasp.robots.hands import inspire_link as inspire
+from fungrasp.robots.hands import leap as dynamixel
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 from fungrasp_emulators import leap as wire
 from fungrasp_emulators import modbus, rtde

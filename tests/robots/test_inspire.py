@@ -15,9 +15,8 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from fungrasp.robots.codecs import inspire as codec
-from fungrasp.robots.codecs import inspire_serial as own
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.hands import inspire_link as codec
 from fungrasp.robots.hands.inspire import InspireLoop, InspireSettings, inspire_driver
 from fungrasp.robots.hands.inspire_link import open_link
 from fungrasp_emulators.emulator import Fault
@@ -110,13 +109,13 @@ SERIAL_REQUESTS = {
     "write ANGLE_SET (maker)": (
         "eb90 01 0f 12 ce05 6400 6400 6400 6400 d007 0000 5c",
         1486,
-        own.register_bytes([100, 100, 100, 100, 2000, 0]),
+        codec.register_bytes([100, 100, 100, 100, 2000, 0]),
     ),
     # brVrzl/embodied-hand-lab, a hand behind a JAKA arm: all open, all closed.
-    "open (JAKA)": ("eb90 01 0f 12 ce05 e803e803e803e803e803e803 77", 1486, own.register_bytes([1000] * 6)),
+    "open (JAKA)": ("eb90 01 0f 12 ce05 e803e803e803e803e803e803 77", 1486, codec.register_bytes([1000] * 6)),
     "close (JAKA)": ("eb90 01 0f 12 ce05 000000000000000000000000 f5", 1486, bytes(12)),
     # rh56_sdk's tests of its frames: two motors; the force sensors' calibration, one byte to 1009.
-    "two motors (rh56_sdk)": ("eb90 01 07 12 ce05 e8038403 5f", 1486, own.register_bytes([1000, 900])),
+    "two motors (rh56_sdk)": ("eb90 01 07 12 ce05 e8038403 5f", 1486, codec.register_bytes([1000, 900])),
     "calibrate (rh56_sdk)": ("eb90 01 04 12 f103 01 0c", 1009, b"\x01"),
 }
 
@@ -125,22 +124,24 @@ SERIAL_REQUESTS = {
 def test_frames_of_published_clients_on_a_serial_line(case: str):
     text, address, data = SERIAL_REQUESTS[case]
     frame = bytes.fromhex(text)
-    request = own.InspireFrame(1, own.READ if case.startswith("read") else own.WRITE, address, data)
-    assert own.encode_frame(own.REQUEST, request) == frame
-    assert own.split_frames(own.REQUEST, b"\x00\xeb" + frame + b"\xeb") == ([request], b"\xeb")
+    request = codec.InspireFrame(1, codec.READ if case.startswith("read") else codec.WRITE, address, data)
+    assert codec.encode_frame(codec.REQUEST, request) == frame
+    assert codec.split_frames(codec.REQUEST, b"\x00\xeb" + frame + b"\xeb") == ([request], b"\xeb")
     wrong = frame[:-1] + bytes([frame[-1] ^ 1])
-    assert own.split_frames(own.REQUEST, wrong + frame)[0] == [request]
+    assert codec.split_frames(codec.REQUEST, wrong + frame)[0] == [request]
 
 
 def test_answers_on_a_serial_line():
     # Both of the maker's manual: the angles, and a write that was taken.
     angles = bytes.fromhex("90eb 01 0f 11 0a06 6400 6400 6400 6400 d007 0000 98")
-    (answer,), rest = own.split_frames(own.ANSWER, angles)
-    assert own.registers_of(answer.data) == [100, 100, 100, 100, 2000, 0] and rest == b""
+    (answer,), rest = codec.split_frames(codec.ANSWER, angles)
+    assert codec.registers_of(answer.data) == [100, 100, 100, 100, 2000, 0] and rest == b""
     taken = bytes.fromhex("90eb 01 04 12 ce05 01 eb")
-    assert own.split_frames(own.ANSWER, taken)[0] == [own.InspireFrame(1, own.WRITE, 1486, own.TAKEN)]
+    assert codec.split_frames(codec.ANSWER, taken)[0] == [
+        codec.InspireFrame(1, codec.WRITE, 1486, codec.TAKEN)
+    ]
     # Half of an answer waits for the rest; a length that can't be is skipped.
-    assert own.split_frames(own.ANSWER, b"\x90\xeb\x01\x00" + angles[:9]) == ([], angles[:9])
+    assert codec.split_frames(codec.ANSWER, b"\x90\xeb\x01\x00" + angles[:9]) == ([], angles[:9])
 
 
 def test_the_driver_sends_frames_of_the_makers_protocol():

@@ -12,8 +12,8 @@ import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
 from fungrasp.hands import load_hand
-from fungrasp.robots.codecs import dynamixel as codec
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
+from fungrasp.robots.hands import leap as codec
 from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.leap import DynamixelEmulator

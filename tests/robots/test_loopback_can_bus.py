@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from fungrasp.robots.device import RobotError
-from fungrasp.robots.hands.allegro import LOOPBACK, open_can_bus
+from fungrasp.robots.hands.allegro_bus import LOOPBACK, open_can_bus
 
 can = pytest.importorskip("can")
 PORT = 40000 + os.getpid() % 10000

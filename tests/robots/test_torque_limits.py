@@ -13,11 +13,10 @@ from ideal_twin import IDEAL
 from robot_cells import cell_and_hand, grasp_and_object
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.identified_dynamics import identified_dynamics
 from fungrasp.hands import load_hand
-from fungrasp.robots.assembly import driver_torque_limits, limited_hand
+from fungrasp.robots.assembly import driver_torque_limits, identified_dynamics, limited_hand
 from fungrasp.robots.cell import RobotCell, load_cell
-from fungrasp.robots.codecs import allegro as codec
+from fungrasp.robots.hands import allegro_bus as codec
 from fungrasp.robots.twin.parameters import draw_twin
 from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.sim2real.joint_dynamics import (

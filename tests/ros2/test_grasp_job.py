@@ -17,8 +17,7 @@ from driver_contract import wait_for
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment import hold_after_stop
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.spec import GraspChoice
+from fungrasp.deployment.spec import GraspChoice, Phase
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, JointState, StopKind, WallClock
 from fungrasp_ros2 import grasp_node
@@ -46,7 +45,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     robot: Any = SimpleNamespace(
         state=lambda: SimpleNamespace(arm=STATE, hand=STATE),
         hand_driver=SimpleNamespace(stop=stops.append, read=lambda: STATE),
-        hand=SimpleNamespace(open_joints=np.zeros(6)),
+        hand=SimpleNamespace(open_joints=np.zeros(6), actuators="abcdef"),
         clock=WallClock(),
     )
 

@@ -21,11 +21,9 @@ import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from robot_cells import Told
 
-from fungrasp.deployment.deploy import deploy_on_robot
-from fungrasp.deployment.deployment_task import deployment_task
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
-from fungrasp.deployment.twin_deployment import reachable_placement
+from fungrasp.deployment.deploy import deploy_on_robot, deployment_task
+from fungrasp.deployment.preparation import reachable_placement
+from fungrasp.deployment.spec import DeploymentSpec, GraspChoice, Phase
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell

@@ -47,10 +47,6 @@ def test_every_grasp_has_its_copies_and_the_first_is_the_grasp_itself():
     assert (np.abs(plans.grasp_joints[::2] - plans.grasp_joints[1::2]).max(axis=1) > 0.01).all()
 
 
-@pytest.mark.parametrize(
-    ("variety", "words"),
-    [({"copies": 0}, "at least one copy"), ({"copies": 3, "tries": 2}, "can't be chosen from")],
-)
-def test_varieties_that_cannot_be(variety, words):
-    with pytest.raises(FungraspError, match=words):
-        Variety(**variety)
+def test_no_copies_are_refused():
+    with pytest.raises(FungraspError, match="at least one copy"):
+        Variety(copies=0)

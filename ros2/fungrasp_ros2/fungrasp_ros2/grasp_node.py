@@ -17,14 +17,12 @@ from typing import Any
 
 from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.deployment.deploy import deploy_on_robot
+from fungrasp.deployment.deploy import deploy_on_robot, deployment_task
 from fungrasp.deployment.deployment_result import DeploymentResult
-from fungrasp.deployment.deployment_task import deployment_task
 from fungrasp.deployment.hold_after_stop import ONE_PRESS, HoldWatch, endings_as_interrupts
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import LAST_PHASES, Phase
-from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
+from fungrasp.deployment.spec import LAST_PHASES, DeploymentSpec, GraspChoice, Phase
 from fungrasp.hands import load_hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.assembly import is_twin
@@ -161,16 +159,13 @@ class GraspJob(DeploymentObserver):
             return self._deploy(task, (log, self), switch)
 
     def phase(self, time: float, phase: Phase) -> None:
-        """See ``DeploymentObserver.phase``."""
         self.now = phase.value
         self._told(phase.value)
 
     def fault(self, time: float, reason: str) -> None:
-        """See ``DeploymentObserver.fault``."""
         self.phase(time, Phase.FAULT)
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentObserver.setpoint``."""
         self.states = {"arm": state.arm, "hand": state.hand}
 
     def hold(self, robot: Robot) -> bool:

@@ -22,7 +22,7 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import JointLimits, JointState, RobotError
-from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp.robots.hands import hand_joint_limits
 from fungrasp_ros2.arm_watch import ArmWatch
 from fungrasp_ros2.conversions import command_fields, fill, joints_of
 from fungrasp_ros2.ros_side import RosSide, ros_module
@@ -171,7 +171,6 @@ class JointTopicLoop:
         self._path, self._taken = None, True
 
     def step(self, goal: LoopGoal) -> JointState:
-        """See ``DeviceLoop.step``."""
         assert self._ros is not None, "open() comes first"
         self._due = max(self._due, time.monotonic() - 1 / self.settings.rate) + 1 / self.settings.rate
         while (rest := self._due - time.monotonic()) > 0:
@@ -199,7 +198,6 @@ class JointTopicLoop:
                 time.sleep(1 / self.settings.rate)
 
     def close(self) -> None:
-        """See ``DeviceLoop.close``."""
         if self._ros is not None:
             self._ros.close()
 

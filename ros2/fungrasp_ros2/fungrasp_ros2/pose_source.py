@@ -69,7 +69,6 @@ class RosPoseSource:
         self._last: TrackedPose | None = None
 
     def connect(self) -> None:
-        """See ``PoseSource.connect``."""
         self.close()
         self._last, self.ignored = None, ""
         self._ros = RosSide("fungrasp_pose")
@@ -88,13 +87,11 @@ class RosPoseSource:
             time.sleep(0.01)
 
     def read(self) -> TrackedPose | None:
-        """See ``PoseSource.read``."""
         if self._address.startswith(TF) and self._ros is not None:
             self._look_up()
         return self._last
 
     def close(self) -> None:
-        """See ``PoseSource.close``."""
         if self._ros is not None:
             self._ros.close()
             self._ros = self._buffer = self._listener = None

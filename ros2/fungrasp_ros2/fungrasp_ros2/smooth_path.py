@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.device import RobotError
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import RobotError, import_client
 
 
 class SmoothPath:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fungrasp.deployment.observer import DeploymentObserver
-    from fungrasp.deployment.phases import Phase
     from fungrasp.deployment.preparation import PreparedGrasp
+    from fungrasp.deployment.spec import Phase
     from fungrasp.robots.robot import Robot
     from fungrasp.robots.stop_switch import StopSwitch
 

@@ -71,11 +71,16 @@ class Check(Answering):
     def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.deployment.identified_dynamics import identified_dynamics
         from fungrasp.geometry.poses import rotate
         from fungrasp.hands import load_hand
         from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
-        from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
+        from fungrasp.robots.assembly import (
+            arm_driver,
+            hand_driver,
+            identified_dynamics,
+            is_twin,
+            pose_source,
+        )
         from fungrasp.robots.calibration.touched import check_touched_base, check_touched_mount
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
@@ -166,10 +171,10 @@ class Emulate:
     def run(self) -> None:
         import time
 
-        from fungrasp.deployment.twin_deployment import reachable_placement
+        from fungrasp.deployment.preparation import reachable_placement
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
-        from fungrasp.robots.optional_packages import import_emulators
+        from fungrasp.robots.device import import_emulators
         from fungrasp.robots.twin.parameters import cell_twin
         from fungrasp.robots.twin.world import TwinWorld
         from fungrasp.task import LiftProtocol

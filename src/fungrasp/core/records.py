@@ -172,7 +172,7 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
         FungraspError: an unknown field, or a value of another type; says which, and what is allowed.
     """
     if not isinstance(data, Mapping):
-        raise FungraspError(f"{where}: expected the fields of a {kind.__name__}, not {_words(data)}")
+        raise FungraspError(f"{where}: expected the fields of {kind.__name__}, not {_words(data)}")
     hints = get_type_hints(kind)
     names = [f.name for f in fields(kind) if f.init]  # pyright: ignore[reportArgumentType]
     for name in data:
@@ -181,10 +181,10 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
             hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(names)}"
             raise FungraspError(f"{where}: there is no field '{name}'; {hint}")
     values = {name: _value(hints[name], data[name], f"{where}: {name}") for name in names if name in data}
-    try:
-        return kind(**values)
-    except TypeError as error:
-        raise FungraspError(f"{where}: {str(error).partition(') ')[2] or error}") from None
+    needed = [f for f in fields(kind) if f.init and f.default is f.default_factory is MISSING]  # pyright: ignore
+    if missing := [f.name for f in needed if f.name not in values]:
+        raise FungraspError(f"{where}: the field '{missing[0]}' is missing")
+    return kind(**values)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
@@ -213,6 +213,8 @@ def _plain(hint: type, value: Any, where: str) -> Any:
     if hint is Path and isinstance(value, str):
         return Path(value)
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise FungraspError(f"{where}: expected a finite number, not {value}")
         return float(value)
     if isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
         return value

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,25 +14,136 @@ from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.deployment_result import DeploymentResult
-from fungrasp.deployment.deployment_task import DeploymentTask, deployment_task
 from fungrasp.deployment.hold_after_stop import endings_as_interrupts, hold_until_told
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.spec import DeploymentSpec
-from fungrasp.deployment.twin_deployment import deploy_on_twin, reachable_placement
-from fungrasp.grasps import HumanGraspSet
+from fungrasp.deployment.preparation import GraspPreparer, reachable_placement
+from fungrasp.deployment.spec import DeploymentSpec, Phase
+from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
+from fungrasp.hands import Hand, load_hand
+from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.planning import Planner, make_planner
+from fungrasp.planning.attempts import check_attempts
+from fungrasp.planning.given_plans import GivenPlans
+from fungrasp.planning.selection import SelectionSettings
+from fungrasp.policies import OpenLoopPolicy, make_policy
 from fungrasp.retargeting.robot_grasps import as_robot_grasps
-from fungrasp.robots.assembly import is_twin, wired_robot
-from fungrasp.robots.cell import load_cell
-from fungrasp.robots.device import StopKind
+from fungrasp.robots.assembly import HandDynamics, identified_dynamics, is_twin, wired_robot
+from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell, plan_speed, slowest_limit
+from fungrasp.robots.device import RobotCommand, RobotState, StopKind, WallClock
+from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
-from fungrasp.robots.twin.parameters import cell_twin
-from fungrasp.task import GraspPlan
+from fungrasp.robots.twin.devices import RealTimeTwin, TwinArm, TwinClock, TwinHand, TwinTracker
+from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
+from fungrasp.robots.twin.twin_model import TwinPhysics
+from fungrasp.robots.twin.world import TwinJudge, TwinWorld
+from fungrasp.task import GraspPlan, Policy
 
 POWERING_OFF = 0.1
 """Time in which an empty hand's driver takes the torque away [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class DeploymentTask:
+    """What a specification names, loaded."""
+
+    spec: DeploymentSpec
+    """What is asked."""
+    cell: RobotCell
+    """The robot."""
+    hand: Hand
+    """On its arm."""
+    obj: ObjectModel
+    """The object as it is believed."""
+    grasp: RobotGraspSet
+    """One."""
+    policy: Policy
+    """What acts."""
+    planner: Planner
+    """Of the policy."""
+    dynamics: HandDynamics | None = None
+    """Identified, of the hand; the model's if None."""
+
+    def preparer(self, advise: bool = True) -> GraspPreparer:
+        """What plans. advise: whether a placement that would do is looked for where the object's does not."""
+        return GraspPreparer(
+            self.cell, self.hand, self.obj, self.planner, self.dynamics, self.spec.seed, advise=advise
+        )
+
+    @property
+    def stiffness(self) -> np.ndarray | None:
+        """Of the hand's servos, where it was identified [N m/rad], shape [U]; None for the model's."""
+        return None if self.dynamics is None else self.dynamics.stiffness(self.hand)
+
+
+def deployment_task(
+    robot: RobotGraspSet,
+    objects: Mapping[str, ObjectModel],
+    spec: DeploymentSpec,
+    plans: GraspPlan | None = None,
+) -> DeploymentTask:
+    """Load what a specification names.
+
+    Args:
+        robot: one grasp, of the cell's hand.
+        plans: one plan for it, to be followed in the place of one that the policy's planner makes.
+
+    Raises:
+        FungraspError: several grasps, grasps of another hand, no such cell or policy, a cell that is not
+            calibrated, or several attempts or another speed with a policy for which these make no sense.
+    """
+    if len(robot) != 1:
+        raise FungraspError(f"one grasp is deployed at a time, not {len(robot)}: select one, as in robot[:1]")
+    check_objects(robot.object_name.tolist(), objects)
+    obj, cell = objects[str(robot.object_name[0])], load_cell(spec.cell)
+    if not is_twin(cell):
+        check_calibrated(cell)
+    hand = load_hand(cell.hand)
+    if robot.hand != hand.name:
+        raise FungraspError(
+            f"robot cell '{cell.name}' carries the hand '{hand.name}', and the grasp is of '{robot.hand}'"
+        )
+    limited, dynamics = identified_dynamics(cell, hand, spec.hand_dynamics)
+    policy = deployable_policy(spec.policy, hand, {obj.name: obj})
+    watches = not isinstance(policy, OpenLoopPolicy)
+    check_attempts(spec.attempts, watches)
+    if spec.speed < 1.0 and watches:
+        raise FungraspError(
+            f"the policy '{spec.policy}' watches what it does and acts at 10 Hz: it can't be slowed down to "
+            f'{spec.speed:g}; the policies "plan" and "reference" can'
+        )
+    if watches and plan_speed(cell.limits) < 1.0:
+        raise FungraspError(
+            f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of "
+            f"their speed, and the policy '{spec.policy}' watches what it does and can't be slowed down; the "
+            'policies "plan" and "reference" can'
+        )
+    planner = (
+        robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)
+        if plans is None
+        else GivenPlans(plans, robot)
+    )
+    return DeploymentTask(spec, cell, hand, obj, robot, policy, planner, dynamics)
+
+
+def robot_planner(name: str, hand: Hand, objects: Mapping[str, ObjectModel], threads: int = 0) -> Planner:
+    """The planner of the policy of a name on a robot: a robot differs from its model, so that candidates are
+    tried in the worlds of the reality protocol. threads: 0 means all processors.
+
+    Raises:
+        FungraspError: no such policy, or one for another hand.
+    """
+    return make_planner(name, hand, objects, SelectionSettings.for_protocol("reality"), threads=threads)
+
+
+def deployable_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy:
+    """The policy of a name, if a robot can run it. Raises: FungraspError: there is none, or it needs what
+    only a simulation knows."""
+    policy = make_policy(name, hand, objects)
+    if not isinstance(policy, Policy):
+        raise FungraspError(f"the policy '{name}' needs what only a simulation knows: take a student")
+    return policy
 
 
 def deploy(
@@ -135,7 +246,7 @@ def deploy_on_robot(
         try:
             return deployment.run(task.grasp)
         finally:
-            if deployment.machine.phase not in (Phase.DONE, Phase.FAULT):
+            if deployment.phase not in (Phase.DONE, Phase.FAULT):
                 # A second Ctrl-C while the first one was being dealt with.
                 robot.stop()
             if not deployment.may_hold:
@@ -150,3 +261,87 @@ def deploy_on_robot(
                             observer.note(robot.clock.now(), words)
 
                 hold_until_told(robot, note)
+
+
+def deploy_on_twin(
+    task: DeploymentTask,
+    placement: np.ndarray,
+    truth: TwinParameters,
+    observers: Sequence[DeploymentObserver] = (),
+    *,
+    switch: StopSwitch | None = None,
+    physics: TwinPhysics | None = None,
+    advise: bool = True,
+) -> DeploymentResult:
+    """Deploy one grasp on a fresh twin. Its seed is of the tracker's noise as well.
+
+    Args:
+        placement: where the object is put, world frame, shape [7]; it settles.
+        truth: what is true of the twin.
+        observers: told of everything in this order.
+        switch: stops the robot; that of the cell's stop file if None.
+        physics: of the twin; the default if None.
+        advise: whether a grasp that can't be reached is refused with a placement that would do.
+
+    Returns:
+        How it went, with what only a twin knows. Run in real time or as fast as it goes, as the specification
+        says.
+
+    Raises:
+        FungraspError: the grasp can't be planned or reached.
+    """
+    cell, hand, spec = task.cell, task.hand, task.spec
+    world = TwinWorld(cell, hand, task.obj, truth, seed=spec.seed, physics=physics)
+    world.settle(placement)
+    watch = _TwinWatch(world)
+    with ExitStack() as stack:
+        if spec.real_time:
+            stack.enter_context(RealTimeTwin(world))
+        robot = Robot(
+            cell,
+            hand,
+            TwinArm(world, cell),
+            TwinHand(world, cell, hand),
+            TwinTracker(world),
+            WallClock() if spec.real_time else TwinClock(world),
+            stiffness=task.stiffness,
+            compensate=spec.gravity_compensation,
+            dry_run=spec.dry_run,
+            switch=switch,
+        )
+        stack.enter_context(robot)
+        for observer in observers:
+            observer.connected(robot)
+        everyone = [watch, *observers]
+        result = Deployment(robot, task.policy, task.preparer(advise), spec, everyone).run(task.grasp)
+    sag, tracking = watch.open_hand_errors(result)
+    judge = watch.judge
+    return replace(result, success=judge.success, height=float(judge.height), tracking=tracking, sag=sag)
+
+
+class _TwinWatch(DeploymentObserver):
+    """Judges the hold, and keeps by how much the fingers miss their setpoints."""
+
+    def __init__(self, world: TwinWorld):
+        self._world, self.judge = world, TwinJudge(world)
+        self._errors: list[tuple[float, np.ndarray]] = []
+
+    def phase(self, time: float, phase: Phase) -> None:
+        if phase is Phase.GRASP:
+            self.judge.begin_attempt()
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        self.judge.watch(phase is Phase.HOLD)
+        if phase is Phase.GRASP:
+            self._errors.append((self._world.time, self._world.finger_positions() - command.hand))
+
+    def open_hand_errors(self, result: DeploymentResult) -> tuple[float, float]:
+        """Largest mean and RMS of the hand's errors before its fingers close [rad]."""
+        if result.prepared is None or Phase.GRASP not in result.times:
+            return np.nan, np.nan
+        plan = result.prepared.plan
+        closing = result.times[Phase.GRASP] + float(plan.closing_step[0]) * plan.control_period
+        before = np.array([error for time, error in self._errors if time < closing])
+        if not len(before):
+            return np.nan, np.nan
+        return float(np.abs(before.mean(axis=0)).max()), float(np.sqrt(np.mean(before**2)))

@@ -10,12 +10,10 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment_result import DeadlineMonitor, DeploymentResult
-from fungrasp.deployment.object_localization import locate_object
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import LAST_PHASES, Phase, PhaseMachine
 from fungrasp.deployment.preparation import PreparedGrasp, Preparer
-from fungrasp.deployment.scripted_motion import ScriptedMotion
-from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.scripted_motion import ScriptedMotion, locate_object
+from fungrasp.deployment.spec import LAST_PHASES, DeploymentSpec, Phase
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.planning.attempts import make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotCommand, RobotError, RobotState, SafetyStop, StopKind
@@ -53,8 +51,8 @@ class Deployment:
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
         self.spec, self._observers = spec or DeploymentSpec(), observers
-        self.machine = PhaseMachine()
-        """Phase and fault."""
+        self.phase, self.fault = Phase.IDLE, ""
+        """The present phase, and why it is FAULT, as a phrase."""
         late = robot.cell.watchdog.late_tick
         self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
         robot.slow_down(self.spec.speed)
@@ -71,8 +69,12 @@ class Deployment:
         robot.
 
         Raises:
-            FungraspError: the grasp can't be planned or reached; nothing has moved.
+            FungraspError: the grasp can't be planned or reached, or this one ran already: a fault is latched.
+                Nothing has moved.
         """
+        if self.phase is not Phase.IDLE:
+            said = f" ({self.fault})" if self.fault else ""
+            raise RobotError(f"the robot is in the state of {self.phase}{said}: look at it, then start anew")
         robot = self.robot
         robot.watch = self._watch
         robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
@@ -83,14 +85,14 @@ class Deployment:
             if self.goes_on_to(Phase.MOVE_TO_START):
                 self._carry_out(grasp, object_pose, state)
             else:
-                self.machine.phase = Phase.DONE
+                self.phase = Phase.DONE
         except SafetyStop as stop:
             self._fail(stop.reason, stop.kind)
         except RobotError as error:
             self._fail(str(error), StopKind.HOLD)
         except FungraspError:
             # Planning says so before anything has moved; afterwards it is a fault like any other.
-            if self.machine.phase is Phase.IDLE:
+            if self.phase is Phase.IDLE:
                 raise
             self._fail("an unexpected error", StopKind.HOLD)
             raise
@@ -104,8 +106,8 @@ class Deployment:
             raise
         return DeploymentResult(
             self.spec,
-            self.machine.phase,
-            self.machine.fault,
+            self.phase,
+            self.fault,
             self._prepared,
             self.ticks,
             self.setpoint_ticks,
@@ -130,7 +132,7 @@ class Deployment:
             self.scripted.put_down(self.prepared, self._last_goal)
         if not (self._missed or self.goes_on_to(Phase.HOME)):
             robot.stop()
-            self.machine.phase = Phase.DONE
+            self.phase = Phase.DONE
             return
         self._ask(Phase.HOME)
         self._begin(Phase.HOME)
@@ -150,7 +152,7 @@ class Deployment:
         if Phase.MOVE_TO_START not in self._times or self.robot.dry_run:
             return False
         empty = Phase.GRASP not in self._times or any(p in self._times for p in (Phase.PUT_DOWN, Phase.HOME))
-        return not (self.machine.phase is Phase.DONE and empty)
+        return not (self.phase is Phase.DONE and empty)
 
     @property
     def prepared(self) -> PreparedGrasp:
@@ -161,14 +163,14 @@ class Deployment:
     # Phases.
 
     def _begin(self, phase: Phase) -> None:
-        self.machine.go(phase)
+        self.phase = phase
         now = self._times[phase] = self.robot.clock.now()
         for observer in self._observers:
             observer.phase(now, phase)
 
     def _fail(self, reason: str, kind: StopKind) -> None:
         self.robot.stop(kind)
-        self.machine.fail(reason)
+        self.phase, self.fault = Phase.FAULT, reason
         now = self.robot.clock.now()
         self._times.setdefault(Phase.FAULT, now)
         for observer in self._observers:
@@ -268,23 +270,21 @@ class Deployment:
             sent = robot.send_action(replace(action, lift=forced), start + step * robot.control_period)
             late = self.ticks.lateness[-1]
             for observer in self._observers:
-                observer.step(state.time, self.machine.phase, observation, action, sent, late)
-            if self.machine.phase is Phase.GRASP and np.isfinite(robot.lift_time):
+                observer.step(state.time, self.phase, observation, action, sent, late)
+            if self.phase is Phase.GRASP and np.isfinite(robot.lift_time):
                 self._begin(Phase.LIFT)
-            if self.machine.phase is Phase.LIFT and self.scripted.arrived(
-                action.palm_goal_world, p.lift_height
-            ):
+            if self.phase is Phase.LIFT and self.scripted.arrived(action.palm_goal_world, p.lift_height):
                 self._begin(Phase.HOLD)
                 held_since = robot.now()
             self._last_goal = action.palm_goal_world
             step += 1
-            self.scripted.check_length(self.machine.phase, step)
+            self.scripted.check_length(self.phase, step)
 
     def _watch(self, state: RobotState, command: RobotCommand) -> None:
         """After each setpoint."""
         for observer in self._observers:
-            observer.setpoint(self.machine.phase, state, command)
-        if self.machine.phase is Phase.MOVE_TO_START:
+            observer.setpoint(self.phase, state, command)
+        if self.phase is Phase.MOVE_TO_START:
             # The way is clear of the object where it stood.
             self._check_object(state)
 

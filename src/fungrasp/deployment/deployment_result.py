@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
-from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.spec import DeploymentSpec, Phase
 
 
 @dataclass

@@ -55,6 +55,8 @@ class HoldWatch:
         self.robot, self._say = robot, say
         self._places: dict[str, np.ndarray] = {}
         self._said = ""
+        self.held_up: tuple[str, ...] = ()
+        """Joints that were not open at the end of ``open``."""
 
     def look(self) -> None:
         """Read the devices, which hold while they are heard of, and wait a moment."""
@@ -76,20 +78,22 @@ class HoldWatch:
         begin = np.abs(robot.hand_driver.read().positions - target)
         robot.hand_driver.stop(StopKind.OPEN)
         hand = robot.hand_driver.read()
-        begun, opened = robot.clock.now(), False
+        begun, opened, names = robot.clock.now(), False, np.array(list(robot.hand.actuators))
         # It opens to its end, and may be slow or be heard of late.
         while robot.clock.now() < begun + (OPENING if opened else 2 * OPENING):
             hand = robot.state().hand
             left = np.abs(hand.positions - target)
-            heard = hand.status is not DeviceStatus.DISCONNECTED
-            opened = heard and bool((left <= np.maximum(OPENED, 0.5 * begin)).all())
+            self.held_up = tuple(names[left > np.maximum(OPENED, 0.5 * begin)].tolist())
+            opened = hand.status is not DeviceStatus.DISCONNECTED and not self.held_up
             robot.clock.sleep_until(robot.clock.now() + LOOK)
         self._places.pop("hand", None)
-        said = f": {hand.message}" if hand.message else ""
+        said = [hand.message] * (hand.status is not DeviceStatus.STOPPED)
+        said += [f"{', '.join(self.held_up)} held up, or without power"] * bool(self.held_up)
+        why = "; ".join(said)
         self._say(
             "The hand is open."
             if opened
-            else f"The hand has not opened{said}. Take the object, or switch the hand's supply off."
+            else f"The hand has not opened ({why}). Take the object, or switch the hand's supply off."
         )
         return opened
 
@@ -123,7 +127,7 @@ def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: No
     lets_go, since, warned = robot.hand_driver.lets_go, time.monotonic(), False
     while True:
         try:
-            _wait_for_the_word(watch)
+            _wait_for_open(watch)
             if watch.open():
                 return
         except KeyboardInterrupt:
@@ -138,7 +142,7 @@ def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: No
             _log.warning("the hand lets go %s: Ctrl-C once more does it", lets_go)
 
 
-def _wait_for_the_word(watch: HoldWatch) -> None:
+def _wait_for_open(watch: HoldWatch) -> None:
     try:
         while watch.robot.switch.ask("", watch.look).lower() != OPEN:
             pass

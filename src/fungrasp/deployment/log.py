@@ -29,7 +29,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.robots.device import JointState, RobotCommand, RobotState
 from fungrasp.task import Action, GraspPlan, Observation, Policy
 
@@ -94,7 +94,6 @@ class McapLog(DeploymentObserver):
                 self._stream.close()
 
     def planned(self, robot: Robot, prepared: PreparedGrasp) -> None:
-        """See ``DeploymentObserver.planned``."""
         stream = io.BytesIO()
         np.savez_compressed(stream, **prepared.plan.arrays())  # pyright: ignore[reportArgumentType]
         self._writer.add_attachment(0, 0, "plan.npz", "application/octet-stream", stream.getvalue())
@@ -102,7 +101,6 @@ class McapLog(DeploymentObserver):
         self._stream.flush()
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
-        """See ``DeploymentObserver.setpoint``."""
         tracked = state.tracked
         self._write(
             "/setpoint",
@@ -120,22 +118,18 @@ class McapLog(DeploymentObserver):
     def step(
         self, time: float, phase: Phase, observation: Observation, action: Action, sent: Action, late: float
     ) -> None:
-        """See ``DeploymentObserver.step``."""
         records = {"observation": observation, "action": action, "sent": sent}
         message = {name: {k: v[0].tolist() for k, v in r.arrays().items()} for name, r in records.items()}
         self._write("/step", time, {"phase": phase, "late": late, **message})
         self._stream.flush()
 
     def phase(self, time: float, phase: Phase) -> None:
-        """See ``DeploymentObserver.phase``."""
         self._event(time, "phase", phase)
 
     def fault(self, time: float, reason: str) -> None:
-        """See ``DeploymentObserver.fault``."""
         self._event(time, "fault", reason)
 
     def note(self, time: float, text: str) -> None:
-        """See ``DeploymentObserver.note``."""
         self._event(time, "note", text)
 
     def _event(self, time: float, what: str, text: str) -> None:
@@ -170,11 +164,8 @@ class RecordedDeployment:
 
 
 def read_log(path: str | Path) -> RecordedDeployment:
-    """Read a log, that of a deployment that died included.
-
-    Raises:
-        FungraspError: mcap is not installed, there is no such file, or it is no log.
-    """
+    """Read a log, that of a deployment that died included. Raises: FungraspError: mcap is not installed,
+    there is no such file, or it is no log."""
     try:
         from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
     except ImportError as error:
@@ -215,11 +206,8 @@ class ReplayResult:
 
 
 def replay_log(log: RecordedDeployment, policy: Policy) -> ReplayResult:
-    """Show a policy the observations of a log: it must answer as it did.
-
-    Raises:
-        FungraspError: the log ends before the policy began.
-    """
+    """Show a policy the observations of a log: it must answer as it did. Raises: FungraspError: the log ends
+    before the policy began."""
     if log.plan is None or not log.observations:
         raise FungraspError("the log ends before the policy began: nothing to replay")
     policy.reset(log.plan, log.observations[0])

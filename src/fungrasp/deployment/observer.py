@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 from fungrasp.robots.device import RobotCommand, RobotState, SafetyStop, StopKind
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.task import Action, Observation
@@ -76,7 +76,6 @@ class PhaseQuestions(DeploymentObserver):
         self._switch = switch
 
     def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
-        """See ``DeploymentObserver.confirm``."""
         question = f"next, {MOTIONS[phase]}. Type '{YES}' to go on, anything else stops here: "
         try:
             answer = self._switch.ask(question, meanwhile)

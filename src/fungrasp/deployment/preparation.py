@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -23,10 +23,12 @@ from fungrasp.geometry.poses import (
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
-from fungrasp.planning import ConstrainedPlanner, Planner
+from fungrasp.objects.object_model import broad_settled_up
+from fungrasp.planning import ConstrainedPlanner, MotionPlanner, Planner
 from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
 from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.policies.slip_response import HIGHEST
+from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel, outside
 from fungrasp.robots.kinematics.joint_path import FreePath
@@ -53,6 +55,13 @@ FROM_ABOVE = np.cos(np.deg2rad(45))
 
 TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 """Turns of the object about the vertical that are tried [rad]."""
+
+ROOM = 0.02
+"""An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
+up to a centimeter off, and plans differ."""
+
+PLACEMENTS_PLANNED = 12
+"""Placements for which a motion is planned: a second or two each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +105,7 @@ class UnreachableError(FungraspError):
     """The arm can't follow the plan. Says which placement of the object would do, if one was found."""
 
 
-class GraspPreparer:
+class GraspPreparer(Preparer):
     """Prepares grasps for one robot."""
 
     def __init__(
@@ -116,7 +125,7 @@ class GraspPreparer:
             advise: whether a placement that would do is looked for where the object's does not.
         """
         self._advise = advise
-        self._cell, self._hand, self._thing, self._planner = cell, hand, obj, planner
+        self._cell, self._hand, self._obj, self._planner = cell, hand, obj, planner
         self.objects: Mapping[str, ObjectModel] = {obj.name: obj}
         """The object by its name."""
         self._dynamics, self._seed = dynamics, seed
@@ -168,7 +177,7 @@ class GraspPreparer:
             blocked = blocked or bool(found)
         if blocked:
             raise UnreachableError(
-                f"the arm finds no free way from where it is to the start of '{self._thing.name}': "
+                f"the arm finds no free way from where it is to the start of '{self._obj.name}': "
                 "move it by hand to a higher place"
             )
         raise UnreachableError(self._advice(grasp, object_pose, obstacle))
@@ -266,7 +275,7 @@ class GraspPreparer:
 
     def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str) -> str:
         """One line: what is in the way, and which placement would do."""
-        said = f"the grasp of '{self._thing.name}' is not reachable: {obstacle}"
+        said = f"the grasp of '{self._obj.name}' is not reachable: {obstacle}"
         if not self._advise:
             return said
         moved = (p for p in self.placements(grasp, object_pose) if not np.array_equal(p[0], object_pose))
@@ -285,3 +294,92 @@ def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarra
     """Rotations between two, shape [S, 4]. share: of the way, shape [S]."""
     turn = rotation_vector(quaternion_multiply(end, quaternion_conjugate(start)))
     return quaternion_multiply(quaternion_from_rotation_vector(share[:, None] * turn), start)
+
+
+def reachable_placement(
+    cell: RobotCell,
+    hand: Hand,
+    obj: ObjectModel,
+    grasp: RobotGraspSet,
+    seed: int = 0,
+    planner: Planner | None = None,
+) -> np.ndarray:
+    """Where a person would put the object so that the arm can grasp it: the first of
+    ``reachable_placements``. Arguments and errors: as there. Returns: the object, world frame, shape [7]."""
+    return next(reachable_placements(cell, hand, obj, grasp, seed, planner))
+
+
+def reachable_placements(
+    cell: RobotCell,
+    hand: Hand,
+    obj: ObjectModel,
+    grasp: RobotGraspSet,
+    seed: int = 0,
+    planner: Planner | None = None,
+) -> Iterator[np.ndarray]:
+    """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
+    it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the
+    grasp was shown does not matter.
+
+    They are the placements for which one planned motion can be followed, then the first that the arm reaches
+    with some motion: the robot's planner may find it.
+
+    Args:
+        seed: of the postures that are tried.
+        planner: of the motion that must be followed; one motion without candidates if None.
+
+    Yields:
+        the object, world frame, shape [7].
+
+    Raises:
+        UnreachableError: there is none nearby.
+    """
+    # What is seen differs by millimeters from what is: more room than is needed. Half of the clearance more
+    # above the table, and half of it less depth for the fingers: about the error of a tracked height.
+    box = cell.workspace
+    inner = np.array([ROOM, ROOM, 0.0])
+    roomy = replace(
+        box,
+        lower=tuple(np.add(box.lower, inner).tolist()),
+        upper=tuple(np.subtract(box.upper, inner).tolist()),
+        table_clearance=1.5 * box.table_clearance,
+        hand_depth=box.hand_depth - 0.5 * box.table_clearance,
+    )
+    cell = replace(cell, workspace=roomy)
+    planner = planner or MotionPlanner(hand, {obj.name: obj})
+    preparer = GraspPreparer(cell, hand, obj, planner, seed=seed, advise=False)
+    home = np.asarray(cell.arm.home)
+    refused, found = None, False
+    middle = _at_rest(obj, grasp.object_rest_pose[0])
+    middle[:2] = 0.5 * (np.array(box.lower[:2]) + box.upper[:2])
+    for pose, _ in islice(preparer.placements(grasp, middle), PLACEMENTS_PLANNED):
+        try:
+            preparer.prepare(grasp, pose, home, plans=1)
+        except UnreachableError:
+            refused = pose if refused is None else refused
+            continue
+        found = True
+        yield pose
+    if refused is not None:
+        yield refused
+    elif not found:
+        why = preparer.hindrance(grasp, middle)
+        raise UnreachableError(
+            f"no placement of '{obj.name}' was found from which the arm can grasp it: "
+            + (why or "take another grasp")
+        )
+
+
+def _at_rest(obj: ObjectModel, pose: np.ndarray) -> np.ndarray:
+    """An object on the broad stable face that it is nearest to, world frame, shape [7]: measured poses at
+    rest are a few degrees and up to a centimeter off."""
+    up = np.array([0.0, 0.0, 1.0])
+    leaning = rotate(pose[3:], broad_settled_up(obj, rotate(invert(pose)[3:], up)))
+    axis = np.cross(leaning, up)
+    sine = float(np.linalg.norm(axis))
+    angle = np.arctan2(sine, leaning @ up)
+    turn = quaternion_from_rotation_vector(angle * axis / max(sine, 1e-12))
+    settled = pose.copy()
+    settled[3:] = quaternion_multiply(turn, pose[3:])
+    settled[2] = -rotate(settled[3:], obj.vertices)[:, 2].min()
+    return settled

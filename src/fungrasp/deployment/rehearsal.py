@@ -5,25 +5,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.deployment import Deployment
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.phases import Phase
-from fungrasp.deployment.preparation import PreparedGrasp
+from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ARRIVED
-from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.spec import DeploymentSpec, Phase
 from fungrasp.geometry.poses import compose, relative
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.objects import ObjectModel
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.robots.device import (
+    Clock,
     DeviceStatus,
+    JointDriver,
     JointLimits,
     JointState,
+    PoseSource,
     RobotCommand,
     RobotState,
     StopKind,
@@ -129,8 +130,8 @@ class _Record(DeploymentObserver):
         self.rows.append((now, phase, command.arm, self._closing.positions.copy(), command.palm))
 
 
-class _Planned:
-    """A ``Preparer`` that has its plan already."""
+class _Planned(Preparer):
+    """Has its plan already."""
 
     objects: Mapping[str, ObjectModel] = {}
 
@@ -140,11 +141,10 @@ class _Planned:
     def prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
     ) -> PreparedGrasp:
-        """See ``Preparer.prepare``."""
         return self._prepared
 
 
-class _SteppedClock:
+class _SteppedClock(Clock):
     """Waiting takes no time."""
 
     def __init__(self) -> None:
@@ -157,14 +157,8 @@ class _SteppedClock:
         self._now = max(self._now, when)
 
 
-class _Device:
+class _Unconnected:
     """What needs no connection."""
-
-    takes_feedforward = False
-    lets_go = ""
-
-    def __init__(self, name: str, clock: _SteppedClock):
-        self.name, self._clock = name, clock
 
     def connect(self) -> None: ...
 
@@ -174,18 +168,13 @@ class _Device:
 
     def close(self) -> None: ...
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *error: object) -> None: ...
-
-
-class _PerfectJoints(_Device):
+class _PerfectJoints(_Unconnected, JointDriver):
     """Joints that are at once where they are told to be, unless something stops them."""
 
     def __init__(self, name: str, positions: np.ndarray, limits: JointLimits, clock: _SteppedClock):
-        super().__init__(name, clock)
-        self.limits = limits
+        self.name, self._clock, self.limits = name, clock, limits
+        self.takes_feedforward, self.lets_go = False, ""
         self.positions = np.clip(positions, limits.lower, limits.upper)
         """Where they are [rad]."""
         self._low, self._high = limits.lower, limits.upper
@@ -207,12 +196,11 @@ class _PerfectJoints(_Device):
         return sent
 
 
-class _StandingObject(_Device):
+class _StandingObject(_Unconnected, PoseSource):
     """A tracker that sees the object where the plan has it."""
 
     def __init__(self, pose: np.ndarray, clock: _SteppedClock):
-        super().__init__("the plan's object", clock)
-        self._pose = pose
+        self.name, self._clock, self._pose = "the plan's object", clock, pose
 
     def read(self) -> TrackedPose:
         return TrackedPose(self._pose, self._clock.now(), 1.0, TrackingStatus.TRACKING)

@@ -1,4 +1,5 @@
-"""Motions of a robot that no policy has a say in: from posture to posture, putting down, withdrawing."""
+"""What a robot does that no policy has a say in: looking where the object is, going from posture to posture,
+putting down, withdrawing."""
 
 from __future__ import annotations
 
@@ -7,14 +8,16 @@ from itertools import pairwise
 import numpy as np
 
 from fungrasp.deployment.deployment_result import DeadlineMonitor
-from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.preparation import PreparedGrasp
+from fungrasp.deployment.spec import Phase
 from fungrasp.geometry.poses import compose
 from fungrasp.planning.withdrawal import WaypointPolicy, way_off
-from fungrasp.robots.device import SafetyStop, StopKind
+from fungrasp.robots.device import DeviceStatus, RobotError, RobotState, SafetyStop, StopKind, TrackedPose
 from fungrasp.robots.kinematics.joint_path import timed_leg
 from fungrasp.robots.robot import Robot
+from fungrasp.robots.safety import check_pose
 from fungrasp.task import Action, GraspPlan
+from fungrasp.task.attempt_judge import average_pose
 
 ARRIVED = 2e-3
 """A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
@@ -34,6 +37,62 @@ OPEN_TIME = 1.5
 
 LONGEST_PHASE = 30.0
 """A phase that takes longer on the plan's clock has failed [s]."""
+
+
+WAIT_TIME = 10.0
+"""Longest wait for the first pose of the object [s]."""
+
+
+def locate_object(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState]:
+    """Where the object rests, averaged over what the tracker says; and the robot's state.
+
+    Args:
+        robot: connected.
+        seconds: for which poses are collected [s].
+
+    Returns:
+        Pose of the object, world frame, shape [7]; the state.
+
+    Raises:
+        RobotError: no pose comes that can be used, poses disagree, or a device does not follow.
+        SafetyStop: the robot's switch was pressed.
+    """
+    state = robot.state()
+    deadline = robot.clock.now() + WAIT_TIME
+    while state.tracked is None or not robot.ready:
+        if robot.clock.now() > deadline:
+            for name, joints in (("arm", state.arm), ("hand", state.hand)):
+                if joints.status is not DeviceStatus.READY:
+                    said = f"{joints.status} {joints.message}".strip()
+                    raise RobotError(f"the {name} does not follow: {said}; start anew")
+            raise RobotError(f"the tracker sees no object for {WAIT_TIME:g} s: look where it looks")
+        robot.check_switch()
+        robot.clock.sleep_until(robot.clock.now() + 0.02)
+        state = robot.state()
+    while True:
+        pose, state, problem = _looked(robot, seconds)
+        if not problem:
+            return pose, state
+        # What rolls comes to rest, and a tracker may find its way back.
+        if robot.clock.now() > deadline:
+            raise RobotError(f"{problem}: look at the tracker, then start anew")
+
+
+def _looked(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState, str]:
+    """The average pose over some time, the state at its end, and what is wrong with the poses."""
+    seen: list[TrackedPose] = []
+    end, state = robot.clock.now() + seconds, robot.state()
+    while robot.clock.now() < end:
+        robot.clock.sleep_until(robot.clock.now() + 0.02)
+        robot.check_switch()
+        state = robot.state()
+        assert state.tracked is not None
+        seen.append(state.tracked)
+    pose = average_pose(np.array([tracked.pose_world_object for tracked in seen]))
+    problem = check_pose(state.tracked, pose, robot.clock.now(), robot.cell)
+    for tracked in seen:
+        problem = problem or check_pose(tracked, pose, tracked.captured, robot.cell)
+    return pose, state, problem
 
 
 class ScriptedMotion:
@@ -72,11 +131,8 @@ class ScriptedMotion:
         robot.place_setpoints(corners[-1], fingers)
 
     def put_down(self, prepared: PreparedGrasp, low: np.ndarray) -> None:
-        """Lower the object, open the hand, withdraw along the way that the palm came.
-
-        Args:
-            low: where the palm is when the object stands, world frame, shape [1, 7].
-        """
+        """Lower the object, open the hand, withdraw along the way that the palm came. low: where the palm is
+        when the object stands, world frame, shape [1, 7]."""
         robot, plan, period = self._robot, prepared.plan, self._robot.protocol.control_period
         robot.begin(robot.state())
         fingers = robot.setpoints.fingers.copy()
@@ -117,11 +173,8 @@ class ScriptedMotion:
             step += 1
 
     def wait_for_tick(self, start: float, step: int) -> float:
-        """Wait for a control step; the time of the motion [s]. start: of the first one.
-
-        Raises:
-            SafetyStop: the switch is pressed.
-        """
+        """Wait for a control step; the time of the motion [s]. start: of the first one. Raises: SafetyStop:
+        the switch is pressed."""
         robot = self._robot
         planned = start + step * robot.control_period
         robot.sleep_until(planned)

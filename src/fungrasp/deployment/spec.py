@@ -1,9 +1,10 @@
-"""What is asked of a deployment: the grasp, and how a robot does it. Both are options of commands, whose help
-comes at once: what finds the grasp is imported on use."""
+"""What is asked of a deployment, the grasp and how a robot does it, and its phases. Both are options of
+commands, whose help comes at once: what finds the grasp is imported on use."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,6 +18,42 @@ if TYPE_CHECKING:
 
 Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
 """Where a deployment ends."""
+
+
+class Phase(StrEnum):
+    """What a deployment is doing."""
+
+    IDLE = "idle"
+    """Connected; looks for the object and plans. Nothing moves."""
+    MOVE_TO_START = "move to start"
+    """The arm goes to the start of the plan."""
+    GRASP = "grasp"
+    """The policy approaches and closes the hand."""
+    LIFT = "lift"
+    """The palm rises."""
+    HOLD = "hold"
+    """The object is held."""
+    PUT_DOWN = "put down"
+    """The object is lowered, let go of, and the palm withdraws."""
+    HOME = "home"
+    """The arm goes back to where it was."""
+    DONE = "done"
+    """The end."""
+    FAULT = "fault"
+    """Stopped; a person has to look, and to start anew."""
+    WITHDRAW = "withdraw"
+    """The object is not held: the hand opens and withdraws, and looks where the object lies."""
+
+
+LAST_PHASES: dict[Until, Phase] = {
+    "plan": Phase.IDLE,
+    "approach": Phase.MOVE_TO_START,
+    "grasp": Phase.GRASP,
+    "lift": Phase.HOLD,
+    "put-down": Phase.PUT_DOWN,
+    "home": Phase.HOME,
+}
+"""The last phase where ``DeploymentSpec.until`` says so; the robot ends where it is then."""
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.files import atomic_path
-from fungrasp.deployment.phases import Phase
 from fungrasp.deployment.rehearsal import Motion
+from fungrasp.deployment.spec import Phase
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec, mount
 from fungrasp.media.camera import orbit_camera

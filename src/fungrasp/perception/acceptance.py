@@ -33,12 +33,13 @@ ACCEPT = 0.5
 UNEXPLAINED = 0.3
 """Most of the object's pixels, or of the mesh's silhouette, that do not agree [share]."""
 
-WORSE = 1.5
+WORSE = 2.0
 """Another size of the mesh must fit worse by so many standard errors of the share explained:
 1 / sqrt(pixels)."""
 
-SIDE = 0.3
-"""Another length of one side may fit better by so many of them."""
+SIDE, SIDE_MASKED = 0.3, 1.0
+"""Another length of one side may fit better by so many of them. Without a mask the fit decides as well what
+is the object's, and a mesh that is too short takes less for it; with one, what is beyond it shows."""
 
 LARGER, OFF = 1.5, 4.5
 """Largest difference between the outlines in the image and of the mesh: of their size, and of their place in
@@ -141,12 +142,13 @@ def object_meters(e: PoseEvidence) -> tuple[Meter, ...]:
     count = max(e.pixels, 1.0)
     noise = 100.0 / np.sqrt(count)
     piece = 100.0 * e.mask_piece / count if e.hinted == 1.0 else nan
+    side = SIDE_MASKED if e.hinted == 1.0 else SIDE
     unexplained = 100.0 * (1.0 - min(e.explained, e.visible))
     # Value, limit and tolerance.
     found = {
         "unexplained": (unexplained, 100 * UNEXPLAINED, 10.0),
         "other_size": (100 * e.other_size, -WORSE * noise, 2 * noise),
-        "other_side": (100 * e.other_side, SIDE * noise, 2 * noise),
+        "other_side": (100 * e.other_side, side * noise, 2 * noise),
         "larger": (abs(e.larger), LARGER, 1.0),
         "off": (e.off, OFF, 2.0),
         "left_over": (100 * e.left_over, 100 * LEFT_OVER, 10.0),

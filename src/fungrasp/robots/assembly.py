@@ -4,20 +4,23 @@ bring by entry points."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, get_origin, get_type_hints
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.records import record_from_json
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.device import JointDriver, PoseSource, WallClock
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import twin_torque_limits
-from fungrasp.sim2real.joint_dynamics import JointDynamics
+from fungrasp.sim2real.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
 
 OWN = "fungrasp"
 """Name of the distribution that this package's own drivers come from."""
@@ -47,12 +50,8 @@ class DriverRegistry:
         return dict(sorted(found.items()))
 
     def make(self, name: str, cell: RobotCell) -> Any:
-        """The device of a cell.
-
-        Raises:
-            FungraspError: no driver has this name, several have, or it can't be loaded or used; the message
-                names the distribution.
-        """
+        """The device of a cell. Raises: FungraspError: no driver has this name, several have, or it can't be
+        loaded or used; the message names the distribution."""
         entries = [entry for entry in entry_points(group=self.group) if entry.name == name]
         if len(entries) + (name in (*self.own, self.twin)) > 1:
             raise FungraspError(
@@ -107,11 +106,8 @@ CAMERA = "realsense"
 
 
 def is_twin(cell: RobotCell) -> bool:
-    """Whether a cell is a twin in the same process.
-
-    Raises:
-        FungraspError: some of its devices are, others are not.
-    """
+    """Whether a cell is a twin in the same process. Raises: FungraspError: some of its devices are, others
+    are not."""
     drivers = {"arm": cell.arm.driver, "hand_device": cell.hand_device.driver, "tracker": cell.tracker.driver}
     twins = [name for name, driver in drivers.items() if driver == TWIN]
     if twins and len(twins) < len(drivers):
@@ -123,11 +119,8 @@ def is_twin(cell: RobotCell) -> bool:
 
 
 def arm_driver(cell: RobotCell) -> JointDriver:
-    """The driver of a cell's arm, without a guard: to look at. What moves is ``wired_robot``'s.
-
-    Raises:
-        FungraspError: no such driver, or bad options.
-    """
+    """The driver of a cell's arm, without a guard: to look at. What moves is ``wired_robot``'s. Raises:
+    FungraspError: no such driver, or bad options."""
     driver = ARM_DRIVERS.make(cell.arm.driver, cell)
     joints = len(driver.limits.lower)
     if joints != len(cell.arm.home):
@@ -140,11 +133,7 @@ def arm_driver(cell: RobotCell) -> JointDriver:
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
     """The driver of a cell's hand, without a guard: to look at. What moves is ``wired_robot``'s or
-    ``guarded_driver``'s.
-
-    Raises:
-        FungraspError: no such driver, bad options, or a driver of another hand.
-    """
+    ``guarded_driver``'s. Raises: FungraspError: no such driver, bad options, or a driver of another hand."""
     driver = HAND_DRIVERS.make(cell.hand_device.driver, cell)
     joints = len(driver.limits.lower)
     if joints != len(hand.actuators):
@@ -156,11 +145,7 @@ def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
 
 
 def pose_source(cell: RobotCell) -> PoseSource:
-    """The source of a cell's object poses.
-
-    Raises:
-        FungraspError: no such driver, or bad options.
-    """
+    """The source of a cell's object poses. Raises: FungraspError: no such driver, or bad options."""
     return TRACKERS.make(cell.tracker.driver, cell)
 
 
@@ -202,6 +187,57 @@ def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = N
     return replace(hand, actuators=servos)
 
 
+@dataclass(frozen=True, eq=False)
+class HandDynamics:
+    """Identified dynamics of a hand, as factors on the model's."""
+
+    joint_damping: np.ndarray
+    """Damping of each joint, shape [M]."""
+    servo_stiffness: np.ndarray
+    """Stiffness of each joint's servo, shape [M]."""
+    servo_damping: np.ndarray
+    """Damping of each joint's servo, shape [M]."""
+
+    @classmethod
+    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
+        """The factors of identified joints, some or all of the independent ones; those that were not
+        identified are as in the model."""
+        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
+        for j, name in enumerate(dynamics.joints):
+            joint, row = hand.joint_names.index(name), model.joints.index(name)
+            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
+            # What is identified is the sum of both dampings.
+            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
+        return cls(factors[1], factors[0], factors[1].copy())
+
+    def stiffness(self, hand: Hand) -> np.ndarray:
+        """Stiffness of the servos [N m/rad], shape [U]."""
+        driven = [hand.joint_names.index(name) for name in hand.actuators]
+        return np.array([servo.kp for servo in hand.actuators.values()]) * self.servo_stiffness[driven]
+
+
+def identified_dynamics(
+    cell: RobotCell, hand: Hand, file: str | Path = ""
+) -> tuple[Hand, HandDynamics | None]:
+    """What a cell says of its hand beyond the model: for planner, policy and gravity compensation.
+
+    Args:
+        file: of identified dynamics, in place of the cell's.
+
+    Returns:
+        The hand for planners, whose servos make no more torque than the robot's; and what was identified,
+        None where nothing was.
+
+    Raises:
+        FungraspError: the file can't be read, or the cell's driver of the hand can't be.
+    """
+    path = file or cell.hand_dynamics
+    if not path:
+        return limited_hand(cell, hand), None
+    found = load_dynamics(path, hand)
+    return limited_hand(cell, hand, found), HandDynamics.of(hand, found)
+
+
 def wired_robot(
     cell: RobotCell,
     hand: Hand,
@@ -236,101 +272,97 @@ def wired_robot(
     )
 
 
-def _ur(cell: RobotCell) -> JointDriver:
-    from fungrasp.robots.arms.ur import URSettings, ur_driver
+def _own(module: str, settings: str, driver: str, part: str, address: str = "address") -> Callable[..., Any]:
+    """A driver of this package, whose module is imported when it is made.
 
-    return ur_driver(_settings(URSettings, cell.arm, arm=cell.arm.model))
+    Args:
+        module: of ``fungrasp.robots``, with a dataclass of ``settings`` and a function ``driver`` of it.
+        part: of the cell, which has address and options: "arm" or "hand_device".
+        address: what the settings call the address.
+    """
+
+    def make(cell: RobotCell) -> Any:
+        found, device = import_module(f"fungrasp.robots.{module}"), getattr(cell, part)
+        model = {"arm": cell.arm.model} if part == "arm" else {"hand": cell.hand}
+        given = {address: device.address, **model}
+        return getattr(found, driver)(_options(getattr(found, settings), device, given))
+
+    return make
 
 
-def _allegro(cell: RobotCell) -> JointDriver:
-    from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
-
-    return allegro_driver(_settings(AllegroSettings, cell.hand_device, "channel", hand=cell.hand))
-
-
-def _inspire(cell: RobotCell) -> JointDriver:
-    from fungrasp.robots.hands.inspire import InspireSettings, inspire_driver
-
-    return inspire_driver(_settings(InspireSettings, cell.hand_device, hand=cell.hand))
-
-
-def _leap(cell: RobotCell) -> JointDriver:
-    from fungrasp.robots.hands.leap import LeapSettings, leap_driver
-
-    return leap_driver(_settings(LeapSettings, cell.hand_device, "port", hand=cell.hand))
+@dataclass(frozen=True)
+class _CameraOptions:
+    object: str = ""
+    mass: float | None = None
+    folder: str | None = None
+    width: int = 640
+    height: int = 480
+    rate: int = 30
 
 
 def _camera(cell: RobotCell) -> PoseSource:
-    """Our own tracker on a RealSense camera: options ``object`` and, for a mesh, ``mass`` and ``folder``."""
+    """Our own tracker on a RealSense camera."""
     from fungrasp.objects import load_object
-    from fungrasp.robots.pose.camera import CameraTracker, RealSenseFrames
+    from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
+    from fungrasp.robots.pose.camera import CameraTracker
 
     check_calibrated(cell)
-    options = dict(cell.tracker.options)
-    known = ("object", "mass", "folder", "width", "height", "rate")
-    for name in options:
-        if name not in known:
-            raise UnknownNameError(f"option of the driver {CAMERA}", name, known)
-    if not isinstance(options.get("object"), str):
+    asked: _CameraOptions = _options(_CameraOptions, cell.tracker)
+    if not asked.object:
         raise FungraspError(f"cell '{cell.name}': the driver {CAMERA} needs the option 'object', a name")
-    obj = load_object(options.pop("object"), options.pop("mass", None), options.pop("folder", None))
-    frames = RealSenseFrames(cell.tracker.address, **options)
-    return CameraTracker(frames, obj, np.array(cell.tracker.pose_world_camera))
+    obj = load_object(asked.object, asked.mass, asked.folder)
+    stream = StreamSettings(asked.width, asked.height, asked.rate)
+    camera = RealSenseCamera(serial=cell.tracker.address, stream=stream)
+    return CameraTracker(camera, obj, np.array(cell.tracker.pose_world_camera))
+
+
+@dataclass(frozen=True)
+class _StreamOptions:
+    object_name: str = ""
+    frame: str = "world"
+    timeout: float = 2.0
 
 
 def _stream(cell: RobotCell) -> PoseSource:
-    """Poses of another process: options ``object_name``, ``frame`` and ``timeout``."""
+    """Poses of another process."""
     from fungrasp.robots.pose.stream import PoseStream
 
-    options = dict(cell.tracker.options)
-    known = ("object_name", "frame", "timeout")
-    for name in options:
-        if name not in known:
-            raise UnknownNameError("option of the driver pose-stream", name, known)
+    asked: _StreamOptions = _options(_StreamOptions, cell.tracker)
     camera = None
-    if options.get("frame") == "camera":
+    if asked.frame == "camera":
         check_calibrated(cell)
         camera = np.array(cell.tracker.pose_world_camera)
-    return PoseStream(cell.tracker.address, **options, pose_world_camera=camera)
+    return PoseStream(cell.tracker.address, **vars(asked), pose_world_camera=camera)
 
 
-OPTION_TYPES: dict[type, tuple[tuple[type, ...], str]] = {
-    float: ((int, float), "a number"),
-    int: ((int,), "a whole number"),
-    str: ((str,), "a text"),
-    tuple: ((list, tuple), "a list of numbers"),
-}
-"""What a cell's file says for a field of a driver's settings, by the field's type."""
-
-
-def _settings(kind: type, device: DeviceSettings, address: str = "address", **more: str) -> Any:
-    """Settings of a driver from the address and the options of a cell.
+def _options(kind: type, device: DeviceSettings, given: Mapping[str, Any] | None = None) -> Any:
+    """Settings of a driver from the options of a cell.
 
     Args:
-        more: values that the cell says elsewhere; options may say another one.
+        kind: a dataclass.
+        given: what the cell says elsewhere, unless it is empty; options may say another one.
     """
-    given: dict[str, Any] = {address: device.address, **more, **device.options}
-    given = {name: value for name, value in given.items() if value != ""}
-    known = [f.name for f in fields(kind)]
-    hints = get_type_hints(kind)
-    for name, value in given.items():
-        if name not in known:
-            raise UnknownNameError(f"option of the driver {device.driver}", name, known)
-        allowed, words = OPTION_TYPES[get_origin(hints[name]) or hints[name]]
-        numbers = value if isinstance(value, list | tuple) else ()
-        fits = isinstance(value, allowed) and all(isinstance(v, int | float) for v in numbers)
-        if not fits or isinstance(value, bool):
-            raise FungraspError(f"the option '{name}' must be {words}, not {value!r}")
-    return kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in given.items()})
+    known = {name: value for name, value in (given or {}).items() if value != ""}
+    return record_from_json(kind, {**known, **device.options}, f"options of the driver {device.driver}")
 
 
-ARM_DRIVERS = DriverRegistry("arm", "fungrasp.arm_drivers", {"ur-rtde": _ur}, TWIN, JointDriver)
+ARM_DRIVERS = DriverRegistry(
+    "arm",
+    "fungrasp.arm_drivers",
+    {"ur-rtde": _own("arms.ur", "URSettings", "ur_driver", "arm")},
+    TWIN,
+    JointDriver,
+)
 """Drivers of arms."""
 
 HAND_DRIVERS = DriverRegistry(
     "hand_device",
     "fungrasp.hand_drivers",
-    {"allegro-can": _allegro, "inspire": _inspire, "leap-dynamixel": _leap},
+    {
+        "allegro-can": _own("hands.allegro", "AllegroSettings", "allegro_driver", "hand_device", "channel"),
+        "inspire": _own("hands.inspire", "InspireSettings", "inspire_driver", "hand_device"),
+        "leap-dynamixel": _own("hands.leap", "LeapSettings", "leap_driver", "hand_device", "port"),
+    },
     TWIN,
     JointDriver,
 )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.text_files import read_toml
+from fungrasp.core.records import record_from_json
 from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.hands.arm import Mount, arm_spec
 
@@ -254,10 +255,11 @@ def load_cell(name: str | Path) -> RobotCell:
         if str(name) not in cell_files():
             raise UnknownNameError("robot cell", str(name), cell_files())
         path = cell_files()[str(name)]
-    tree = read_toml(path, "cell file")
-    cell = _build(RobotCell, tree, str(path), "")
+    cell = record_from_json(RobotCell, _without_retired(read_toml(path, "cell file")), str(path))
     if cell.tracker.calibration:
-        cell = replace(cell, tracker=_calibrated(cell.tracker, path.parent))
+        file = path.parent / cell.tracker.calibration
+        known = {**vars(cell.tracker), **_calibration(file)}
+        cell = replace(cell, tracker=record_from_json(TrackerSettings, known, str(file)))
     if cell.arm.model.endswith(".xml"):
         cell = replace(cell, arm=replace(cell.arm, model=str((path.parent / cell.arm.model).absolute())))
     for fault in cell_faults(cell):
@@ -462,60 +464,20 @@ def _unit(quaternion: Vector) -> bool:
     return bool(np.isclose(np.linalg.norm(quaternion), 1.0, atol=1e-3))
 
 
-def _calibrated(tracker: TrackerSettings, folder: Path) -> TrackerSettings:
-    """The tracker with what its file of calibration says."""
-    path = folder / tracker.calibration
+def _without_retired(tree: dict[str, Any], where: str = "") -> dict[str, Any]:
+    """What a file says, without what it may say of before."""
+    return {
+        key: _without_retired(value, f"{where}{key}.") if isinstance(value, dict) else value
+        for key, value in tree.items()
+        if f"{where}{key}" not in RETIRED
+    }
+
+
+def _calibration(path: Path) -> dict[str, Any]:
+    """Pose and residual in a file of calibration."""
     tree = read_toml(path, "calibration of a camera")
-    missing = [name for name in ("pose_world_camera", "calibration_residual") if name not in tree]
+    names = "pose_world_camera", "calibration_residual"
+    missing = [name for name in names if name not in tree]
     if missing:
         raise FungraspError(f"{path}: '{missing[0]}' is missing: run 'fungrasp robots calibrate' again")
-    pose = tree["pose_world_camera"]
-    if not isinstance(pose, list):
-        raise FungraspError(f"{path}: 'pose_world_camera' must be a list of 7 numbers")
-    return replace(
-        tracker,
-        pose_world_camera=tuple(_number(v, str(path), "pose_world_camera") for v in pose),
-        calibration_residual=_number(tree["calibration_residual"], str(path), "calibration_residual"),
-    )
-
-
-def _build(kind: type, tree: Mapping[str, Any], path: str, where: str) -> Any:
-    """A dataclass from a table: unknown keys and wrong types are refused."""
-    hints = get_type_hints(kind)
-    values: dict[str, Any] = {}
-    for key, value in tree.items():
-        name = f"{where}{key}"
-        if name in RETIRED:
-            continue
-        if key not in hints:
-            raise FungraspError(f"{path}: {UnknownNameError('field', name, (where + k for k in hints))}")
-        values[key] = _value(hints[key], value, path, name)
-    for f in fields(kind):
-        if f.default is MISSING and f.default_factory is MISSING and f.name not in values:
-            raise FungraspError(f"{path}: the field '{where}{f.name}' is missing")
-    return kind(**values)
-
-
-def _value(hint: Any, value: Any, path: str, name: str) -> Any:
-    """The value of a field from what a table says."""
-    if hint is float:
-        return _number(value, path, name)
-    boxes = hint == tuple[Obstacle, ...]
-    kind, words = {str: (str, "a text"), Vector: (list, "a list of numbers")}.get(hint, (Mapping, "a table"))
-    if boxes:
-        kind, words = list, f"tables, each begins with [[{name}]]"
-    if not isinstance(value, kind) or (boxes and not all(isinstance(one, Mapping) for one in value)):
-        raise FungraspError(f"{path}: '{name}' must be {words}, not {value!r}")
-    if boxes:
-        return tuple(_build(Obstacle, one, path, f"{name}.") for one in value)
-    if is_dataclass(hint):
-        return _build(hint, value, path, f"{name}.")  # pyright: ignore[reportArgumentType]
-    if hint == Vector:
-        return tuple(_number(v, path, name) for v in value)
-    return value if hint is str else {k: v for k, v in value.items() if f"{name}.{k}" not in RETIRED}
-
-
-def _number(value: Any, path: str, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise FungraspError(f"{path}: '{name}' must be a finite number, not {value!r}")
-    return float(value)
+    return {name: tree[name] for name in names}

@@ -7,9 +7,11 @@ library: a state is as old as the device's own time stamp says.
 
 from __future__ import annotations
 
+import importlib
 import time
 from dataclasses import dataclass
 from enum import StrEnum
+from types import ModuleType
 from typing import Protocol, Self
 
 import numpy as np
@@ -145,9 +147,13 @@ class JointDriver(Protocol):
         twice."""
         ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
 
-    def __exit__(self, *error: object) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+        self.close()
 
 
 class TrackingStatus(StrEnum):
@@ -190,9 +196,12 @@ class PoseSource(Protocol):
         """End the connection. May be called twice."""
         ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
 
-    def __exit__(self, *error: object) -> None: ...
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,10 +236,7 @@ class SafetyStop(RobotError):
     """The robot was stopped by its guard."""
 
     def __init__(self, reason: str, kind: StopKind = StopKind.HOLD):
-        """
-        Args:
-            reason: what was wrong, as a phrase.
-        """
+        """reason: what was wrong, as a phrase."""
         super().__init__(f"the robot was stopped ({kind}): {reason}")
         self.reason, self.kind = reason, kind
 
@@ -247,15 +253,50 @@ class Clock(Protocol):
         ...
 
 
-class WallClock:
+class WallClock(Clock):
     """``time.monotonic``."""
 
     def now(self) -> float:
-        """See ``Clock.now``."""
         return time.monotonic()
 
     def sleep_until(self, when: float) -> None:
-        """See ``Clock.sleep_until``."""
         left = when - time.monotonic()
         if left > 0:
             time.sleep(left)
+
+
+def import_client(module: str, extra: str, device: str) -> ModuleType:
+    """Import a client library.
+
+    Args:
+        extra: the extra of this package that installs it.
+        device: what needs it, for the message.
+
+    Raises:
+        RobotError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise RobotError(
+            f'{device} needs a package that is not installed ({error}): pip install "fungrasp[{extra}]"'
+        ) from error
+
+
+def import_emulators(module: str) -> ModuleType:
+    """Import a module of the emulated devices, a package of its own beside this one (``emulators/``).
+
+    Args:
+        module: of the package ``fungrasp_emulators``.
+
+    Raises:
+        RobotError: it is not installed.
+    """
+    try:
+        return importlib.import_module(f"fungrasp_emulators.{module}")
+    except ModuleNotFoundError as error:
+        if not str(error.name).startswith("fungrasp_emulators"):
+            raise RobotError(f"emulated devices need a package that is not installed ({error})") from error
+        raise RobotError(
+            "emulated devices are a package of their own, beside fungrasp's source: pip install ./emulators"
+        ) from error

@@ -75,11 +75,8 @@ class LeRobotRobot:
         self._connected = True
 
     def get_observation(self) -> dict[str, Any]:
-        """What the sensors say now.
-
-        Raises:
-            RobotError: it is not connected, or the tracker has not seen the object yet.
-        """
+        """What the sensors say now. Raises: RobotError: it is not connected, or the tracker has not seen the
+        object yet."""
         self._check_connected()
         seen = self._robot.get_observation()
         numbers = [*seen.palm_pose[0], *seen.object_pose[0], *seen.object_pose_age, *seen.joint_positions[0]]

@@ -128,10 +128,7 @@ class Robot:
 
     def take_control(self) -> None:
         """Make arm and hand ready to follow, before a motion begins: it may take seconds. Not on a dry run.
-
-        Raises:
-            RobotError: one of them can't be controlled now.
-        """
+        Raises: RobotError: one of them can't be controlled now."""
         if not self.dry_run:
             self.arm.take_control()
             self.hand_driver.take_control()
@@ -243,11 +240,8 @@ class Robot:
         self._began += seconds
 
     def get_observation(self) -> Observation:
-        """What the robot's sensors say now, as a policy sees it: one row.
-
-        Raises:
-            RobotError: the tracker has not seen the object yet.
-        """
+        """What the robot's sensors say now, as a policy sees it: one row. Raises: RobotError: the tracker has
+        not seen the object yet."""
         return self.observation(self.state())
 
     def observation(self, state: RobotState) -> Observation:

@@ -1,4 +1,4 @@
-"""The safety filter: a pure function that sees every setpoint before it is sent, and what it remembers.
+"""The safety filter, which sees every setpoint before it is sent.
 
 It protects against mistakes of software. It is no safety function in the sense of a standard: that is the
 robot's own controller, with its limits set, and an emergency stop within reach.
@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -62,72 +62,6 @@ AHEAD = 0.02
 LONGEST_STEP = 0.1
 """A goal of a device alone is as far from the one before as the joints get within this time, however long ago
 that was [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class SafetyContext:
-    """What is said of a setpoint depends on this besides the state."""
-
-    cell: RobotCell
-    """Limits, workspace and watchdog."""
-    limits: Mapping[str, JointLimits]
-    """What the drivers of "arm" and "hand" accept."""
-    previous: RobotCommand | None
-    """What was sent last; None at the beginning."""
-    before: RobotCommand | None
-    """What was sent before that."""
-    period: float
-    """Time between the last setpoint and this [s]."""
-    silence: Mapping[str, float] = field(default_factory=lambda: {"arm": 0.0, "hand": 0.0})
-    """How long the time stamps of "arm" and "hand" have stood still [s]."""
-    moving: bool = True
-    """Whether setpoints really are sent: in a dry run the arm does not follow."""
-
-
-def check_setpoint(
-    state: RobotState, command: RobotCommand, context: SafetyContext, clearance: Clearance
-) -> RobotCommand:
-    """What may be sent of a setpoint: within the limits of position and speed. A pure function.
-
-    Args:
-        clearance: of the robot with the arm as commanded and the fingers as measured.
-
-    Raises:
-        SafetyStop: nothing may be sent.
-    """
-    c = context
-    for values in (command.arm, command.hand, command.feedforward, command.palm):
-        if not np.isfinite(values).all():
-            raise SafetyStop("a setpoint is not finite")
-    for part, joints in (("arm", state.arm), ("hand", state.hand)):
-        if joints.status is not DeviceStatus.READY:
-            said = f": {joints.message}" if joints.message else ""
-            raise SafetyStop(f"the {part} does not follow ({joints.status}{said})")
-        check_reading(part, joints, c.silence[part], c.cell)
-    _check_lead(state, command, c)
-    problem = check_posture(command.palm, clearance, c.cell.workspace) or _too_fast(command, c)
-    if problem:
-        raise SafetyStop(problem)
-    return within_limits(command, c)
-
-
-def _check_lead(state: RobotState, command: RobotCommand, c: SafetyContext) -> None:
-    """Raises: SafetyStop: a setpoint is far from the arm, clipped or not."""
-    if c.moving and np.abs(command.arm - state.arm.positions).max() > c.cell.limits.setpoint_lead:
-        raise SafetyStop("the arm's setpoint is far from where the arm is")
-
-
-def within_limits(command: RobotCommand, c: SafetyContext) -> RobotCommand:
-    """A setpoint of arm and hand within the limits of position and speed; the same one where it is."""
-    parts = {}
-    for part, limits in c.limits.items():
-        given = getattr(command, part)
-        allowed = np.clip(given, limits.lower, limits.upper)
-        if c.previous is not None:
-            allowed = within_speed(part, allowed, getattr(c.previous, part), c.period, limits, c.cell)
-        if np.abs(allowed - given).max(initial=0.0) > 1e-9:
-            parts[part] = allowed
-    return replace(command, **parts) if parts else command
 
 
 def check_reading(part: str, state: JointState, silence: float, cell: RobotCell) -> None:
@@ -168,28 +102,9 @@ def within_speed(
 
 
 def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str:
-    """What is wrong with where a robot would be, as a phrase; "" for nothing.
-
-    Args:
-        palm: world frame, shape [7].
-    """
+    """What is wrong with where a robot would be, as a phrase; "" for nothing. palm: world frame, shape
+    [7]."""
     return outside(palm, box) or clearance.fault(box)
-
-
-def _too_fast(command: RobotCommand, c: SafetyContext) -> str:
-    """What of a setpoint is too fast to be clipped, as a phrase."""
-    if c.previous is None:
-        return ""
-    limits = c.cell.limits
-    step = float(np.linalg.norm(command.palm[:3] - c.previous.palm[:3]))
-    if step > TOLERANCE * limits.palm_speed * c.period:
-        return f"the palm would move at {step / c.period:.2f} m/s"
-    if c.before is not None:
-        change = command.arm - 2.0 * c.previous.arm + c.before.arm
-        if np.abs(change).max() > TOLERANCE * limits.setpoint_acceleration * c.period**2:
-            fastest = float(np.abs(change).max()) / c.period**2
-            return f"an arm joint would accelerate by {fastest:.1f} rad/s^2"
-    return ""
 
 
 def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell) -> str:
@@ -223,11 +138,7 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
 
 def action_problem(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     """What is wrong with what a policy wants, as a phrase; "" if nothing is. What is not finite is found by
-    ``check_setpoint``.
-
-    Args:
-        palm: where it is measured, world frame, shape [7].
-    """
+    the guard. palm: where it is measured, world frame, shape [7]."""
     far = float(np.linalg.norm(action.palm_goal_world[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
@@ -240,21 +151,8 @@ def warn_unguarded(cell: RobotCell) -> None:
         _log.warning("cell '%s' says guard = \"off\": nothing checks what is sent to its devices", cell.name)
 
 
-class StandingStamp:
-    """For how long a device's time stamp has stood still."""
-
-    def __init__(self) -> None:
-        self._stamp, self._since = np.nan, np.nan
-
-    def age(self, stamp: float, now: float) -> float:
-        """Since when it stands still [s]. stamp: of the device [s]; now: time of the robot's clock [s]."""
-        if stamp != self._stamp:
-            self._stamp, self._since = stamp, now
-        return now - self._since
-
-
 class SafetyGuard:
-    """Sees every command before it is sent, and remembers what ``check_setpoint`` needs to know. One device
+    """Sees every command before it is sent, and remembers what it needs to know of those before. One device
     alone, as one that is tried before anything is grasped, is checked by ``joints``."""
 
     def __init__(
@@ -271,6 +169,7 @@ class SafetyGuard:
             limits: what the drivers of "arm" and "hand" accept, or that of one alone.
             clearance: of a posture: joints of the arm [A] and of the hand [U].
             period: time between setpoints [s].
+            moving: whether setpoints really are sent: in a dry run the arm does not follow.
             palm: where it is with joints of the arm [A], world frame, shape [7]; if None, where commands say.
         """
         self._cell, self._limits, self._clearance, self._palm = cell, limits, clearance, palm
@@ -281,8 +180,9 @@ class SafetyGuard:
 
     def reset(self) -> None:
         """Forget the setpoints before: the robot stands still."""
-        self._sent: tuple[RobotCommand | None, RobotCommand | None] = (None, None)
-        self._stamps = {part: StandingStamp() for part in self._limits}
+        self._previous: RobotCommand | None = None
+        self._before: RobotCommand | None = None
+        self._stamps: dict[str, tuple[float, float]] = {}
         self._last: tuple[np.ndarray, float] | None = None
         self._when, self._saved = -np.inf, 0.0
         self.lost = 0.0
@@ -290,31 +190,62 @@ class SafetyGuard:
         be as much later."""
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
-        """What may be sent of a command. Raises: SafetyStop: nothing may."""
-        before, previous = self._sent
-        silence = {"arm": self._silence("arm", state.arm, state.time)}
-        silence["hand"] = self._silence("hand", state.hand, state.time)
-        context = SafetyContext(
-            self._cell, self._limits, previous, before, self._period, silence, self._moving
-        )
+        """What may be sent of a command: within the limits of position and speed. Raises: SafetyStop: nothing
+        may be sent."""
+        for values in (command.arm, command.hand, command.feedforward, command.palm):
+            if not np.isfinite(values).all():
+                raise SafetyStop("a setpoint is not finite")
+        for part, joints in (("arm", state.arm), ("hand", state.hand)):
+            silence = self._silence(part, joints, state.time)
+            if joints.status is not DeviceStatus.READY:
+                said = f": {joints.message}" if joints.message else ""
+                raise SafetyStop(f"the {part} does not follow ({joints.status}{said})")
+            check_reading(part, joints, silence, self._cell)
         self._keep_time(state.time)
-        if np.isfinite(command.arm).all() and np.isfinite(command.hand).all():
-            _check_lead(state, command, context)
-            # What is checked is what will be sent.
-            allowed = within_limits(command, context)
-            if self._palm is not None and allowed.arm is not command.arm:
-                allowed = replace(allowed, palm=self._palm(allowed.arm))
-            command = allowed
+        allowed = self._within_limits(command)
+        lead = max(float(np.abs(q - state.arm.positions).max()) for q in (command.arm, allowed.arm))
+        if self._moving and lead > self._cell.limits.setpoint_lead:
+            raise SafetyStop("the arm's setpoint is far from where the arm is")
         # Targets of squeezing fingers lie inside what they touch: where the fingers are is what counts.
-        fingers = state.hand.positions
-        finite = np.isfinite(command.arm).all() and np.isfinite(fingers).all()
-        gap = self._clearance(command.arm, fingers) if finite else Clearance(0.0, 0.0, 0.0)
+        gap = self._clearance(allowed.arm, state.hand.positions)
         if not self._moving:
             # In a dry run the fingers stay open, so that where the hand would be is not known.
             gap = replace(gap, hand=MARGIN)
-        allowed = check_setpoint(state, command, context, gap)
-        self._sent = previous, allowed
+        problem = check_posture(allowed.palm, gap, self._cell.workspace) or self._too_fast(allowed)
+        if problem:
+            raise SafetyStop(problem)
+        self._before, self._previous = self._previous, allowed
         return allowed
+
+    def _within_limits(self, command: RobotCommand) -> RobotCommand:
+        """A setpoint within the limits of joint positions and speeds, the palm where it is then."""
+        parts = {}
+        for part, limits in self._limits.items():
+            given = getattr(command, part)
+            allowed = np.clip(given, limits.lower, limits.upper)
+            if self._previous is not None:
+                last = getattr(self._previous, part)
+                allowed = within_speed(part, allowed, last, self._period, limits, self._cell)
+            if np.abs(allowed - given).max(initial=0.0) > 1e-9:
+                parts[part] = allowed
+        if "arm" in parts and self._palm is not None:
+            # What is checked is what will be sent.
+            parts["palm"] = self._palm(parts["arm"])
+        return replace(command, **parts)
+
+    def _too_fast(self, command: RobotCommand) -> str:
+        """What of a setpoint is too fast to be clipped, as a phrase."""
+        limits, period = self._cell.limits, self._period
+        if self._previous is None:
+            return ""
+        step = float(np.linalg.norm(command.palm[:3] - self._previous.palm[:3]))
+        if step > TOLERANCE * limits.palm_speed * period:
+            return f"the palm would move at {step / period:.2f} m/s"
+        if self._before is not None:
+            change = float(np.abs(command.arm - 2.0 * self._previous.arm + self._before.arm).max())
+            if change > TOLERANCE * limits.setpoint_acceleration * period**2:
+                return f"an arm joint would accelerate by {change / period**2:.1f} rad/s^2"
+        return ""
 
     def _keep_time(self, now: float) -> None:
         """Limits of speed are those of a step only where steps are not made up for in a burst. now: time of
@@ -351,7 +282,9 @@ class SafetyGuard:
         return allowed
 
     def _silence(self, part: str, state: JointState, now: float) -> float:
-        """How long a device's time stamp has stood still [s]."""
-        silence = self._stamps[part].age(state.device_time, now)
-        self.longest_silence[part] = max(self.longest_silence[part], silence)
-        return silence
+        """How long a device's time stamp has stood still [s]. now: time of the robot's clock [s]."""
+        stamp, since = self._stamps.get(part, (np.nan, now))
+        if stamp != state.device_time:
+            stamp, since = self._stamps[part] = state.device_time, now
+        self.longest_silence[part] = max(self.longest_silence[part], now - since)
+        return now - since

@@ -6,7 +6,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -78,8 +77,8 @@ def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
     return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
 
 
-class GuardedDriver:
-    """A ``JointDriver`` around that of an arm or a hand, to move it alone: what it is told passes the stop
+class GuardedDriver(JointDriver):
+    """Around the driver of an arm or a hand, to move it alone: what it is told passes the stop
     switch and the guard. Whatever is wrong stops the device."""
 
     def __init__(
@@ -114,11 +113,9 @@ class GuardedDriver:
         self._guard.reset()
 
     def take_control(self) -> None:
-        """See ``JointDriver.take_control``."""
         self._driver.take_control()
 
     def read(self) -> JointState:
-        """See ``JointDriver.read``."""
         return self._driver.read()
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
@@ -143,20 +140,10 @@ class GuardedDriver:
             raise
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """See ``JointDriver.stop``."""
         self._driver.stop(kind)
 
     def close(self) -> None:
-        """See ``JointDriver.close``."""
         self._driver.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.stop()
-        self.close()
 
 
 def guarded_driver(
@@ -202,11 +189,7 @@ def joint_names(part: str, cell: RobotCell, hand: Hand) -> list[str]:
 
 
 def examine_devices(cell: RobotCell, hand: Hand) -> Iterator[DeviceReport]:
-    """Connect to arm, hand and tracker in turn. Nothing moves.
-
-    Args:
-        cell: the robot; no twin.
-    """
+    """Connect to arm, hand and tracker in turn. Nothing moves. cell: the robot; no twin."""
     for part in PARTS:
         try:
             with bare_driver(part, cell, hand) as driver:
@@ -316,26 +299,25 @@ def after_stop(driver: GuardedDriver) -> str:
 
 
 def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None) -> JointState:
-    """Command goals, ``GOAL_PERIOD`` apart; the state after the last.
+    """Command goals, ``GOAL_PERIOD`` apart; the state after the last. As ``record_motion`` has it."""
+    *_, (_, _, state) = _commanded(driver, goals, GOAL_PERIOD, clock or WallClock())
+    return state
 
-    Args:
-        driver: connected.
-        goals: [rad], shape [T, U].
-        clock: of the device; that of the wall if None.
 
-    Raises:
-        SafetyStop: the guard or the switch stopped the device.
-        RobotError: the device follows no more.
-    """
-    clock = clock or WallClock()
+def _commanded(
+    driver: JointDriver, goals: np.ndarray, period: float, clock: Clock
+) -> Iterator[tuple[float, np.ndarray, JointState]]:
+    """Command goals [rad], shape [T, U], a period [s] apart: when since the first [s], what was
+    sent, and the state then. Raises: RobotError: the device, its guard or its switch stopped it."""
     began = clock.now()
     for row, goal in enumerate(goals):
-        clock.sleep_until(began + row * GOAL_PERIOD)
-        driver.command(goal)
-    state = driver.read()
-    if state.status is not DeviceStatus.READY:
-        raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
-    return state
+        clock.sleep_until(began + row * period)
+        now = clock.now()
+        sent = driver.command(goal)
+        state = driver.read()
+        if state.status is not DeviceStatus.READY:
+            raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
+        yield now - began, sent, state
 
 
 def record_motion(
@@ -368,22 +350,12 @@ def record_motion(
     try:
         # A device that must be made ready first is not waited for while it moves.
         driver.take_control()
-        began = clock.now()
-        for row, goal in enumerate(motion.commands):
-            clock.sleep_until(began + row / rate)
-            now = clock.now()
-            sent = driver.command(goal)
-            state = driver.read()
-            if state.status is not DeviceStatus.READY:
-                raise RobotError(f"{driver.name} stopped while moving: {state.status} {state.message}")
-            sample = MotionSample(
-                now - began,
-                state.device_time,
-                state.received - began,
-                tuple(np.flatnonzero(motion.moving[row]).tolist()),
-                sent,
-                state.positions,
-            )
+        origin = clock.now()
+        rows = _commanded(driver, motion.commands, 1.0 / rate, clock)
+        for moving, (when, sent, state) in zip(motion.moving, rows, strict=True):
+            joined = tuple(np.flatnonzero(moving).tolist())
+            received = state.received - origin
+            sample = MotionSample(when, state.device_time, received, joined, sent, state.positions)
             keep(header, sample)
             samples.append(sample)
     finally:

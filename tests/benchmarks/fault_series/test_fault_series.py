@@ -17,7 +17,7 @@ from benchmarks.fault_series.trial import KINDS, Drawn, FaultKind, Place, TruthW
 from benchmarks.fault_series.twin_trial import twin_trial
 from benchmarks.fault_series.wire_trial import wire_trial
 from fungrasp.core.errors import UnknownNameError
-from fungrasp.deployment.phases import Phase
+from fungrasp.deployment.spec import Phase
 
 pytest.importorskip("mink")
 

@@ -110,7 +110,7 @@ def test_an_empty_folder_is_said(tmp_path: Path) -> None:
 
 def test_wrong_meshes_are_other_shapes() -> None:
     sizes = [float(np.linalg.norm(one.size / MUG.size)) for one in wrong_meshes(MUG)]
-    assert len(sizes) == 9 and min(abs(size - 3**0.5) for size in sizes) > 0.1
+    assert len(sizes) == 11 and min(abs(size - 3**0.5) for size in sizes) > 0.1
 
 
 def test_smaller_masks_do_not_vanish() -> None:

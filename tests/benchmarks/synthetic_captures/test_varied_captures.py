@@ -10,11 +10,12 @@ from benchmarks.perception.capture_files import render_set, write_capture
 from benchmarks.perception.recorded_captures import read_recorded
 from benchmarks.synthetic_captures.capture_scene import Label
 from benchmarks.synthetic_captures.capture_settings import CaptureSettings
-from benchmarks.synthetic_captures.render_capture import render_capture
+from benchmarks.synthetic_captures.render_capture import hovering, render_capture
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps import builtin_grasps
 from fungrasp.objects import builtin_object, mirrored_object
 from fungrasp.perception import Intrinsics
+from fungrasp.perception.hand.physical_evidence import link_gaps
 
 LENS = Intrinsics(320, 240, 300, 300, 160, 119)
 PLAIN = CaptureSettings(
@@ -26,6 +27,14 @@ MODEL = builtin_object(GRASP.object_name)
 
 def rendered(settings: CaptureSettings, seed: int = 3):
     return render_capture(GRASP, MODEL, np.random.default_rng(seed), settings)
+
+
+@pytest.mark.parametrize("gap", [0.005, 0.04])
+def test_a_hovering_hand_is_away_from_the_object_by_the_gap(gap):
+    seen = hovering(GRASP, MODEL, gap)
+    nearest = link_gaps(seen.hand_joints, MODEL.signed_distance, seen.object_pose).min()
+    assert gap <= nearest < gap + 0.002 and not seen.link_contacts.any()
+    assert link_gaps(GRASP.hand_joints, MODEL.signed_distance, GRASP.object_pose).min() < gap
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,12 @@ from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
 from benchmarks.twins.twin_series import VARIANTS as NAMED
 from benchmarks.twins.twin_series import KnownGrasps, placed_grasps, try_on_twins
 from fungrasp.core.jobs import PartStore
-from fungrasp.deployment.identified_dynamics import HandDynamics
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
+from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import load_cell
 
 HAND = load_hand("allegro")

@@ -9,7 +9,7 @@ from PIL import Image
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.image_source import ImageSource
-from fungrasp.perception.io.scene_folders import read_bop, read_dexycb, read_folder, write_folder
+from fungrasp.perception.io.scene_folders import read_dexycb, read_folder, write_folder
 
 
 def a_bop_scene(folder):
@@ -47,16 +47,16 @@ def test_what_is_written_is_read_again(tmp_path):
 
 def test_a_bop_scene(tmp_path):
     folder = a_bop_scene(tmp_path / "000002")
-    capture = read_bop(folder, 7)
+    capture = read_folder(folder, 7)
     np.testing.assert_allclose(capture.depth, scene()[1], atol=1e-4)
     assert capture.intrinsics.fy == 301
     assert read_folder(folder).mask is None
     with pytest.raises(FungraspError, match="has no image 8"):
-        read_bop(folder, 8)
+        read_folder(folder, 8)
 
 
 def test_a_unit_that_is_given_counts_for_every_kind_of_folder(tmp_path):
-    write_folder(read_bop(a_bop_scene(tmp_path / "000002"), 7), tmp_path / "own")
+    write_folder(read_folder(a_bop_scene(tmp_path / "000002"), 7), tmp_path / "own")
     for folder, unit in (
         (tmp_path / "000002", 1e-4),
         (tmp_path / "own", 1e-4),

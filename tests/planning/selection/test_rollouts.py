@@ -129,6 +129,19 @@ def test_who_follows_the_plans_follows_them_in_rollouts():
     assert not tried(candidates(proposals()), policy=Idle()).held.any()
 
 
+def test_each_third_rollout_is_the_whole_motion_in_the_believed_world(monkeypatch):
+    seen: list[tuple[float, float, bool]] = []
+
+    def spy(plans, rows, sample, scene, policy, settings, *others):
+        seen.append((settings.hold_time, scene.settings.timestep, bool((sample.mass == 1).all())))
+        assert (plans.closing_step <= settings.early).all() == (settings.hold_time == 3.0)
+        return rollouts.RolloutResults(*np.zeros((5, len(plans))))
+
+    monkeypatch.setattr(rollouts, "roll_out", spy)
+    tried(candidates(plan()), 4)
+    assert seen == [(0.3, 0.01, False), (0.3, 0.01, False), (3.0, 0.005, True), (0.3, 0.01, False)]
+
+
 def test_slip_counts_against_a_plan():
     tally = tried(candidates(GraspPlan.join([plan(), plan()])), 1, replace(SHORT, contact=0.0, slip=0.01))
     assert (tally.held == 1).all()
@@ -191,7 +204,7 @@ def drawn(monkeypatch, beliefs) -> EpisodeSample:
         return rollouts.RolloutResults(*np.zeros((5, len(plans))))
 
     monkeypatch.setattr(rollouts, "roll_out", spy)
-    tried(candidates(plan()), 2000, beliefs=beliefs)
+    tried(candidates(plan()), 2000, replace(SHORT, rehearsal=10_000), beliefs=beliefs)
     return EpisodeSample.join(seen)
 
 

@@ -10,7 +10,7 @@ import trimesh
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.adapters.hand_placement import read_hand_estimate
+from fungrasp.perception.adapters.hand_file import read_hand_estimate
 from fungrasp.perception.adapters.object_file import read_object_pose
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate

@@ -1,14 +1,15 @@
 """Hands that another program found in the image: HaMeR, WiLoR, or just 21 joints.
 
 These programs guess the hand's size and distance, mostly for a camera of another focal length. What they know
-is the hand's shape and where it is in the image: this is what is kept here. ``place_hand`` then finds size
-and distance in the depth image.
+is the hand's shape and where it is in the image: this is what is kept here. Size and distance are found in
+the depth image, as for the hands of our own detector (``fit_hand``).
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,26 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.formats.text_files import read_json
-from fungrasp.grasps.human_hand import ORDERS, hand_size, joint_bends, joint_order, order_misfit
-from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
-from fungrasp.perception.io.capture import Intrinsics
-from fungrasp.perception.io.estimates import Side
+from fungrasp.grasps.human_hand import (
+    HAND_SIZE_SPREAD,
+    ORDERS,
+    hand_size,
+    joint_bends,
+    joint_order,
+    order_misfit,
+)
+from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand, choose_hand, object_box
+from fungrasp.perception.hand.fit import fit_hand
+from fungrasp.perception.hand.fit_problem import joint_confidence
+from fungrasp.perception.hand.hand_capsules import SURFACE_SAMPLES, in_front
+from fungrasp.perception.hand.hand_measurements import median_depth
+from fungrasp.perception.io.capture import Capture, Intrinsics
+from fungrasp.perception.io.estimates import HandEstimate, Side
+
+_log = logging.getLogger(__name__)
 
 VERSION = 1  # Version of the file format.
 
@@ -37,6 +52,90 @@ ALIASES = {
     "image_size": ("img_size",),
     "score": (),
 }
+
+BEND_SPREAD = 0.1  # Standard deviation of the directions of bones that such programs give [rad].
+# What is measured so far from the skin [m] agrees with it: thickness of the hand, errors of shape and camera.
+AGREEMENT = 0.012
+METRIC_SPREAD = 0.01  # Standard deviation of joints whose distance is known [m].
+
+
+@guarded("hand file")
+def read_hand_estimate(
+    path: str | Path, capture: Capture, *, side: Side | None = None, hand: int | None = None
+) -> HandEstimate:
+    """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
+
+    The file is JSON or ``.npz`` with named arrays; docs/estimator-files.md says which. Size and distance of
+    the hand are not taken from it but fitted to the depth image, unless it says ``metric``.
+
+    Args:
+        capture: the image that the program saw, with its depth; its mask, if there is one, says what is not
+            the hand.
+        side: which hand is meant, if the file has several.
+        hand: which one, counted from 0; by default the one nearest to the capture's mask, box or
+            point, or the largest.
+
+    Returns:
+        Joints in the camera frame, with covariances; a left hand is not mirrored. The score is the file's,
+        times how well the depth agrees, and lower where the hand's size is not one of people.
+
+    Raises:
+        FungraspError: the file can't be read, lacks something, is not of this image or has no hand of that
+            side; there is no depth at the hand.
+    """
+    fields = read_fields(path)
+    hands = hands_of(fields, capture.intrinsics)
+    if hand is not None:
+        if not 0 <= hand < len(hands):
+            raise FungraspError(f"{path} has {len(hands)} hands, counted from 0; there is no hand {hand}")
+        hands = [hands[hand]]
+    if not hands:
+        raise FungraspError(f"{path} has no hand")
+    if side is not None and all(one.side != side for one in hands):
+        raise FungraspError(f"{path} has no {side} hand, only {hands[0].side} ones")
+    chosen, warnings = choose_hand(hands, object_box(capture, None, None), side)
+    for one in warnings:
+        _log.warning("%s: %s", path, one)
+    if capture.mask is not None:
+        depth = np.where(capture.mask, np.float32(0.0), capture.depth)
+        capture = replace(capture, depth=depth, mask=None)
+    found = _as_given(chosen, capture) if fields.flag("metric", False) else fit_hand(chosen, capture)
+    # What is far from the size of people's hands is probably none.
+    unusual = max(abs(np.log(hand_size(found.joints_camera))) / HAND_SIZE_SPREAD - 2.0, 0.0)
+    return replace(found, score=found.score * float(np.exp(-0.5 * unusual**2)))
+
+
+def _as_given(detected: DetectedHand, capture: Capture) -> HandEstimate:
+    """The hand in the size that its shape has; its score is lower by the part of it that depth denies."""
+    joints = _of_given_size(detected, capture)
+    samples, _ = SURFACE_SAMPLES.place(joints, np.zeros((21, 3, 0)))
+    radius = SURFACE_SAMPLES.radius * hand_size(joints)
+    depth = np.where(capture.measured, capture.depth, np.nan)
+    off = median_depth(depth, capture.intrinsics.project(samples)) - samples[:, 2] + radius
+    off = np.abs(off[in_front(samples, radius) & np.isfinite(off)])
+    score = detected.score * float((off < AGREEMENT).mean()) if len(off) else 0.0
+    covariance = np.tile(METRIC_SPREAD**2 * np.eye(3), (21, 1, 1))
+    confidence = joint_confidence(covariance)
+    return HandEstimate(joints, detected.pixels, confidence, covariance, detected.side, score)
+
+
+def _of_given_size(detected: DetectedHand, capture: Capture) -> np.ndarray:
+    """Joints [m], shape [21, 3], camera frame, of the size that the shape has: where it best meets the rays
+    of its landmarks."""
+    slopes = capture.intrinsics.deproject(detected.pixels, np.ones(21))
+    shape = turn_to(slopes.mean(axis=0)).apply(detected.shape_camera)
+    # (x + tx) = u (z + tz), likewise for y: linear in the translation.
+    u, v = slopes[:, 0], slopes[:, 1]
+    one, zero = np.ones(21), np.zeros(21)
+    rows = np.concatenate([np.stack([one, zero, -u], axis=1), np.stack([zero, one, -v], axis=1)])
+    values = np.concatenate([u * shape[:, 2] - shape[:, 0], v * shape[:, 2] - shape[:, 1]])
+    translation = np.linalg.lstsq(rows, values, rcond=None)[0]
+    points = shape + translation
+    if not (np.isfinite(points).all() and points[:, 2].min() > 0.02):
+        raise FungraspError(
+            "the hand's landmarks in the image don't fit its shape: no place before the camera does"
+        )
+    return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +275,8 @@ def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
         _check_pixels(pixels[row], intrinsics, f"{fields.where}, hand {row}")
         shape = turn_to(directions[row]).inv().apply(joints[row] - joints[row].mean(axis=0))
         side: Side = "right" if sides[row] == "right" else "left"
-        hands.append(DetectedHand(pixels[row], shape, side, 1.0, float(scores[row])))
+        score = float(scores[row])
+        hands.append(DetectedHand(pixels[row], shape, side, 1.0, score, direction_spread=BEND_SPREAD))
     return hands
 
 

@@ -52,6 +52,8 @@ class DetectedHand:
     spread: float | None = None
     """Standard deviation of a landmark, hidden or not, each way [pixels]; None: as MediaPipe's err, see
     ``fit_problem.LANDMARK_SPREAD``."""
+    direction_spread: float | None = None
+    """Standard deviation of the directions of bones in ``shape_camera`` [rad]; None: as above."""
 
     @property
     def box(self) -> np.ndarray:

@@ -207,6 +207,7 @@ class HandFitProblem:
                     FRONT_OUTLIER,
                 ),
             ]
+        bend = DIRECTION_SPREAD if seen.direction_spread is None else seen.direction_spread
         directions = Rotation.from_rotvec(parameters.turn).apply(seen.directions)
         turn_columns = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / TURN_SPREAD
         return [
@@ -222,7 +223,7 @@ class HandFitProblem:
                 SILHOUETTE_SPREAD,
                 SILHOUETTE_OUTLIER,
             ),
-            direction_evidence(joints, jacobian, directions, DIRECTION_SPREAD / weight),
+            direction_evidence(joints, jacobian, directions, bend / weight),
             HandEvidence(parameters.turn / TURN_SPREAD, turn_columns),
         ]
 

@@ -52,6 +52,8 @@ class HandMeasurements:
     """Probability that this is a hand."""
     spread: float | None = None
     """Standard deviation of a landmark [pixels], if the detector knows it."""
+    direction_spread: float | None = None
+    """Standard deviation of ``directions`` [rad], if the detector knows it."""
 
     @classmethod
     def of(cls, detected: DetectedHand, capture: Capture) -> HandMeasurements:
@@ -71,7 +73,8 @@ class HandMeasurements:
         shape = Rotation.from_rotvec(axis).apply(shape)
         bones = shape[FAR_BONES] - shape[NEAR_BONES]
         directions = bones / np.maximum(np.linalg.norm(bones, axis=1), 1e-6)[:, None]
-        return cls(pixels, shape, directions, depth, intrinsics, detected.score, detected.spread)
+        spreads = detected.spread, detected.direction_spread
+        return cls(pixels, shape, directions, depth, intrinsics, detected.score, *spreads)
 
     def landmark_spread(self, part: float, least: float) -> float:
         """Standard deviation of a landmark [pixels]: what the detector says, else a part of the hand's extent

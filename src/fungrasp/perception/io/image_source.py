@@ -69,27 +69,22 @@ class ImageSource:
             FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
         """
         from fungrasp.perception.io.image_files import parse_box, parse_point, read_capture
-        from fungrasp.perception.io.scene_folders import own_files, read_folder
+        from fungrasp.perception.io.scene_folders import read_folder
 
         self.check()
         box = None if self.box is None else parse_box(self.box)
         point = None if self.point is None else parse_point(self.point)
-        files: tuple[Path | None, ...] = (self.rgb, self.depth, self.intrinsics, None)
         if self.camera is not None or self.recording is not None:
             return self._marked(self._of_camera(), box, point)
         if self.folder is not None:
-            own = own_files(self.folder)
-            if own is None:
-                return self._marked(read_folder(self.folder, self.image, self.depth_unit), box, point)
-            files = own
-        rgb, depth, intrinsics, mask = files
-        assert rgb is not None and depth is not None and intrinsics is not None
+            return read_folder(self.folder, self.image, self.depth_unit, mask=self.mask, box=box, point=point)
+        assert self.rgb is not None and self.depth is not None and self.intrinsics is not None
         return read_capture(
-            rgb,
-            depth,
-            intrinsics,
+            self.rgb,
+            self.depth,
+            self.intrinsics,
             depth_unit=self.depth_unit,
-            mask=self.mask or mask,
+            mask=self.mask,
             box=box,
             point=point,
             image=self.image,

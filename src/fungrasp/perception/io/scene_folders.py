@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -12,7 +14,7 @@ from PIL import Image
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.text_files import read_yaml
-from fungrasp.perception.io.capture import Capture
+from fungrasp.perception.io.capture import Box, Capture, Pixel
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
 
@@ -27,11 +29,20 @@ BUILTIN, BUILTIN_CAPTURE = "builtin", Path(__file__).parent / "builtin_capture"
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
 
-def read_folder(folder: str | Path, image: int | None = None, depth_unit: float | None = None) -> Capture:
+def read_folder(
+    folder: str | Path,
+    image: int | None = None,
+    depth_unit: float | None = None,
+    *,
+    mask: str | Path | None = None,
+    box: Box | None = None,
+    point: Pixel | None = None,
+) -> Capture:
     """Read a capture from a folder, whichever kind it is.
 
     - ours: ``rgb.png``, ``depth.png``, ``K.json`` and, if there is one, ``mask.png``;
-    - a BOP scene: see ``read_bop``;
+    - a BOP scene (github.com/thodan/bop_toolkit, ``docs/bop_datasets_format.md``): ``scene_camera.json`` with
+      cam_K and depth_scale [mm per unit] by image; ``rgb/000000.png``, or .jpg, .tif; ``depth/000000.png``;
     - a capture for FoundationPose: see ``read_foundationpose``;
     - one camera of a DexYCB sequence: see ``read_dexycb``.
 
@@ -40,40 +51,41 @@ def read_folder(folder: str | Path, image: int | None = None, depth_unit: float 
         image: number of the image in a BOP scene or a DexYCB sequence; None takes the first, or the last, in
             which the object is held.
         depth_unit: meters per unit of the depth image; None takes what the folder says.
+        mask, box, point: where the object is, see ``read_capture``; a mask of the folder's own counts where
+            none is given.
 
     Raises:
         FungraspError: the folder is of no such kind, or a file in it is bad.
     """
-    folder = _found(folder)
+    folder = Path(folder)
+    folder = BUILTIN_CAPTURE if str(folder) == BUILTIN and not folder.is_dir() else folder
     if not folder.is_dir():
         raise FungraspError(f"the folder {folder} does not exist")
-    own = own_files(folder)
-    if own is not None:
-        color, depth, lens, mask = own
-        return read_capture(color, depth, lens, depth_unit=depth_unit, mask=mask)
-    if (folder / "scene_camera.json").is_file():
-        return read_bop(folder, _numbers(folder, "depth")[0] if image is None else image, depth_unit)
+    read = partial(read_capture, depth_unit=depth_unit, box=box, point=point)
+    if (folder / LENS_FILE).is_file():
+        own = folder / MASK_FILE
+        return read(
+            folder / COLOR_FILE,
+            folder / DEPTH_FILE,
+            folder / LENS_FILE,
+            mask=mask or (own if own.is_file() else None),
+            image=image,
+        )
+    scene = folder / "scene_camera.json"
+    if scene.is_file():
+        number = _numbers(folder, "depth")[0] if image is None else image
+        color, depth = _picture(folder / "rgb", number), _picture(folder / "depth", number)
+        return read(color, depth, scene, mask=mask, image=number)
     if (folder / "cam_K.txt").is_file():
-        return read_foundationpose(folder, image, depth_unit)
+        return read_foundationpose(folder, image, depth_unit, mask=mask, box=box, point=point)
     frames = sorted(folder.glob("aligned_depth_to_color_*.png"))
     if frames:
-        return read_dexycb(folder, int(frames[-1].stem[-6:]) if image is None else image, depth_unit)
+        frame = int(frames[-1].stem[-6:]) if image is None else image
+        return read_dexycb(folder, frame, depth_unit, mask=mask, box=box, point=point)
     raise FungraspError(
         f"{folder} is no capture: it has neither {LENS_FILE} (ours), scene_camera.json (a BOP scene), "
         "cam_K.txt (FoundationPose), nor aligned_depth_to_color_*.png (one camera of a DexYCB sequence)"
     )
-
-
-def own_files(folder: str | Path) -> tuple[Path, Path, Path, Path | None] | None:
-    """Color, depth, intrinsics and, if there is one, mask of a capture's own folder; None for other folders.
-
-    The files need not exist; reading them says so.
-    """
-    folder = _found(folder)
-    if not (folder / LENS_FILE).is_file():
-        return None
-    mask = folder / MASK_FILE
-    return (folder / COLOR_FILE, folder / DEPTH_FILE, folder / LENS_FILE, mask if mask.is_file() else None)
 
 
 def write_folder(capture: Capture, folder: str | Path) -> None:
@@ -102,28 +114,8 @@ def write_folder(capture: Capture, folder: str | Path) -> None:
         temporary.write_text(json.dumps({**asdict(capture.intrinsics), "depth_unit": unit}, indent=1) + "\n")
 
 
-def read_bop(scene: str | Path, image: int, depth_unit: float | None = None) -> Capture:
-    """Read an image of a BOP scene (github.com/thodan/bop_toolkit, ``docs/bop_datasets_format.md``).
-
-    ::
-
-        <scene>/scene_camera.json                cam_K and depth_scale [mm per unit] by image
-        <scene>/rgb/000000.png                   or .jpg, .tif
-        <scene>/depth/000000.png
-
-    Args:
-        depth_unit: meters per unit of depth, in place of the scene's.
-
-    Raises:
-        FungraspError: a file is missing or bad.
-    """
-    scene = Path(scene)
-    color, depth = _picture(scene / "rgb", image), _picture(scene / "depth", image)
-    return read_capture(color, depth, scene / "scene_camera.json", depth_unit=depth_unit, image=image)
-
-
 def read_foundationpose(
-    folder: str | Path, image: int | None = None, depth_unit: float | None = None
+    folder: str | Path, image: int | None = None, depth_unit: float | None = None, **hints: Any
 ) -> Capture:
     """Read an image of a folder as FoundationPose takes it (github.com/NVlabs/FoundationPose).
 
@@ -137,6 +129,7 @@ def read_foundationpose(
     Args:
         image: number in the order of the names; None takes the first.
         depth_unit: meters per unit of depth, in place of a millimeter.
+        hints: mask, box and point, see ``read_folder``.
 
     Raises:
         FungraspError: a file is missing or bad.
@@ -154,13 +147,15 @@ def read_foundationpose(
         ) from error
     height, width = read_color(color).shape[:2]
     lens = intrinsics_from(matrix, (width, height), where=str(folder / "cam_K.txt"))
-    mask = folder / "masks" / color.with_suffix(".png").name
+    own = folder / "masks" / color.with_suffix(".png").name
+    if own.is_file() and hints.get("mask") is None:
+        hints |= {"mask": own}
     unit = MILLIMETRE if depth_unit is None else depth_unit
     depth = folder / "depth" / color.with_suffix(".png").name
-    return read_capture(color, depth, lens.intrinsics, depth_unit=unit, mask=mask if mask.is_file() else None)
+    return read_capture(color, depth, lens.intrinsics, depth_unit=unit, **hints)
 
 
-def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None) -> Capture:
+def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None, **hints: Any) -> Capture:
     """Read a frame of one camera of a DexYCB sequence (dex-ycb.github.io).
 
     ::
@@ -171,7 +166,7 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None)
 
     Args:
         camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
-        depth_unit: meters per unit of depth, in place of a millimeter.
+        depth_unit, hints: as of ``read_foundationpose``.
 
     Raises:
         FungraspError: a file is missing or bad, or PyYAML is not installed.
@@ -183,7 +178,7 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None)
     lens = intrinsics_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
     unit = MILLIMETRE if depth_unit is None else depth_unit
-    return read_capture(color, depth, lens.intrinsics, depth_unit=unit)
+    return read_capture(color, depth, lens.intrinsics, depth_unit=unit, **hints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,11 +200,6 @@ def builtin_truth() -> BuiltinTruth:
     truth = json.loads((BUILTIN_CAPTURE / "truth.json").read_text())
     pose, joints = np.array(truth["pose_camera_object"]), np.array(truth["joints_camera"])
     return BuiltinTruth(truth["object_name"], truth["task"], pose, joints)
-
-
-def _found(folder: str | Path) -> Path:
-    folder = Path(folder)
-    return BUILTIN_CAPTURE if str(folder) == BUILTIN and not folder.is_dir() else folder
 
 
 def _picture(folder: Path, image: int) -> Path:

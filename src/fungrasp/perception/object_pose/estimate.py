@@ -19,8 +19,8 @@ from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.pose_evidence import RIVAL_DISTANCE, best_rival, pose_evidence
 from fungrasp.perception.object_pose.scoring import PoseScorer, PoseScores, color_agreement
 from fungrasp.perception.object_pose.search import (
+    FINE,
     PoseHypotheses,
-    PoseSearchSettings,
     best_poses,
     polish_poses,
     refine_poses,
@@ -137,16 +137,15 @@ def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
 
 def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
     """Different poses, their scores, and the agreement of their colors."""
-    settings = PoseSearchSettings()
     few, many = view.scorer(250), view.scorer(RAYS)
     known, evidence = view.known, view.evidence
-    found = search_poses(known, evidence, (few, many), rng, settings)
+    found = search_poses(known, evidence, (few, many), rng)
     if len(known.symmetries):
         # What tells the sides apart may be hidden: then all are answers, and colors may tell.
         found = refine_poses(
-            known, evidence, with_symmetries(best_poses(found, known, many, 2), known), settings.rounds[3]
+            known, evidence, with_symmetries(best_poses(found, known, many, 2), known), FINE[0]
         )
-        found = refine_poses(known, evidence, best_poses(found, known, many, 24), settings.rounds[4])
+        found = refine_poses(known, evidence, best_poses(found, known, many, 24), FINE[1])
     if view.seen.edge_width > SHARP:
         polished = polish_poses(best_poses(found, known, many, POLISHED), known, few, rng)
         found = found.joined(polished)
@@ -210,10 +209,10 @@ def _scored(
     pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
 ) -> tuple[np.ndarray, PoseAnswers]:
     """A pose, or the best fit nearby; that fit and what near-symmetries make of it, with their scores."""
-    known, rounds = view.known, PoseSearchSettings().rounds
+    known = view.known
     proposals = np.arange(len(view.masks))
     given = found = PoseHypotheses(np.repeat(pose[None], len(proposals), axis=0), proposals)
-    for step in rounds[3:]:
+    for step in FINE:
         found = refine_poses(known, view.evidence, found, step)
     found = found.joined(given)
     poses, owners = found.poses, found.owner
@@ -235,7 +234,7 @@ def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> Pose
     gives one pose does not say which way round the object may be as well."""
     turned = with_symmetries(first, view.known)
     turned = PoseHypotheses(turned.poses[1:], turned.owner[1:])
-    for step in PoseSearchSettings().rounds[3:]:
+    for step in FINE:
         turned = refine_poses(view.known, view.evidence, turned, step)
         turned = best_poses(turned, view.known, scorer, ANSWERS)
     return turned

@@ -37,6 +37,7 @@ SIZE_RAYS = 170  # About how many rays decide whether another size of the mesh f
 WHOLE, SIDES = (0.67, 0.82, 1.22, 1.5), (0.75, 1.33)
 # Poses that are tried of each size, one after the other; standard deviations of their shift [m] and turn
 # [degrees].
+OWN = 8  # Ways in which the mesh's own size is moved, in place of one.
 SETTLED = ((8, 0.004, 4.0), (5, 0.002, 2.0), (5, 0.001, 1.0))
 # A pose so far from another (ADD-S [m]), or turned by more than this [degrees], is a different answer,
 # however well it fits.
@@ -83,9 +84,10 @@ def pose_evidence(
 def scale_ambiguity(
     scorer: PoseScorer, pose: np.ndarray, owner: int, anchor: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """How well other sizes of the mesh explain the image. Each is moved in the same ways about the same pose,
-    so that none gains by chance. The whole mesh grows about what is seen of it, a side also about either of
-    its ends: a mesh that is too short mostly lies at one end of the thing.
+    """How well other sizes of the mesh explain the image. Each is moved in the same ways about the same pose;
+    the mesh's own size also in others, so that none of the many others gains by chance. The whole mesh grows
+    about what is seen of it, a side also about either of its ends: a mesh that is too short mostly lies at
+    one end of the thing.
 
     Args:
         pose: object in the camera frame, shape [7].
@@ -99,7 +101,7 @@ def scale_ambiguity(
     samples = scorer.known.surface.samples
     low, high = samples.min(axis=0), samples.max(axis=0)
     seen = np.clip(inverse_transform_points(pose, anchor[None])[0], low, high)
-    sizes = [(np.ones(3), seen), *((np.full(3, size), seen) for size in WHOLE)]
+    sizes = [(np.ones(3), seen)] * OWN + [(np.full(3, size), seen) for size in WHOLE]
     for axis in range(3):
         mine = np.arange(3) == axis
         for still in (low, seen, high):
@@ -109,10 +111,11 @@ def scale_ambiguity(
     places, turns = transform_points(pose, still), np.repeat(pose[None, 3:], len(stretch), axis=0)
     quality, rows = np.zeros(len(stretch)), np.arange(len(stretch))
     for count, shift, turn in SETTLED:
-        moves = rng.normal(size=(count, 6))
-        moves[0] = 0.0
-        near = places[:, None] + shift * moves[:, :3]
-        steps = quaternion_from_rotation_vector(np.radians(turn) * moves[:, 3:])
+        moves = rng.normal(size=(OWN, count, 6))
+        moves[:, 0] = 0.0
+        moves = np.concatenate([moves, np.broadcast_to(moves[0], (len(stretch) - OWN, count, 6))])
+        near = places[:, None] + shift * moves[..., :3]
+        steps = quaternion_from_rotation_vector(np.radians(turn) * moves[..., 3:])
         turned = quaternion_multiply(steps, turns[:, None])
         turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
         factors, middle = np.repeat(stretch, count, axis=0), np.repeat(still, count, axis=0)
@@ -121,9 +124,9 @@ def scale_ambiguity(
         tried = scorer(poses, np.full(len(poses), owner), factors).quality.reshape(near.shape[:2])
         best = tried.argmax(axis=1)
         places, turns, quality = near[rows, best], turned[rows, best], tried[rows, best]
-    worth = np.log(np.maximum(quality, 1e-4) / max(quality[0], 1e-4))
-    first = 1 + len(WHOLE)
-    return float(worth[1:first].max()), float(worth[first:].max())
+    worth = np.log(np.maximum(quality, 1e-4) / max(quality[:OWN].max(), 1e-4))
+    first = OWN + len(WHOLE)
+    return float(worth[OWN:first].max()), float(worth[first:].max())
 
 
 def best_rival(known: ObjectTemplate, poses: np.ndarray, quality: np.ndarray) -> float:
@@ -195,8 +198,8 @@ class SilhouetteEdges:
     """What the outline of a pose says about it."""
 
     larger: float
-    """By how much the outline in the image is larger than the silhouette, from the middle [pixels]; negative:
-    smaller. NaN where too little of it is seen."""
+    """By how much the outline in the image is larger than the silhouette, from the middle [pixels of an image
+    640 wide]; negative: smaller. NaN where too little of it is seen."""
     off: float
     """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
     [pixels]; NaN as above."""
@@ -248,7 +251,8 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> Silhouet
             height = rays.reshape(*depth.shape, 3) @ view.table[:3] * depth + view.table[3]
             pieces &= height > plane_tolerance(depth)
         piece = step**2 * _largest_piece(pieces, away)
-    return SilhouetteEdges(step * larger, step * off, meters * far / view.known.size, piece)
+    scale = step * 640 / lens.width
+    return SilhouetteEdges(scale * larger, scale * off, meters * far / view.known.size, piece)
 
 
 def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:

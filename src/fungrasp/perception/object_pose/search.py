@@ -192,26 +192,13 @@ def free_space(
     return FreeSpace(intrinsics, allowed, refuge, lowered, corner)
 
 
-@dataclass(frozen=True)
-class PoseSearchSettings:
-    """How much is tried."""
-
-    rotations: int = 128
-    """Starting rotations for the first mask; the others have half as many."""
-    rounds: tuple[IcpSettings, IcpSettings, IcpSettings, IcpSettings, IcpSettings] = (
-        IcpSettings(4, 40, 40, 0.045),
-        IcpSettings(6, 60, 60, 0.045),
-        IcpSettings(7, 120, 120, 0.012),
-        IcpSettings(8, 300, 300, 0.006),
-        IcpSettings(8, 1000, 800, 0.004),
-    )
-    """Settings of the rounds from coarse to fine; the first three are for an object of ``TYPICAL_SIZE`` and
-    grow with it."""
-    kept: tuple[int, int, int, int] = (256, 80, 20, 6)
-    """Poses that go on from each round but the last; of the first mask in the first two, the others have half
-    as many, and of all masks together in the other two."""
-
-
+ROTATIONS = 128  # Starting rotations for the first mask; the others have half as many.
+# Rounds from coarse to fine; the first three are for an object of ``TYPICAL_SIZE`` and grow with it.
+COARSE = (IcpSettings(4, 40, 40, 0.045), IcpSettings(6, 60, 60, 0.045), IcpSettings(7, 120, 120, 0.012))
+FINE = (IcpSettings(8, 300, 300, 0.006), IcpSettings(8, 1000, 800, 0.004))
+# Poses that go on from each round but the last; of the first mask in the first two, the others have half as
+# many, and of all masks together in the other two.
+KEPT = (256, 80, 20, 6)
 TYPICAL_SIZE = 0.25  # Diagonal of the box round the object for which the settings are made [m].
 # Standard deviations of the random moves of a polished pose: shift [m] and turn [degrees].
 POLISH_STEPS = ((0.006, 12.0), (0.005, 8.0), (0.003, 6.0), (0.002, 4.0), (0.0012, 2.5))
@@ -239,17 +226,16 @@ def search_poses(
     evidence: Sequence[ObjectEvidence],
     scorers: tuple[PoseScorer, PoseScorer],
     rng: np.random.Generator,
-    settings: PoseSearchSettings,
 ) -> PoseHypotheses:
     """Poses that explain the image. scorers: one with few rays, one with many."""
     growth = float(np.clip(known.size / TYPICAL_SIZE, 0.5, 1.4))
-    coarse = [replace(r, scale=growth * r.scale) for r in settings.rounds[:3]]
+    coarse = [replace(r, scale=growth * r.scale) for r in COARSE]
     pool, owners = [], []
     for index, seen in enumerate(evidence):
         share = 1 if index == 0 else 2
-        quaternions = even_rotations(settings.rotations // share, rng)
+        quaternions = even_rotations(ROTATIONS // share, rng)
         poses = starting_poses(known, seen.points[:500], quaternions)
-        for step, count in zip(coarse[:2], settings.kept[:2], strict=True):
+        for step, count in zip(coarse[:2], KEPT[:2], strict=True):
             poses, cost = fit_poses(known.surface, seen, poses, step)
             poses = poses[np.argsort(cost)[: count // share]]
         poses = fit_poses(known.surface, seen, poses, coarse[2])[0]
@@ -257,7 +243,7 @@ def search_poses(
         pool.append(poses)
         owners.append(np.full(len(poses), index))
     found = PoseHypotheses(np.concatenate(pool), np.concatenate(owners))
-    for step, scorer, count in zip(settings.rounds[3:], scorers, settings.kept[2:], strict=True):
+    for step, scorer, count in zip(FINE, scorers, KEPT[2:], strict=True):
         found = refine_poses(known, evidence, best_poses(found, known, scorer, count), step)
     return found
 

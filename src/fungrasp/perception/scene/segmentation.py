@@ -217,12 +217,13 @@ def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(kept[:6])
 
 
-# Masks are wrong by so many pixels (standard error); by 6 at most, beyond twice of which nothing is believed.
-MASK_TRUST = 2.5
 # Logarithm of the odds of what is deep in a mask, or clicked at: colors that say otherwise may still win, as
 # masks have holes and clicks go beside.
 MASK_SURE = 4.0
-MASK_REACH = 12.0  # Pixels farther outside a mask are not looked at.
+# Masks are wrong by up to 6 pixels: so deep inside, or as deep as a thin one goes, they say what shows the
+# object; twice as far outside nothing is looked at; between, color and depth say where its outline is, as
+# they do without a mask.
+MASK_WRONG = 6.0
 CLICK = 3.0  # Pixels so near to the one that was clicked at show the same.
 
 
@@ -239,9 +240,8 @@ def hinted_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
     if mask is not None:
         inside: Any = ndimage.distance_transform_edt(mask)
         outside: Any = ndimage.distance_transform_edt(~mask)
-        prior = np.clip((inside - outside) / MASK_TRUST, NEVER, MASK_SURE)
-        prior = np.where(outside > MASK_REACH, NEVER, prior)
-        samples = inside >= min(MASK_REACH / 2, 0.5 * float(inside.max()))
+        samples = inside >= min(MASK_WRONG, 0.5 * float(inside.max()))
+        prior = np.where(samples, MASK_SURE, np.where(outside > 2 * MASK_WRONG, NEVER, 0.0))
     elif capture.box is not None:
         prior = np.where(_in_box(capture.box, prior.shape), 0.0, NEVER)
     if capture.point is not None:

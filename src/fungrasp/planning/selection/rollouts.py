@@ -14,7 +14,15 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning.approach_path import BLOCKED
 from fungrasp.planning.selection.candidates import Candidates
-from fungrasp.sim2real import MODERATE, EpisodeSample, MeasurementError, Randomization, draw, random_stream
+from fungrasp.sim2real import (
+    MODERATE,
+    NOMINAL,
+    EpisodeSample,
+    MeasurementError,
+    Randomization,
+    draw,
+    random_stream,
+)
 from fungrasp.simulation import BufferSizes, Device, Scene, SceneSettings, build_scene
 from fungrasp.task import DIVERGED, Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
 from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
@@ -32,6 +40,9 @@ LARGEST_SLIP = 10.0
 """Slip beyond this counts no more [mm/s]."""
 
 
+WHOLE = 10_000
+"""More control steps than any motion has."""
+
 MOST = 2.0
 """Guessed masses are drawn within so many standard deviations: a box that is all lead is not planned for."""
 
@@ -46,6 +57,10 @@ class RolloutSettings:
     """Physics step [s]."""
     hold_time: float = 1.0
     """Time that the object has to be held [s]: a third of the test's finds the same plans in less time."""
+    rehearsal: int = 3
+    """Each so many-th rollout of a candidate is the whole motion in the believed world, with the physics and
+    the hold of the lift test: half of the plans that failed after short rollouts alone dropped their object
+    late, or touched it on the way."""
     early: int = 2
     """Control steps before the fingers close at which rollouts begin; where the approach is not free
     (``BLOCKED``), they begin where it begins."""
@@ -108,7 +123,17 @@ class RolloutTrials:
             threads: 0 means all processors.
         """
         self._beliefs, self._policy, self._threads, self.settings = beliefs, policy, threads, settings
-        self._scene = _scene(object_names, objects, hand, settings)
+        self._whole = replace(
+            settings,
+            randomization=NOMINAL,
+            timestep=SceneSettings.timestep,
+            hold_time=LiftProtocol.hold_time,
+            early=WHOLE,
+        )
+        self._scene, self._true_scene = (
+            _scene(object_names, objects, hand, s) for s in (settings, self._whole)
+        )
+        self._believed = draw(NOMINAL, 1, len(hand.joint_names), random_stream("rollouts", *seed))
         self._sample = draw(
             settings.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed)
         )
@@ -125,14 +150,32 @@ class RolloutTrials:
             grasps: which grasps of the beliefs those are, shape [S].
             chosen, which: candidate and grasp, an index into S, of each rollout, shape [R]; no pair twice.
         """
-        s, tally = self.settings, candidates.tally
-        rows, draws = chosen * len(grasps) + which, tally.tried[chosen, which].astype(int)
-        beliefs = self._beliefs.select(grasps[which])
-        pose, mass = self._pose_errors[draws], self._mass_errors[draws]
-        sample = _with_estimated_errors(self._sample.select(draws), beliefs, pose, mass)
+        s, number = self.settings, candidates.tally.tried[chosen, which].astype(int)
+        whole = number % s.rehearsal == s.rehearsal - 1
+        for some, kind, scene in ((~whole, s, self._scene), (whole, self._whole, self._true_scene)):
+            if some.any():
+                self._try(candidates, grasps, chosen[some], which[some], kind, scene)
+
+    def _try(
+        self,
+        candidates: Candidates,
+        grasps: np.ndarray,
+        chosen: np.ndarray,
+        which: np.ndarray,
+        s: RolloutSettings,
+        scene: Scene,
+    ) -> None:
+        tally = candidates.tally
+        rows, beliefs = chosen * len(grasps) + which, self._beliefs.select(grasps[which])
+        if s is self._whole:
+            sample = self._believed.select(np.zeros(len(rows), dtype=int))
+        else:
+            draws = tally.tried[chosen, which].astype(int)
+            pose, mass = self._pose_errors[draws], self._mass_errors[draws]
+            sample = _with_estimated_errors(self._sample.select(draws), beliefs, pose, mass)
         tasks = candidates.grasps.select(rows).task if s.for_use else None
         plans = candidates.plans.select(rows)
-        found = roll_out(plans, beliefs, sample, self._scene, self._policy, s, self._threads, tasks)
+        found = roll_out(plans, beliefs, sample, scene, self._policy, s, self._threads, tasks)
         slip = np.minimum(found.slip, LARGEST_SLIP)
         bonus = s.share * found.shown_share + s.contact * found.contact_ratio - s.slip * slip
         tally.add(chosen, which, found.success, found.as_shown, bonus)

@@ -23,10 +23,9 @@ import numpy as np
 
 from fungrasp.core.formats.checks import one_line
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
-from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
 
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits"]
 VARIABLES += ["robot_status_bits", "speed_scaling", "target_speed_fraction", "actual_TCP_pose"]
@@ -112,14 +111,11 @@ def ur_driver(settings: URSettings) -> LoopDriver:
     return LoopDriver(URLoop(settings))
 
 
-class URLoop:
-    """``DeviceLoop`` of a UR arm."""
+class URLoop(DeviceLoop):
+    """Of a UR arm."""
 
     def __init__(self, settings: URSettings):
-        """
-        Args:
-            settings: how the arm is connected and how fast it may move.
-        """
+        """settings: how the arm is connected and how fast it may move."""
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
@@ -240,7 +236,6 @@ class URLoop:
             raise RobotError(f"{self.name}: {one_line(error)}") from error
 
     def step(self, goal: LoopGoal) -> JointState:
-        """See ``DeviceLoop.step``."""
         try:
             return self._follow(goal)
         except RuntimeError as error:
@@ -446,10 +441,7 @@ class URLoop:
 
 def arm_flange(arm: str) -> Callable[[Sequence[float]], np.ndarray]:
     """Where the flange of an arm's model is, in its ``base_link`` [m], shape [3], by joints [rad], shape [6].
-
-    Args:
-        arm: name or file of the model.
-    """
+    arm: name or file of the model."""
     # Here: looking at an arm needs no engine.
     import mujoco
 

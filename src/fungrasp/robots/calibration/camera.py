@@ -31,7 +31,7 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.perception import Intrinsics
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import import_client
 
 LEAST_VIEWS = 5
 """Three would determine the answer; with fewer than five nothing would tell a bad one."""
@@ -225,11 +225,8 @@ def calibrate_from_points(seen: np.ndarray, touched: np.ndarray) -> CameraCalibr
 
 
 def save_calibration(path: str | Path, found: CameraCalibration, source: str) -> None:
-    """Write a calibration as TOML, which a cell names as ``tracker.calibration``.
-
-    Args:
-        source: how it was found, for people.
-    """
+    """Write a calibration as TOML, which a cell names as ``tracker.calibration``. source: how it was found,
+    for people."""
     pose = ", ".join(f"{value:.7g}" for value in found.pose_world_camera)
     lines = [
         f"# Camera of a cell, from {source}. Name this file as 'calibration' under [tracker] of the cell.",

@@ -54,11 +54,8 @@ class TouchCheck:
 
 
 def check_touched_base(path: str | Path, cell: RobotCell, hand: Hand) -> TouchCheck:
-    """Compare where the flange was with where the cell has it.
-
-    Raises:
-        FungraspError: the file can't be read, or has too few points.
-    """
+    """Compare where the flange was with where the cell has it. Raises: FungraspError: the file can't be read,
+    or has too few points."""
     kinematics = ArmKinematics(cell, hand)
     joints, points = load_touched(path, "flange", len(kinematics.lower))
     return check_base(np.array([kinematics.flange_position(q) for q in joints]).reshape(-1, 3), points)
@@ -98,10 +95,7 @@ def check_base(computed: np.ndarray, touched: np.ndarray) -> TouchCheck:
 
 def check_touched_mount(path: str | Path, cell: RobotCell, hand: Hand) -> TouchCheck | None:
     """Compare where a point of the hand was with where the cell has it; None if the hand touched nothing.
-
-    Raises:
-        FungraspError: the file can't be read, or has too few points.
-    """
+    Raises: FungraspError: the file can't be read, or has too few points."""
     kinematics = ArmKinematics(cell, hand)
     joints, touched = load_touched(path, "hand", len(kinematics.lower))
     if not len(joints):
@@ -177,11 +171,8 @@ def load_touched(path: str | Path, what: str, count: int) -> tuple[np.ndarray, n
 
 
 def load_hand_point(path: str | Path) -> np.ndarray:
-    """The point of the hand that has touched others, in the mount's frame [m], shape [3].
-
-    Raises:
-        FungraspError: the file does not say it.
-    """
+    """The point of the hand that has touched others, in the mount's frame [m], shape [3]. Raises:
+    FungraspError: the file does not say it."""
     try:
         point = np.array(_read(path)["hand_point"], dtype=float)
     except (KeyError, TypeError, ValueError):

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Self
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from fungrasp.robots.control_loop.mailbox import (
     record_message,
     state_kind,
 )
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind
+from fungrasp.robots.device import DeviceStatus, JointDriver, JointLimits, JointState, RobotError, StopKind
 
 _log = logging.getLogger(__name__)
 
@@ -173,7 +172,7 @@ FROZEN = 2.0
 """A process of a device that says nothing for so long does nothing any more [s]."""
 
 
-class LoopDriver:
+class LoopDriver(JointDriver):
     """``JointDriver`` of a ``DeviceLoop``, in a process of its own or, for buses that live in one process
     and for tests, in a thread.
 
@@ -237,7 +236,6 @@ class LoopDriver:
             self._stopped, self._controls, self._replaces = None, False, ""
 
     def take_control(self) -> None:
-        """See ``JointDriver.take_control``."""
         with self._lock:
             self._check_ready()
             self._take_control()
@@ -248,7 +246,6 @@ class LoopDriver:
             return self._read()
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
-        """See ``JointDriver.command``."""
         positions = np.asarray(positions, dtype=float)
         torques = np.zeros(self._count) if feedforward is None else np.asarray(feedforward, dtype=float)
         for what, values in (("goal", positions), ("feed-forward torque", torques)):
@@ -266,14 +263,12 @@ class LoopDriver:
         return sent
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """See ``JointDriver.stop``."""
         with self._lock:
             self._stopped = kind.value
             if self._host is not None:
                 self._tell(STOP_MODES[kind])
 
     def close(self) -> None:
-        """See ``JointDriver.close``."""
         with self._lock:
             self._end()
 
@@ -281,14 +276,6 @@ class LoopDriver:
     def process_id(self) -> int | None:
         """Of the device's process; None where it runs in a thread or is not connected."""
         return self._host.process_id if isinstance(self._host, LoopProcess) else None
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.stop()
-        self.close()
 
     def _check_ready(self) -> None:
         state = self._read()

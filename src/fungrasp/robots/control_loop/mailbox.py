@@ -26,10 +26,7 @@ class Mailbox:
     """
 
     def __init__(self, buffer: memoryview, kind: np.dtype):
-        """
-        Args:
-            buffer: memory that both sides see, ``mailbox_size(kind)`` bytes.
-        """
+        """buffer: memory that both sides see, ``mailbox_size(kind)`` bytes."""
         self._kind = kind
         self._record = np.frombuffer(buffer, dtype=np.uint8, count=kind.itemsize, offset=CHECKSUM.itemsize)
         self._checksum = np.frombuffer(buffer, dtype=CHECKSUM, count=1)
@@ -65,10 +62,7 @@ class SharedMemoryFile:
     """Memory that two processes share: a file without a home on a disk where the system has such."""
 
     def __init__(self, size: int):
-        """
-        Args:
-            size: [bytes].
-        """
+        """size: [bytes]."""
         folder = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         handle, name = tempfile.mkstemp(prefix="fungrasp-", dir=folder)
         os.close(handle)

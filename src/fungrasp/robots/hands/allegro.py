@@ -15,51 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.codecs import allegro as codec
-from fungrasp.robots.control_loop.confirmed_writes import ConfirmedWrites
-from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.hands.joint_order import hand_joint_limits, hand_side
-from fungrasp.robots.optional_packages import import_client, import_emulators
-
-SERIAL_ADAPTERS = ("pcan", "kvaser", "ixxat", "slcan", "gs_usb")
-"""Interfaces that set the bit rate themselves; that of "socketcan" is set with ``ip link``."""
-
-
-LOOPBACK = "loopback"
-"""Interface of emulated devices (``fungrasp_emulators``)."""
-
-BUS_ERROR, BUS_OFF = 0x80, 0x40
-"""Classes in the identifier of an error frame, as SocketCAN sets them (``linux/can/error.h``)."""
-
-
-def open_can_bus(interface: str, channel: str, bitrate: int = 1_000_000) -> Any:
-    """A ``can.Bus``.
-
-    Args:
-        interface: of python-can, or "loopback", between processes of this computer.
-        channel: of the interface; that of "loopback" is a port of UDP, "43113".
-        bitrate: [bit/s].
-
-    Raises:
-        RobotError: python-can is not installed, or there is no such bus.
-    """
-    can = import_client("can", "allegro", "an Allegro Hand")
-    options: dict[str, Any] = {"bitrate": bitrate} if interface in SERIAL_ADAPTERS else {}
-    try:
-        if interface == LOOPBACK:
-            return _loopback(channel)
-        return can.Bus(interface=interface, channel=channel, **options)
-    except (can.CanError, OSError, ValueError, NotImplementedError) as error:
-        raise RobotError(f"cannot open the CAN bus {interface}:{channel}: {error}") from error
-
-
-def _loopback(channel: str) -> Any:
-    if not channel.isdecimal() or not 1024 <= int(channel) <= 65535:
-        raise RobotError(f"a channel of {LOOPBACK} is a port of UDP from 1024 to 65535, not '{channel}'")
-    return import_emulators("loopback_can_bus").LoopbackCanBus(int(channel))
-
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
+from fungrasp.robots.hands import allegro_bus as codec
+from fungrasp.robots.hands import hand_joint_limits
 
 ANSWER_TIMEOUT = 1.0
 """A hand that doesn't answer a request for so long does not [s]."""
@@ -136,14 +96,11 @@ def allegro_driver(settings: AllegroSettings, process: bool = True) -> LoopDrive
     return LoopDriver(AllegroLoop(settings), process=process)
 
 
-class AllegroLoop:
-    """``DeviceLoop`` of an Allegro Hand."""
+class AllegroLoop(DeviceLoop):
+    """Of an Allegro Hand."""
 
     def __init__(self, settings: AllegroSettings):
-        """
-        Args:
-            settings: how the hand is connected and controlled.
-        """
+        """settings: how the hand is connected and controlled."""
         self.settings = settings
         self.name = (
             f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
@@ -152,11 +109,14 @@ class AllegroLoop:
         self.takes_feedforward = True
         self.lets_go = "when this program ends, or it is too hot: the computer makes its torques"
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
+        from fungrasp.hands import load_hand
+
         lower, upper = hand_joint_limits(settings.hand, 16)
-        if hand_side(settings.hand) != settings.side:
+        side = load_hand(settings.hand).side
+        if side != settings.side:
             raise RobotError(
                 f"{self.name}: side = \"{settings.side}\", but hand '{settings.hand}' is a model of a "
-                f"{hand_side(settings.hand)} hand"
+                f"{side} hand"
             )
         torque = settings.torque_share * self._units.torque_limits
         self.limits = JointLimits(lower, upper, np.full(16, settings.speed), torque)
@@ -224,7 +184,6 @@ class AllegroLoop:
         self._periodic = True
 
     def step(self, goal: LoopGoal) -> JointState:
-        """See ``DeviceLoop.step``."""
         before = self._state
         assert before is not None
         deadline = time.monotonic() + self.settings.stale_after
@@ -294,7 +253,6 @@ class AllegroLoop:
             return False
 
     def close(self) -> None:
-        """See ``DeviceLoop.close``."""
         if self._bus is not None:
             if self._periodic:
                 with contextlib.suppress(Exception):
@@ -322,7 +280,7 @@ class AllegroLoop:
     def _open_bus(self) -> None:
         self._can = import_client("can", "allegro", "an Allegro Hand")
         s = self.settings
-        self._bus = open_can_bus(s.interface, s.channel, s.bitrate)
+        self._bus = codec.open_can_bus(s.interface, s.channel, s.bitrate)
 
     def _torques(self, goal: LoopGoal, state: JointState, elapsed: float) -> np.ndarray:
         if goal.mode is LoopMode.POWER_OFF:
@@ -420,7 +378,7 @@ class AllegroLoop:
     def _take_error(self, classes: int) -> None:
         """An error frame of the adapter; classes: bits of its identifier."""
         self._error_frames += 1
-        if classes & BUS_OFF:
+        if classes & codec.BUS_OFF:
             raise RobotError(
                 f"{self.name}: the CAN bus is off{self._errors_in_words()}; check cable, termination and "
                 "bit rate"

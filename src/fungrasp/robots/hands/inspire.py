@@ -12,13 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.robots.codecs import inspire as codec
-from fungrasp.robots.control_loop.confirmed_writes import ConfirmedWrites
-from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.hands.inspire_link import InspireLink, open_link
-from fungrasp.robots.hands.joint_order import hand_joint_limits
+from fungrasp.robots.hands import hand_joint_limits
+from fungrasp.robots.hands import inspire_link as codec
 
 COMMAND_DELAY = 0.066
 """From a command to the first motion, median over a real hand's steps [s]."""
@@ -90,14 +88,11 @@ def inspire_driver(settings: InspireSettings, process: bool = True) -> LoopDrive
     return LoopDriver(InspireLoop(settings), process=process)
 
 
-class InspireLoop:
-    """``DeviceLoop`` of an Inspire hand."""
+class InspireLoop(DeviceLoop):
+    """Of an Inspire hand."""
 
     def __init__(self, settings: InspireSettings):
-        """
-        Args:
-            settings: how the hand is connected.
-        """
+        """settings: how the hand is connected."""
         self.settings = settings
         # Several hands may be reached through one computer, each at a port of its own.
         port = "" if settings.port == InspireSettings.port else f":{settings.port}"
@@ -110,7 +105,7 @@ class InspireLoop:
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
         # The hand takes no torques; what it can give is in the model.
         self.limits = JointLimits(lower, upper, speed, np.full(codec.MOTORS, np.inf))
-        self._link: InspireLink | None = None
+        self._link: codec.InspireLink | None = None
         self._state: JointState | None = None
         self._sent: list[int] | None = None
         self._writes = ConfirmedWrites(self._write)
@@ -123,10 +118,9 @@ class InspireLoop:
         return InspireLoop(replace(self.settings, force=max(1, round(share * self.settings.force))))
 
     def open(self) -> None:
-        """See ``DeviceLoop.open``."""
         s = self.settings
         try:
-            self._link = open_link(s.address, s.port, s.baud, s.protocol, s.device, s.answer_timeout)
+            self._link = codec.open_link(s.address, s.port, s.baud, s.protocol, s.device, s.answer_timeout)
         except RobotError as error:
             raise RobotError(f"{self.name}: {error}") from error
         number = self._first_answer(codec.HAND_ID, 1)[0] & 0xFF
@@ -136,7 +130,6 @@ class InspireLoop:
         self._due = time.monotonic()
 
     def take_control(self) -> None:
-        """See ``DeviceLoop.take_control``."""
         self._taken = True
         self._writes.put(CLEARING, [1], anew=True)
         self._put_limits(self.settings.speed)
@@ -148,7 +141,6 @@ class InspireLoop:
         self._put_limits(self.settings.speed)
 
     def step(self, goal: LoopGoal) -> JointState:
-        """See ``DeviceLoop.step``."""
         rest = self._due - time.monotonic()
         if rest > 0:
             time.sleep(rest)
@@ -191,7 +183,6 @@ class InspireLoop:
         return ANGLES not in self._writes.missing
 
     def close(self) -> None:
-        """See ``DeviceLoop.close``."""
         if self._link is not None:
             self._link.close()
 

@@ -1,18 +1,157 @@
-"""Ways to the registers of an Inspire RH56 hand: Modbus over TCP or a serial line, or the maker's own
-protocol on a serial line. All carry the same registers (``fungrasp.robots.codecs.inspire``).
+"""Registers and units of the Inspire RH56 hand, and ways to them: Modbus over TCP or a serial line, or the
+maker's own protocol on a serial line. All carry the same registers.
+
+Six motors in the order little, ring, middle, index finger, thumb bend, thumb rotation. Angles are 0 (closed)
+to 1000 (open), forces grams, speeds 0 to 1000. Register addresses count bytes, yet six motors are six
+registers in a row. Facts from the maker's examples (inspire_demos) and from a published characterization of
+the hand (correlllab, rh56_controller); how angles relate to radians between the two ends is not published:
+linear here.
+
+Frames of the maker's protocol, 115200 bit/s, 8 data bits, no parity (The Dexterous Hands RH56 Series, User
+Manual, and published clients):
+
+    request: EB 90  id  length  command  address (2)  data      checksum
+    answer:  90 EB  id  length  command  address (2)  data      checksum
+
+The length counts the bytes from the command to the last one of the data; the checksum is the low byte of the
+sum from the id on. Numbers are little endian. A read (0x11) carries the number of bytes that it wants, and
+its answer those bytes; a write (0x12) carries the bytes, and its answer one byte, 1 if they were taken.
 """
 
 from __future__ import annotations
 
 import contextlib
+import struct
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
-from fungrasp.robots.codecs import inspire as codec
-from fungrasp.robots.codecs import inspire_serial as frames
-from fungrasp.robots.device import RobotError
-from fungrasp.robots.optional_packages import import_client
+import numpy as np
+
+from fungrasp.robots.device import RobotError, import_client
+
+MOTORS = 6
+HAND_ID, CLEAR_ERRORS = 1000, 1004
+ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
+ANGLE_ACTUAL, FORCE_ACTUAL, CURRENT = 1546, 1582, 1594
+ERRORS, STATUS, TEMPERATURES = 1606, 1612, 1618
+"""Of these three the six values are bytes, two to a register, the first in the low byte."""
+
+SINGLE_BYTES = frozenset({HAND_ID, CLEAR_ERRORS})
+"""Registers of one byte. Over Modbus each is a register of its own; on a serial line a second byte would be
+written to the next one, which after CLEAR_ERRORS is SAVE."""
+
+OPEN_ANGLE = 1000
+LEAVE = 65535
+"""Written to a motor's angle: leave as it is."""
+MODEL_ORDER = np.array([3, 2, 1, 0, 5, 4])
+"""Motor of each joint of the hand's model: index, middle, ring, pinky, thumb yaw, pitch. Its own inverse."""
+
+SPEED_SETTINGS = np.array([0.0, 25, 50, 100, 250, 500, 750, 1000])
+CLOSING_SPEEDS = np.array([0.0, 70, 141, 286, 706, 1449, 2049, 2342])
+"""Measured speed at each setting [1/s], medians over 100 to 200 closings of a real hand."""
+
+FAULTS = {1: "too hot", 3: "motor fault", 4: "communication fault"}
+"""Bits of an error that end operation; 0 (stalled) and 2 (overcurrent) belong to grasping."""
+
+REQUEST, ANSWER = b"\xeb\x90", b"\x90\xeb"
+READ, WRITE = 0x11, 0x12
+TAKEN = b"\x01"
+"""Data of the answer to a write that was carried out."""
+BEFORE_DATA = 7
+"""Bytes of a frame before its data."""
+COMMAND_SIZE = 3
+"""Of command and address, which the length counts."""
+
+
+def closing_speed(setting: np.ndarray | float) -> np.ndarray:
+    """Speed of a motor [1/s] at a setting of 0 to 1000."""
+    return np.asarray(np.interp(setting, SPEED_SETTINGS, CLOSING_SPEEDS))
+
+
+def encode_angles(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[int]:
+    """Angles 0 to 1000 of the motors.
+
+    Args:
+        positions: joints of the model [rad], shape [6].
+        lower: open [rad], shape [6].
+        upper: closed [rad], shape [6].
+    """
+    angles = OPEN_ANGLE * (upper - positions) / (upper - lower)
+    return [int(a) for a in np.clip(np.rint(angles), 0, OPEN_ANGLE)[MODEL_ORDER]]
+
+
+def decode_angles(registers: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Joints of the model [rad], shape [6]; registers: six, of the motors; else as ``encode_angles``."""
+    angles = signed(registers)[MODEL_ORDER]
+    return upper - angles / OPEN_ANGLE * (upper - lower)
+
+
+def signed(registers: Sequence[int]) -> np.ndarray:
+    """Registers as signed numbers, shape [N]."""
+    return np.array(registers, dtype=np.uint16).astype(np.int16).astype(float)
+
+
+def unpack_bytes(registers: Sequence[int]) -> list[int]:
+    """Six bytes of three registers."""
+    return [byte for register in registers for byte in (register & 0xFF, register >> 8)]
+
+
+@dataclass(frozen=True)
+class InspireFrame:
+    """A request or an answer, without its head and checksum."""
+
+    device: int
+    """Number of the hand."""
+    command: int
+    """``READ`` or ``WRITE``."""
+    address: int
+    """Of the first byte."""
+    data: bytes
+    """Of a request to read: one byte, how many it wants."""
+
+
+def encode_frame(head: bytes, frame: InspireFrame) -> bytes:
+    """Bytes of a frame; head: ``REQUEST`` or ``ANSWER``."""
+    content = struct.pack("<BBBH", frame.device, len(frame.data) + COMMAND_SIZE, frame.command, frame.address)
+    content += frame.data
+    return head + content + bytes([sum(content) & 0xFF])
+
+
+def split_frames(head: bytes, stream: bytes) -> tuple[list[InspireFrame], bytes]:
+    """Whole frames in a stream, and what may be the start of another; bytes that are none are skipped, as are
+    frames whose checksum is wrong. head: ``REQUEST`` or ``ANSWER``."""
+    frames = []
+    while True:
+        at = stream.find(head)
+        if at < 0:
+            return frames, stream[-1:] if stream[-1:] == head[:1] else b""
+        stream = stream[at:]
+        if len(stream) <= 3:
+            return frames, stream
+        size = stream[3] + 5
+        if size <= BEFORE_DATA:
+            stream = stream[1:]
+            continue
+        if len(stream) < size:
+            return frames, stream
+        if sum(stream[2 : size - 1]) & 0xFF != stream[size - 1]:
+            stream = stream[1:]
+            continue
+        device, _, command, address = struct.unpack_from("<BBBH", stream, 2)
+        frames.append(InspireFrame(device, command, address, stream[BEFORE_DATA : size - 1]))
+        stream = stream[size:]
+
+
+def register_bytes(registers: Sequence[int]) -> bytes:
+    """Bytes of registers, 0 to 65535 each."""
+    return struct.pack(f"<{len(registers)}H", *registers)
+
+
+def registers_of(data: bytes) -> list[int]:
+    """Registers of bytes; a single byte is a register too."""
+    return [v for (v,) in struct.iter_unpack("<H", data + bytes(len(data) % 2))]
 
 
 class InspireLink(Protocol):
@@ -35,7 +174,7 @@ class InspireLink(Protocol):
         ...
 
 
-class ModbusLink:
+class ModbusLink(InspireLink):
     """Modbus, by pymodbus. Over TCP values have no checksum."""
 
     def __init__(self, client: Any, device: int, line: bool):
@@ -49,19 +188,16 @@ class ModbusLink:
         self._errors: tuple[type[Exception], ...] = (error, OSError)
 
     def connect(self) -> bool:
-        """See ``InspireLink.connect``."""
         with contextlib.redirect_stderr(None):
             return bool(self._client.connect())
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
-        """See ``InspireLink.read``."""
         answer = self._ask("read_holding_registers", address, count=count)
         if answer is not None and len(answer.registers) != count:
             return self._resume()
         return None if answer is None else answer.registers
 
     def write(self, address: int, values: list[int]) -> bool:
-        """See ``InspireLink.write``."""
         answer = self._ask("write_registers", address, values=values)
         if answer is not None and (answer.address, answer.count) != (address, len(values)):
             self._resume()
@@ -77,7 +213,6 @@ class ModbusLink:
         return None if answer.isError() else answer
 
     def close(self) -> None:
-        """See ``InspireLink.close``."""
         with contextlib.suppress(Exception):
             self._client.close()
 
@@ -96,7 +231,7 @@ class ModbusLink:
                         self._client.socket.reset_input_buffer()
 
 
-class SerialLink:
+class SerialLink(InspireLink):
     """The maker's own protocol, frames EB 90, by pyserial."""
 
     def __init__(self, port: str, baud: int, device: int, answer_timeout: float):
@@ -111,7 +246,6 @@ class SerialLink:
         self._port: Any = None
 
     def connect(self) -> bool:
-        """See ``InspireLink.connect``."""
         try:
             # Another program on the same port would take half of the answers.
             self._port = self._serial.Serial(**self._options, exclusive=True)
@@ -120,32 +254,29 @@ class SerialLink:
         return True
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
-        """See ``InspireLink.read``."""
-        size = 1 if address in codec.SINGLE_BYTES else 2 * count
-        data = self._ask(frames.InspireFrame(self._device, frames.READ, address, bytes([size])))
-        return frames.registers_of(data) if data is not None and len(data) == size else None
+        size = 1 if address in SINGLE_BYTES else 2 * count
+        data = self._ask(InspireFrame(self._device, READ, address, bytes([size])))
+        return registers_of(data) if data is not None and len(data) == size else None
 
     def write(self, address: int, values: list[int]) -> bool:
-        """See ``InspireLink.write``."""
-        data = bytes(values) if address in codec.SINGLE_BYTES else frames.register_bytes(values)
-        return self._ask(frames.InspireFrame(self._device, frames.WRITE, address, data)) == frames.TAKEN
+        data = bytes(values) if address in SINGLE_BYTES else register_bytes(values)
+        return self._ask(InspireFrame(self._device, WRITE, address, data)) == TAKEN
 
     def close(self) -> None:
-        """See ``InspireLink.close``."""
         with contextlib.suppress(Exception):
             if self._port is not None:
                 self._port.close()
 
-    def _ask(self, request: frames.InspireFrame) -> bytes | None:
+    def _ask(self, request: InspireFrame) -> bytes | None:
         """Data of the answer to a request; answers to others, which came late, are left out."""
         try:
             self._port.reset_input_buffer()
-            self._port.write(frames.encode_frame(frames.REQUEST, request))
+            self._port.write(encode_frame(REQUEST, request))
             stream, deadline = b"", time.monotonic() + self._answer_timeout
             while (rest := deadline - time.monotonic()) > 0:
                 self._port.timeout = rest
                 stream += self._port.read(max(self._port.in_waiting, 1))
-                answers, stream = frames.split_frames(frames.ANSWER, stream)
+                answers, stream = split_frames(ANSWER, stream)
                 for answer in answers:
                     if (answer.device, answer.command, answer.address) == (
                         self._device,

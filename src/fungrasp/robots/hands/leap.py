@@ -1,4 +1,5 @@
-"""LEAP hand: sixteen Dynamixel servos with position control and a limit of current."""
+"""LEAP hand: sixteen Dynamixel servos (XC330, XL330) with position control and a limit of current.
+Registers and units are facts from the maker's e-Manual."""
 
 from __future__ import annotations
 
@@ -10,13 +11,31 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.codecs import dynamixel as codec
-from fungrasp.robots.control_loop.confirmed_writes import ConfirmedWrites
-from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
+from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.hands.joint_order import hand_joint_limits, hand_joint_names
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
+from fungrasp.robots.hands import hand_joint_limits
+
+MODEL_NUMBER, OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, HARDWARE_ERROR = 0, 11, 38, 64, 70
+D_GAIN, I_GAIN, P_GAIN, GOAL_CURRENT, GOAL_POSITION = 80, 82, 84, 102, 116
+PRESENT_CURRENT, PRESENT_VELOCITY, PRESENT_POSITION = 126, 128, 132
+PRESENT = struct.Struct("<hii")
+"""Current, velocity and position lie in a row."""
+CURRENT_BASED_POSITION = 5
+"""Operating mode: position control with a limit of current."""
+
+RADIANS_PER_COUNT = 2 * np.pi / 4096
+CENTER = 2048
+"""Count of a servo's middle; zero of the LEAP hand's joints."""
+SPEED_PER_COUNT = 0.229 * 2 * np.pi / 60
+"""[rad/s]."""
+AMPERES_PER_COUNT = 0.001
+TORQUES_PER_AMPERE = {"full": 0.52, "lite": 0.35}
+"""By build of the hand, from the data sheets' stall points at 5 V [N m/A]: XC330-M288, 0.93 N m at 1.8 A;
+XL330-M288, 0.52 N m at 1.47 A."""
+
+HARDWARE_ERRORS = {0: "input voltage", 2: "too hot", 3: "encoder", 4: "electrical shock", 5: "overload"}
+"""Bits of the register HARDWARE_ERROR; a servo with one has switched its torque off until it is rebooted."""
 
 SERVOS = 16
 CURRENT_LIMITS = {"full": 550, "lite": 350}
@@ -26,13 +45,13 @@ SIDE_JOINTS, SIDE_SHARE = (0, 4, 8), 0.75
 TORQUE, MODE, FULL_CURRENT, CURRENT = "torque", "operating mode", "current limit", "goal current"
 GAIN_I, GAIN_P, GAIN_D = "I gain", "P gain", "D gain"
 WRITTEN = {
-    TORQUE: (codec.TORQUE_ENABLE, 1),
-    MODE: (codec.OPERATING_MODE, 1),
-    FULL_CURRENT: (codec.CURRENT_LIMIT, 2),
-    CURRENT: (codec.GOAL_CURRENT, 2),
-    GAIN_I: (codec.I_GAIN, 2),
-    GAIN_P: (codec.P_GAIN, 2),
-    GAIN_D: (codec.D_GAIN, 2),
+    TORQUE: (TORQUE_ENABLE, 1),
+    MODE: (OPERATING_MODE, 1),
+    FULL_CURRENT: (CURRENT_LIMIT, 2),
+    CURRENT: (GOAL_CURRENT, 2),
+    GAIN_I: (I_GAIN, 2),
+    GAIN_P: (P_GAIN, 2),
+    GAIN_D: (D_GAIN, 2),
 }
 """What is written to each servo and read back: address and size. Servos do not acknowledge what all of them
 are told at once."""
@@ -44,6 +63,16 @@ LARGEST_JUMP = 0.3
 """Beyond what ``LARGEST_SPEED`` explains, a position this far from the last is not believed [rad]."""
 LARGEST_SPEED = 15.0
 """[rad/s]; the servos' speed without load is 8."""
+
+
+def position_counts(positions: np.ndarray) -> list[int]:
+    """Counts of joint positions [rad], shape [U]."""
+    return [int(c) for c in np.rint(positions / RADIANS_PER_COUNT) + CENTER]
+
+
+def joint_positions_of(counts: np.ndarray) -> np.ndarray:
+    """Joint positions [rad], shape [U], of counts."""
+    return (np.asarray(counts) - CENTER) * RADIANS_PER_COUNT
 
 
 @dataclass(frozen=True)
@@ -89,27 +118,26 @@ def leap_driver(settings: LeapSettings, process: bool = True) -> LoopDriver:
     return LoopDriver(LeapLoop(settings), process=process)
 
 
-class LeapLoop:
-    """``DeviceLoop`` of a LEAP hand."""
+class LeapLoop(DeviceLoop):
+    """Of a LEAP hand."""
 
     def __init__(self, settings: LeapSettings):
-        """
-        Args:
-            settings: how the hand is connected and controlled.
-        """
+        """settings: how the hand is connected and controlled."""
         self.settings = settings
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after
         self.takes_feedforward = False
         self.lets_go = "when a servo is overloaded or too hot, and switches itself off"
+        from fungrasp.hands import load_hand
+
         lower, upper = hand_joint_limits(settings.hand, SERVOS)
-        names = hand_joint_names(settings.hand)
+        names = load_hand(settings.hand).actuators
         if sorted(names) != sorted(map(str, range(SERVOS))):
             raise RobotError(
                 f"the joints of hand '{settings.hand}' are not named by the numbers of LEAP's servos"
             )
         self._servos = [int(name) for name in names]
-        self._torque_per_count = codec.AMPERES_PER_COUNT * codec.TORQUES_PER_AMPERE[settings.build]
+        self._torque_per_count = AMPERES_PER_COUNT * TORQUES_PER_AMPERE[settings.build]
         torque = settings.current * self._torque_per_count
         self.limits = JointLimits(lower, upper, np.full(SERVOS, settings.speed), np.full(SERVOS, torque))
         self._sdk: Any = None
@@ -161,7 +189,6 @@ class LeapLoop:
         self._put(TORQUE, 1)
 
     def step(self, goal: LoopGoal) -> JointState:
-        """See ``DeviceLoop.step``."""
         rest = self._due - time.monotonic()
         if rest > 0:
             time.sleep(rest)
@@ -199,7 +226,6 @@ class LeapLoop:
         """See ``DeviceLoop.halt``: the servos keep their last setpoint and its limit of current."""
 
     def close(self) -> None:
-        """See ``DeviceLoop.close``."""
         with contextlib.suppress(Exception):
             self._port.closePort()
 
@@ -213,7 +239,7 @@ class LeapLoop:
 
     def _put_settings(self) -> None:
         s = self.settings
-        self._put(MODE, codec.CURRENT_BASED_POSITION)
+        self._put(MODE, CURRENT_BASED_POSITION)
         self._put(FULL_CURRENT, s.current)
         self._put(CURRENT, s.current)
         self._put(GAIN_I, 0)
@@ -222,10 +248,8 @@ class LeapLoop:
             self._writes.put(name, tuple(side if n in SIDE_JOINTS else gain for n in self._servos), anew=True)
 
     def _make_packets(self) -> None:
-        self._reader = self._sdk.GroupSyncRead(
-            self._port, self._packets, codec.PRESENT_CURRENT, codec.PRESENT.size
-        )
-        self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, codec.GOAL_POSITION, 4)
+        self._reader = self._sdk.GroupSyncRead(self._port, self._packets, PRESENT_CURRENT, PRESENT.size)
+        self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, GOAL_POSITION, 4)
         for servo in self._servos:
             self._reader.addParam(servo)
 
@@ -260,7 +284,7 @@ class LeapLoop:
         largest = speed * min(elapsed, 2 * self.settings.period)
         self._setpoint = self._setpoint + np.clip(wanted - self._setpoint, -largest, largest)
         self._writer.clearParam()
-        for servo, counts in zip(self._servos, codec.position_counts(self._setpoint), strict=True):
+        for servo, counts in zip(self._servos, position_counts(self._setpoint), strict=True):
             self._writer.addParam(servo, struct.pack("<i", counts))
         self._send(self._writer.txPacket)
         # After the first setpoint: a servo runs to whatever goal it has when its torque is switched on.
@@ -274,13 +298,13 @@ class LeapLoop:
             raise RobotError(f"{self.name}: the port is gone: {error}") from error
         data = [bytes(self._reader.data_dict[servo]) for servo in self._servos]
         # The library calls an answer of another length a success, too.
-        if result != self._sdk.COMM_SUCCESS or any(len(d) != codec.PRESENT.size for d in data):
+        if result != self._sdk.COMM_SUCCESS or any(len(d) != PRESENT.size for d in data):
             with contextlib.suppress(OSError):
                 self._port.clearPort()
             return None
-        rows = [codec.PRESENT.unpack(d) for d in data]
+        rows = [PRESENT.unpack(d) for d in data]
         current, velocity, counts = np.array(rows, dtype=float).T
-        positions, now, before = codec.joint_positions_of(counts), time.monotonic(), self._state
+        positions, now, before = joint_positions_of(counts), time.monotonic(), self._state
         if before is not None:
             largest = LARGEST_JUMP + LARGEST_SPEED * (now - before.received)
             if np.abs(positions - before.positions).max() > largest:
@@ -290,17 +314,17 @@ class LeapLoop:
             self._fault = self._read_faults()
         status = DeviceStatus.FAULT if self._fault else DeviceStatus.READY
         torques = current * self._torque_per_count
-        speeds = velocity * codec.SPEED_PER_COUNT
+        speeds = velocity * SPEED_PER_COUNT
         self._state = JointState(positions, speeds, torques, now, now, status, self._fault)
         return self._state
 
     def _read_faults(self) -> str:
         """What is wrong with a servo, as a phrase; as before where they do not answer."""
-        errors = self._read_all(codec.HARDWARE_ERROR, 1)
+        errors = self._read_all(HARDWARE_ERROR, 1)
         if errors is None:
             return self._fault
         for servo, bits in zip(self._servos, errors, strict=True):
-            for bit, what in codec.HARDWARE_ERRORS.items():
+            for bit, what in HARDWARE_ERRORS.items():
                 if bits >> bit & 1:
                     return f"servo {servo}: {what}; switch the hand off and on"
         return ""

@@ -28,6 +28,8 @@ LARGEST_ERROR = 0.002
 PATIENT = 50
 """An arm that gets there in so many times the time is too slow, not too short."""
 
+OUT_OF_REACH = "the start is out of the arm's reach"
+
 
 @dataclass(frozen=True, eq=False)
 class PalmPath:
@@ -62,10 +64,7 @@ class ReachChecker:
     def __init__(
         self, cell: RobotCell, kinematics: ArmKinematics, clearance: ClearanceModel, rng: np.random.Generator
     ):
-        """
-        Args:
-            rng: of the postures that solutions are sought from.
-        """
+        """rng: of the postures that solutions are sought from."""
         self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
         # A plan that takes longer moves the arm more slowly.
         self._follower = PalmFollower(kinematics, cell.limits.arm_speed / plan_speed(cell.limits))
@@ -80,10 +79,8 @@ class ReachChecker:
         beyond = outside(path.palm, self._cell.workspace)
         if beyond:
             return beyond
-        starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS // 2, self._rng)])
-        found = arm_postures(self._kinematics, path.palm[0], starts)
-        nearest = Reach(np.zeros(0), np.zeros(0), -2.0, "the start is out of the arm's reach")
-        for posture in found:
+        nearest = Reach(np.zeros(0), np.zeros(0), -2.0, OUT_OF_REACH)
+        for posture in self._postures(path, home, STARTS // 2):
             reach = self.follow(path, posture, hand_matters=False)
             if not reach.obstacle:
                 return ""
@@ -102,26 +99,17 @@ class ReachChecker:
         beyond = outside(path.palm, self._cell.workspace)
         if beyond:
             return [], beyond
-        starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
-        found = arm_postures(self._kinematics, path.palm[0], starts)
-        if not len(found):
-            return [], "the start is out of the arm's reach"
-        tried = [self.follow(path, posture) for posture in found]
+        tried = [self.follow(path, posture) for posture in self._postures(path, home)]
         free = [reach for reach in tried if not reach.obstacle]
         free.sort(key=lambda r: min(r.margin, 0.5) - 0.05 * float(np.abs(r.start - home).max()), reverse=True)
         if free:
             return free, ""
-        return [], max(tried, key=lambda reach: reach.margin).obstacle
+        return [], max(tried, key=lambda reach: reach.margin).obstacle if tried else OUT_OF_REACH
 
     def followed(self, paths: Sequence[PalmPath], home: np.ndarray) -> np.ndarray:
         """Whether the arm can follow paths that begin at the same pose, a bool array, one for each: from any
-        posture.
-
-        Args:
-            home: where the arm is now [rad], shape [M].
-        """
-        starts = np.concatenate([home[None], random_starts(self._kinematics, STARTS, self._rng)])
-        postures = list(arm_postures(self._kinematics, paths[0].palm[0], starts))
+        posture. home: where the arm is now [rad], shape [M]."""
+        postures = list(self._postures(paths[0], home))
         can = np.zeros(len(paths), dtype=bool)
         for i, path in enumerate(paths):
             if outside(path.palm, self._cell.workspace):
@@ -133,6 +121,11 @@ class ReachChecker:
                     can[i] = True
                     break
         return can
+
+    def _postures(self, path: PalmPath, home: np.ndarray, count: int = STARTS) -> np.ndarray:
+        """Postures at the beginning of a path, sought from home and ``count`` random ones."""
+        starts = np.concatenate([home[None], random_starts(self._kinematics, count, self._rng)])
+        return arm_postures(self._kinematics, path.palm[0], starts)
 
     def follow(self, path: PalmPath, posture: np.ndarray, hand_matters: bool = True) -> Reach:
         """Follow a path from a posture.

@@ -6,7 +6,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
@@ -14,79 +13,26 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.objects import ObjectModel
-from fungrasp.perception import Capture
-from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
+from fungrasp.perception.io.capture import CameraFrame
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
-from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """Color with aligned depth."""
-
-    capture: Capture
-    """The images."""
-    captured: float
-    """Host time at which they were taken [s]."""
+from fungrasp.robots.device import PoseSource, RobotError, TrackedPose, TrackingStatus
 
 
 class FrameSource(Protocol):
-    """A depth camera."""
+    """A depth camera, opened by ``with camera:``; ``perception.io.realsense.RealSenseCamera`` is one."""
 
     name: str
     """Type and address, for messages and logs."""
 
-    def connect(self) -> None:
-        """Open the camera. Raises: RobotError: there is none."""
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def newest(self, timeout: float) -> CameraFrame | None:
+        """The newest frame that was not given yet; waits for it, so long at most [s]. None if none comes in
+        time. Raises: FungraspError: the camera fails."""
         ...
-
-    def newest(self, timeout: float) -> Frame | None:
-        """The newest frame that was not given yet; waits for it. None if none comes in time, or the last one
-        was given.
-
-        Args:
-            timeout: to wait [s].
-        """
-        ...
-
-    def close(self) -> None:
-        """Close it. May be called twice."""
-        ...
-
-
-class RealSenseFrames:
-    """A RealSense camera (extra ``realsense``), by ``RealSenseCamera``: a frame counts as taken when its own
-    time stamp says so, or as it arrives where that is of another clock."""
-
-    def __init__(self, serial: str = "", width: int = 640, height: int = 480, rate: int = 30):
-        """
-        Args:
-            serial: number of the camera; "" for the first that is connected.
-            width: of the images [pixels].
-            height: of the images [pixels].
-            rate: [1/s].
-        """
-        self._camera = RealSenseCamera(serial=serial, stream=StreamSettings(width, height, rate))
-        self.name, self._open = self._camera.name, False
-
-    def connect(self) -> None:
-        """See ``FrameSource.connect``."""
-        try:
-            self._camera.__enter__()
-        except FungraspError as error:
-            raise RobotError(str(error)) from error
-        self._open = True
-
-    def newest(self, timeout: float) -> Frame | None:
-        """See ``FrameSource.newest``. Raises: FungraspError: the camera fails, or there is no depth."""
-        frame = self._camera.newest(timeout) if self._open else None
-        return None if frame is None else Frame(frame.capture(), frame.time)
-
-    def close(self) -> None:
-        """See ``FrameSource.close``."""
-        self._open = False
-        self._camera.__exit__()
 
 
 WAIT = 0.2
@@ -98,8 +44,8 @@ LOST_FRAMES = 10
 _log = logging.getLogger(__name__)
 
 
-class CameraTracker:
-    """``PoseSource`` of a camera that stands still."""
+class CameraTracker(PoseSource):
+    """Of a camera that stands still."""
 
     def __init__(
         self,
@@ -119,7 +65,7 @@ class CameraTracker:
         self.name = f"tracker of '{obj.name}' in images of {frames.name}"
         self.seconds: list[float] = []
         """Processor time of each image that was followed [s]."""
-        self._frames, self._thing, self._camera = frames, obj, np.asarray(pose_world_camera, dtype=float)
+        self._frames, self._object, self._camera = frames, obj, np.asarray(pose_world_camera, dtype=float)
         self._start = None if start is None else compose(invert(self._camera), np.asarray(start))
         self._seed = seed
         self._tracker: ObjectTracker | None = None
@@ -129,13 +75,10 @@ class CameraTracker:
         self._end = threading.Event()
 
     def connect(self) -> None:
-        """See ``PoseSource.connect``."""
         if self._thread is not None:
             raise RobotError(f"{self.name} is connected already")
         try:
-            self._frames.connect()
-        except RobotError:
-            raise
+            self._frames.__enter__()
         except FungraspError as error:
             raise RobotError(str(error)) from error
         self._tracker, self._missed, self._newest = None, 0, None
@@ -144,23 +87,14 @@ class CameraTracker:
         self._thread.start()
 
     def read(self) -> TrackedPose | None:
-        """See ``PoseSource.read``."""
         return self._newest
 
     def close(self) -> None:
-        """See ``PoseSource.close``."""
         self._end.set()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        self._frames.close()
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+        self._frames.__exit__()
 
     def _run(self) -> None:
         while not self._end.is_set():
@@ -173,29 +107,29 @@ class CameraTracker:
                 _log.error("%s has ended: %s", self.name, error)
                 return
 
-    def _answer(self, frame: Frame) -> TrackedPose | None:
+    def _answer(self, frame: CameraFrame) -> TrackedPose | None:
         """What an image says."""
         if self._tracker is None:
             return self._found(frame)
         began = time.thread_time()
-        track = self._tracker.update(frame.capture.color, frame.capture.depth)
+        track = self._tracker.update(frame.color, frame.depth)
         self.seconds.append(time.thread_time() - began)
         followed = track.score >= FOLLOWED
         self._missed = 0 if followed else self._missed + 1
         if self._missed >= LOST_FRAMES:
             self._tracker, self._start, self._missed = None, None, 0
         status = TrackingStatus.TRACKING if followed else TrackingStatus.LOST
-        return TrackedPose(compose(self._camera, track.pose), frame.captured, track.score, status)
+        return TrackedPose(compose(self._camera, track.pose), frame.time, track.score, status)
 
-    def _found(self, frame: Frame) -> TrackedPose | None:
+    def _found(self, frame: CameraFrame) -> TrackedPose | None:
         """The first pose: given or searched for; what was said last where the object is not there."""
         pose, score = self._start, 1.0
         if pose is None:
-            found = estimate_object_pose(frame.capture, self._thing, seed=self._seed)
+            found = estimate_object_pose(frame.capture(), self._object, seed=self._seed)
             if not found.accepted:
                 return self._newest
             pose, score = found.pose_camera_object, found.score
-        self._tracker = ObjectTracker(self._thing, frame.capture.intrinsics, pose, seed=self._seed)
+        self._tracker = ObjectTracker(self._object, frame.intrinsics, pose, seed=self._seed)
         # The search took a second, in which the object may have moved: the next image says where it is.
         world = compose(self._camera, pose)
-        return TrackedPose(world, frame.captured, score, TrackingStatus.INITIALIZING)
+        return TrackedPose(world, frame.time, score, TrackingStatus.INITIALIZING)

@@ -18,13 +18,12 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from fungrasp.geometry.poses import compose
-from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-from fungrasp.robots.optional_packages import import_client
+from fungrasp.robots.device import PoseSource, RobotError, TrackedPose, TrackingStatus, import_client
 
 SCHEMA, VERSION = "fungrasp.pose", 1
 
@@ -75,11 +74,8 @@ def message_entries(message: PoseMessage) -> dict[str, Any]:
 
 
 def read_message(entries: Any) -> PoseMessage:
-    """The message that was packed.
-
-    Raises:
-        RobotError: it is none, of another version, or holds impossible values.
-    """
+    """The message that was packed. Raises: RobotError: it is none, of another version, or holds impossible
+    values."""
     if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
         raise RobotError(f"a message of another kind came instead of '{SCHEMA}'")
     if entries.get("version") != VERSION:
@@ -116,8 +112,8 @@ SKEW = 0.02
 """Two machines that keep the same time of day are apart by less [s]."""
 
 
-class PoseStream:
-    """``PoseSource`` of a publisher. A message whose time stamps can't be is ignored, and so is one that is
+class PoseStream(PoseSource):
+    """Of a publisher. A message whose time stamps can't be is ignored, and so is one that is
     no newer than the one before, so that the pose before it grows old: only the age of the capture says
     whether a pose may be used.
 
@@ -162,7 +158,6 @@ class PoseStream:
         self._last: TrackedPose | None = None
 
     def connect(self) -> None:
-        """See ``PoseSource.connect``."""
         self._zmq = import_client("zmq", "pose", "a pose stream")
         self._msgpack = import_client("msgpack", "pose", "a pose stream")
         self.close()
@@ -183,23 +178,14 @@ class PoseStream:
         self._take(strict=True)
 
     def read(self) -> TrackedPose | None:
-        """See ``PoseSource.read``."""
         if self._socket is not None:
             self._take()
         return self._last
 
     def close(self) -> None:
-        """See ``PoseSource.close``."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _take(self, strict: bool = False) -> None:
         try:

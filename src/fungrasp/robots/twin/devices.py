@@ -12,7 +12,17 @@ import numpy as np
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
 from fungrasp.robots.cell import RobotCell
-from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, StopKind, TrackedPose
+from fungrasp.robots.device import (
+    Clock,
+    DeviceStatus,
+    JointDriver,
+    JointLimits,
+    JointState,
+    PoseSource,
+    RobotError,
+    StopKind,
+    TrackedPose,
+)
 from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.robots.twin.world import TwinWorld
 
@@ -24,7 +34,7 @@ LARGEST_LAG = 0.02
 moves in slow motion, and does not jump."""
 
 
-class TwinClock:
+class TwinClock(Clock):
     """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to
     the last bit."""
 
@@ -33,11 +43,9 @@ class TwinClock:
         self._world = world
 
     def now(self) -> float:
-        """See ``Clock.now``."""
         return self._world.time
 
     def sleep_until(self, when: float) -> None:
-        """See ``Clock.sleep_until``."""
         self._world.advance(when)
 
 
@@ -75,7 +83,7 @@ class RealTimeTwin:
             time.sleep(WALL_STEP)
 
 
-class _TwinJoints:
+class _TwinJoints(JointDriver):
     """What the twin's arm and hand share."""
 
     name: str
@@ -94,11 +102,9 @@ class _TwinJoints:
         self._frozen_at: JointState | None = None
 
     def connect(self) -> None:
-        """See ``JointDriver.connect``."""
         self._status, self._last = DeviceStatus.READY, None
 
     def read(self) -> JointState:
-        """See ``JointDriver.read``."""
         if self.frozen and self._frozen_at is not None:
             return self._frozen_at
         with self._world.lock:
@@ -109,7 +115,6 @@ class _TwinJoints:
         return self._frozen_at
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
-        """See ``JointDriver.command``."""
         if self._status is not DeviceStatus.READY or self.fault:
             state = self.fault or self._status
             raise RobotError(f"{self.name} follows no commands ({state}): connect to it again")
@@ -124,23 +129,14 @@ class _TwinJoints:
         """See ``JointDriver.take_control``: a twin is nobody else's."""
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """See ``JointDriver.stop``."""
         if self._status is DeviceStatus.READY:
             self._status = DeviceStatus.STOPPED
         self._end_motion(kind)
 
     def close(self) -> None:
-        """See ``JointDriver.close``."""
         if self._status is not DeviceStatus.DISCONNECTED:
             self.stop()
         self._status = DeviceStatus.DISCONNECTED
-
-    def __enter__(self) -> Self:
-        self.connect()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise NotImplementedError
@@ -156,10 +152,7 @@ class TwinArm(_TwinJoints):
     """The twin's arm."""
 
     def __init__(self, world: TwinWorld, cell: RobotCell):
-        """
-        Args:
-            cell: with the arm's model and limits.
-        """
+        """cell: with the arm's model and limits."""
         super().__init__(world)
         model = arm_spec(cell.arm.model).compile()
         speed = np.full(model.nu, cell.limits.arm_speed)
@@ -195,7 +188,6 @@ class TwinHand(_TwinJoints):
         self._open = hand.open_joints
 
     def connect(self) -> None:
-        """See ``JointDriver.connect``."""
         super().connect()
         self._world.powered = True
 
@@ -213,7 +205,7 @@ class TwinHand(_TwinJoints):
         # To hold, the servos keep their last targets: an object that is held stays held.
 
 
-class TwinTracker:
+class TwinTracker(PoseSource):
     """The twin's tracker."""
 
     name = "twin's tracker"
@@ -222,18 +214,9 @@ class TwinTracker:
         """world: the twin."""
         self._world = world
 
-    def connect(self) -> None:
-        """See ``PoseSource.connect``."""
+    def connect(self) -> None: ...
 
     def read(self) -> TrackedPose | None:
-        """See ``PoseSource.read``."""
         return self._world.tracked()
 
-    def close(self) -> None:
-        """See ``PoseSource.close``."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+    def close(self) -> None: ...

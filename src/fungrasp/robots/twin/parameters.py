@@ -131,11 +131,7 @@ class TwinParameters:
 
 
 def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = None) -> TwinParameters:
-    """The truth of the twin with a seed.
-
-    Args:
-        spread: the ranges; the default if None.
-    """
+    """The truth of the twin with a seed. spread: the ranges; the default if None."""
     s, rng = spread or TwinSpread(), random_stream("twin", seed)
 
     # A stream of its own: twins whose gains are the model's stay what they were.

@@ -1,4 +1,5 @@
-"""A twin that moves: physics, servos with their imperfections, and what its tracker sees."""
+"""A twin that moves: physics, servos with their imperfections, what its tracker sees; and whether its object
+was lifted, by the lift test's definition of success (docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -18,6 +19,9 @@ from fungrasp.robots.device import TrackedPose, TrackingStatus
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
 from fungrasp.sim2real import random_stream
+from fungrasp.task import LiftProtocol
+from fungrasp.task.outcome import lifted_and_held
+from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 TORQUE_DELAY = 0.002
 """Time until a torque reaches the hand's motors [s]: a CAN frame and a period of the motor's controller. The
@@ -276,6 +280,68 @@ class TwinWorld:
         seen[:3] += noise[:3]
         seen[3:] = quaternion_multiply(quaternion_from_rotation_vector(noise[3:]), seen[3:])
         self._frames.append(TrackedPose(seen, self.time, 1.0, TrackingStatus.TRACKING))
+
+
+@dataclass(frozen=True)
+class HoldSample:
+    """The truth at one moment."""
+
+    time: float
+    """Of the robot's clock [s]."""
+    height: float
+    """Of the center of mass above where it settled [m]."""
+    alone: bool
+    """Whether the object touches neither table nor arm."""
+    in_hand: bool
+    """Whether it touches the hand."""
+
+
+def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
+    """The truth now. settled: height at which the center of mass settled [m]."""
+    truth = world.look()
+    height = float(world.center_of_mass()[2] - settled)
+    return HoldSample(world.time, height, not truth.on_table, truth.in_hand)
+
+
+def held_throughout(samples: list[HoldSample], seconds: float, protocol: LiftProtocol) -> bool:
+    """Whether a twin's object was lifted and held (``fungrasp.task.outcome.lifted_and_held``), over a hold
+    that was not cut short. protocol: with height and time of the hold."""
+    lowest = min((s.height for s in samples), default=-np.inf)
+    share = sum(s.in_hand for s in samples) / max(len(samples), 1)
+    touched = not all(s.alone for s in samples)
+    held = lifted_and_held(np.array(lowest), np.array(share), np.array(touched), protocol)
+    return bool(held) and seconds >= 0.95 * protocol.hold_time
+
+
+class TwinJudge:
+    """Watches one deployment, at every setpoint."""
+
+    def __init__(self, world: TwinWorld, protocol: LiftProtocol | None = None):
+        """protocol: with the height; the published one if None."""
+        self._world, self._protocol = world, protocol or LiftProtocol()
+        self._settled = float(world.center_of_mass()[2])
+        self._samples: list[HoldSample] = []
+
+    def begin_attempt(self) -> None:
+        """Another attempt begins: what was seen of the one before is forgotten, and the object counts from
+        where it lies now."""
+        self._settled = float(self._world.center_of_mass()[2])
+        self._samples.clear()
+
+    def watch(self, holding: bool) -> None:
+        """After each setpoint. holding: whether it belongs to the hold."""
+        if holding:
+            self._samples.append(hold_sample(self._world, self._settled))
+
+    @property
+    def height(self) -> float:
+        """Least height of the center of mass above where it settled during the hold [m]; infinite before."""
+        return min((s.height for s in self._samples), default=np.inf)
+
+    @property
+    def success(self) -> bool:
+        """``held_throughout``."""
+        return held_throughout(self._samples, SETPOINT_PERIOD * len(self._samples), self._protocol)
 
 
 def _within(model: mujoco.MjModel, body: int, ancestor: int) -> bool:

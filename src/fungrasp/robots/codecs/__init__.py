@@ -1,1 +1,0 @@
-"""Translates between radians and newton meters and the bytes on the wires: pure functions."""
