@@ -27,6 +27,10 @@ class AddedHand:
     """Independent joints."""
     joints: int | None = None
     """All joints."""
+    warnings: int | None = None
+    """Of adding and of the check."""
+    notes: int | None = None
+    """Likewise."""
     contact_error_mm: float | None = None
     """Mean over the grasps."""
     self_penetration_mm: float | None = None
@@ -116,6 +120,8 @@ def added_hand(title: str, file: Path, folder: Path, options: AddedHands) -> Add
         len(hand.fingers),
         len(hand.actuators),
         len(hand.joint_names),
+        sum(finding.severity == "warning" for finding in findings),
+        sum(finding.severity == "note" for finding in findings),
         quality["contact_error_mm"]["mean"],
         quality["self_penetration_mm"]["max"],
         int(success.sum()),

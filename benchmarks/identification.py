@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,10 +27,6 @@ class BenchIdentify:
     """Twins of each robot."""
     robots: tuple[str, ...] = ("ur5e-allegro", "ur5e-inspire")
     """Cells that are twins."""
-    method: tuple[str, ...] = ("gauss-newton",)
-    """Methods: gauss-newton, cma-es."""
-    evaluations: int = 1000
-    """Simulations of cma-es."""
     weight: float = 0.0
     """Mass that is fixed to each fingertip in as many logs more [kg]."""
     json: Path | None = None
@@ -38,17 +34,15 @@ class BenchIdentify:
 
     def run(self) -> None:
         rows: list[dict] = []
-        for method in self.method:
-            settings = replace(ALL_ERRORS, method=method, evaluations=self.evaluations)
-            for name in self.robots:
-                cell = load_cell(name)
-                hand, obj = load_hand(cell.hand), load_object("wine_glass")
-                for twin in range(self.twins):
-                    truth = cell_twin(cell, hand, twin)
-                    fit = twin_fit(cell, hand, obj, truth, settings, self.weight)
-                    rows.append({"hand": hand.name, "twin": twin, "method": method, **asdict(fit)})
-            if self.json is not None:
-                write_result(self.json, run_record(0), rows)
+        for name in self.robots:
+            cell = load_cell(name)
+            hand, obj = load_hand(cell.hand), load_object("wine_glass")
+            for twin in range(self.twins):
+                truth = cell_twin(cell, hand, twin)
+                fit = twin_fit(cell, hand, obj, truth, ALL_ERRORS, self.weight)
+                rows.append({"hand": hand.name, "twin": twin, **asdict(fit)})
+        if self.json is not None:
+            write_result(self.json, run_record(0), rows)
         names = list(dict.fromkeys(name for row in rows for name in row))
         print(table([names, *([_text(row.get(name)) for name in names] for row in rows)]))
         print(machine())

@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from fungrasp.grasps import builtin_grasps, load_objects
-from fungrasp.grasps.grasp_selection import picked_rows
+from fungrasp.grasps.grasp_arguments import picked_rows
 from fungrasp.hands import load_hand
 from fungrasp.media import grasp_scene, look_at_grasp, render
 from fungrasp.media.demonstration import FILM, Shown, demonstrate

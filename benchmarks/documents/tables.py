@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fungrasp.core.formats.checks import one_line
 from fungrasp.evaluation.result_files import ResultFile, read_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.task.use import load_use_motions, motion_of
@@ -167,8 +168,24 @@ def peers() -> Table:
     return Table(head, rows, ["peers"])
 
 
+def hands_of_others() -> Table:
+    """Descriptions by other makers, as they are."""
+    rows = []
+    for row in read("hands-of-others").rows:
+        if row["refused"]:
+            rows.append((row["hand"], *[NONE] * 4, f"refused: {one_line(row['refused'], 150)}"))
+            continue
+        lifted = f"{row['lifted']} of {row['grasps']}"
+        off = f"{row['contact_error_mm']:.1f}, {row['self_penetration_mm']:.1f}"
+        joints, said = f"{row['driven']} / {row['joints']}", f"{row['warnings']}, {row['notes']}"
+        rows.append((row["hand"], f"{row['fingers']}, {row['side']}", joints, said, off, lifted))
+    head = ("description", "fingers, side", "joints: driven / all", "warnings, notes")
+    return Table((*head, "contact error, self-penetration [mm]", "lifted"), rows, ["hands-of-others"])
+
+
 BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": hands,
+    "hands_of_others": hands_of_others,
     "policies": policies,
     "use_test": use_test,
     "peers": peers,

@@ -15,7 +15,7 @@ import pytest
 from fungrasp.cli.demo import FAVORITES
 from fungrasp.cli.main import main
 from fungrasp.grasps import builtin_grasps
-from fungrasp.grasps.grasp_selection import picked_rows
+from fungrasp.grasps.grasp_arguments import picked_rows
 from fungrasp.media import demonstration
 from fungrasp.perception import HandEstimate, ObjectEstimate, pipeline
 from fungrasp.perception.io.scene_folders import BUILTIN_CAPTURE as FOLDER

@@ -15,9 +15,12 @@ from scipy.spatial.transform import Rotation
 from fungrasp.core.errors import FungraspError
 from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.grasps.contacts import link_contacts, surface_contacts
-from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.grasps.importers import DexYCBOptions, import_dexycb
-from fungrasp.grasps.importers.dexycb import TO_OUR_JOINTS, write_mirrored_meshes
+from fungrasp.grasps.human_hand import OPENPOSE, mirror_points, mirror_pose
+from fungrasp.grasps.importers.dexycb import (
+    DexYCBOptions,
+    import_dexycb,
+    write_mirrored_meshes,
+)
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
 
@@ -93,7 +96,7 @@ def write_label(path: Path, camera: int, side: str, height: float, seen: bool) -
     if side == "left":
         ours = mirror_points(ours - REST) + REST
     joints = np.empty((21, 3))
-    joints[TO_OUR_JOINTS] = in_camera(ours, camera)
+    joints[OPENPOSE] = in_camera(ours, camera)
     np.savez(
         path,
         seg=np.zeros((4, 4), dtype=np.uint8),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -14,6 +15,7 @@ from scipy.spatial import KDTree
 
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
@@ -344,16 +346,53 @@ def test_fine_meshes_keep_their_shape(closed: bool):
     assert max(d.max() for d in distances) < (0.002 if closed else 0.003)
 
 
-def test_meshes_that_cannot_be_read_say_why(tmp_path: Path):
-    """A file is there, and what reads its format may not be."""
-    (tmp_path / "link.dae").write_text("<COLLADA/>")
+def with_collada(folder: Path, data: str) -> str:
+    """``odd_hand`` with one mesh, in a .dae file of this content."""
+    (folder / "link.dae").write_text(data)
     text = odd_hand().replace("<worldbody>", '<asset><mesh name="m" file="link.dae"/></asset><worldbody>')
-    text = text.replace(
+    return text.replace(
         '<body name="a3" pos="0 0 0.03">', '<body name="a3" pos="0 0 0.03"><geom type="mesh" mesh="m"/>'
     )
-    _, said = added(tmp_path, text)
+
+
+def test_meshes_that_cannot_be_read_say_why(tmp_path: Path):
+    """A file is there, and what reads its format may not be."""
+    _, said = added(tmp_path, with_collada(tmp_path, "<COLLADA/>"))
     assert not any("no file is found" in message for message in said)
-    assert any("the mesh 'link.dae' can't be read" in m and "collada" in m.lower() for m in said)
+    (reason,) = [message for message in said if "the mesh 'link.dae' can't be read" in message]
+    assert find_spec("collada") is not None or 'pip install "fungrasp[collada]"' in reason
+
+
+@pytest.mark.parametrize(
+    ("asset", "size"),
+    [
+        ('<unit meter="0.001"/><up_axis>Z_UP</up_axis>', (0.01, 0.012, 0.03)),
+        ('<unit meter="0.001"/><up_axis>Y_UP</up_axis>', (0.01, 0.03, 0.012)),
+        (
+            '<authoring_tool>MeshLab</authoring_tool><unit meter="0.001"/><up_axis>Y_UP</up_axis>',
+            (0.01, 0.012, 0.03),
+        ),
+    ],
+)
+def test_collada_is_read_with_its_unit_and_axis(tmp_path: Path, asset: str, size: tuple[float, float, float]):
+    pytest.importorskip("collada", reason="pycollada is not installed")
+    box = trimesh.creation.box((10, 12, 30))
+    places = " ".join(f"{value:g}" for value in np.asarray(box.vertices).ravel())
+    corners = " ".join(str(corner) for corner in np.asarray(box.faces).ravel())
+    content = f"""<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+      <asset>{asset}</asset><library_geometries><geometry id="g"><mesh>
+      <source id="p"><float_array id="a" count="24">{places}</float_array>
+      <technique_common><accessor source="#a" count="8" stride="3"><param name="X" type="float"/>
+      <param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+      <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+      <triangles count="12"><input semantic="VERTEX" source="#v" offset="0"/><p>{corners}</p></triangles>
+      </mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s"><node>
+      <instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+      <scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+    _, said = added(tmp_path, with_collada(tmp_path, content))
+    assert any("unit and the up axis that its .dae names" in message for message in said)
+    vertices, _ = read_mesh(tmp_path / "link.dae")
+    np.testing.assert_allclose(np.ptp(vertices, axis=0), size, atol=1e-6)
 
 
 def test_the_folder_of_meshes_may_lie_above(tmp_path: Path):

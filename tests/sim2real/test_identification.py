@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.sim2real.identification.excitation import (
@@ -285,6 +287,25 @@ def test_a_log_that_was_broken_off_can_be_read_and_fitted(log: MotionLog, tmp_pa
     left.check_excitation()
     with pytest.raises(FungraspError, match="exists already"):
         MotionLogWriter(path)
+
+
+def test_the_command_fits_and_writes(log: MotionLog, tmp_path, capsys):
+    written(tmp_path / "log.jsonl", log)
+    arguments = [
+        "identify",
+        "fit",
+        str(tmp_path / "log.jsonl"),
+        "--out",
+        str(tmp_path / "found.toml"),
+        "--json",
+    ]
+    assert main([*arguments, "--fixed", "stiffness", "--iterations", "4"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert not said["joints"]["ffj1"]["stiffness"]["identified"] and said["methods"][0]["simulations"] > 16
+    assert load_dynamics(tmp_path / "found.toml", load_hand("allegro")).delay == pytest.approx(0.03, abs=0.02)
+    assert main([*arguments, "--fixed", "stifness"]) == 2
+    assert main([*arguments, "--method", "cma-es"]) == 2
+    assert "no longer part of fungrasp" in capsys.readouterr().err
 
 
 def test_joints_whose_turn_did_not_come_are_left_out(log: MotionLog):

@@ -102,7 +102,7 @@ class Demo(GraspsOption, Answering):
 
     def _picked(self, count: int) -> Shown:
         from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.grasps.grasp_selection import picked_rows
+        from fungrasp.grasps.grasp_arguments import picked_rows
         from fungrasp.media.demonstration import Shown
 
         everything = load_human_grasps(self.grasps)

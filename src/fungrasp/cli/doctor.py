@@ -3,7 +3,7 @@ package."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from fungrasp.cli.console import Answering, CommandResult, table
@@ -33,7 +33,7 @@ class DoctorCommand(Answering):
         missing = [e.name for e in found.extras if e.missing]
         if missing:
             parts.append(f'to add an extra: pip install "fungrasp[{missing[0]}]"')
-        return CommandResult(found.as_json(), "\n\n".join(parts))
+        return CommandResult(asdict(found), "\n\n".join(parts))
 
 
 @dataclass(frozen=True)

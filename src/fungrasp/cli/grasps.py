@@ -14,6 +14,7 @@ from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, 
 from fungrasp.cli.options import ClusterOption, ObjectsOption, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.conversion import Convention
+from fungrasp.grasps.importers.dexycb import DexYCBOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -73,7 +74,7 @@ class ShowGrasp(ObjectsOption, Answering):
 
     def run(self) -> CommandResult:
         from fungrasp.grasps import load_grasps
-        from fungrasp.grasps.grasp_selection import picked_rows
+        from fungrasp.grasps.grasp_arguments import picked_rows
 
         grasps = load_grasps(self.file)
         (row,) = picked_rows(grasps, (self.grasp,))
@@ -93,28 +94,19 @@ class ImportDexYCB(Answering):
     """DexYCB's folder, which holds the subjects, calibration and models."""
     out: Path
     """Grasp file to write (.npz)."""
-    displacement: float = 0.01
-    """How far the object has moved when it counts as grasped [m]."""
-    left_hands: Literal["skip", "mirror"] = "skip"
-    """Leave left hands out, or reflect the whole scene: the object's name then ends in "_mirrored"."""
+    options: Annotated[DexYCBOptions, tyro.conf.arg(name="")] = field(default_factory=DexYCBOptions)
+    """Which grasps are taken, and how."""
     mirrored_objects: Path | None = None
     """Folder for the meshes of mirrored objects; needed to use mirrored grasps."""
-    mano: Path | None = None
-    """Folder of your MANO model: adds joint rotations, takes contacts from the hand's surface."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; by default DexYCB's own models."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.dexycb import DexYCBOptions, import_dexycb, write_mirrored_meshes
+        from fungrasp.grasps.importers.dexycb import import_dexycb, write_mirrored_meshes
 
-        if not self.displacement > 0:
-            raise FungraspError(f"--displacement must be greater than 0, not {self.displacement}")
-        options = DexYCBOptions(self.displacement, self.left_hands, self.mano, self.objects)
-        grasps = import_dexycb(self.source, options)
+        grasps = import_dexycb(self.source, self.options)
         answer = write_human_grasps(self.out, grasps)
         if self.mirrored_objects is None:
             return answer
-        meshes = list(write_mirrored_meshes(self.source, options, grasps, self.mirrored_objects))
+        meshes = list(write_mirrored_meshes(self.source, self.options, grasps, self.mirrored_objects))
         lines = [answer.text, *(f"mirrored mesh: {path}" for path in meshes)]
         return CommandResult({**answer.value, "mirrored_meshes": meshes}, "\n".join(lines))
 
@@ -137,6 +129,49 @@ class ImportDGrasp(Answering):
 
 
 @dataclass(frozen=True)
+class ImportGrab(Answering):
+    """Import GRAB: the right hand's grasp of each sequence, where the object starts to move."""
+
+    source: SourcePath
+    """Folder with the subjects' folders of sequences (.npz)."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    mano: Path
+    """Folder of your MANO model."""
+    objects: Path
+    """Folder of the object meshes (mug.ply)."""
+    subjects: Path | None = None
+    """Folder to which the files' paths of the subjects' hands (vtemp) are relative; else the mean hand."""
+
+    def run(self) -> CommandResult:
+        from fungrasp.grasps.importers.motions import import_grab
+
+        return write_human_grasps(self.out, import_grab(self.source, self.mano, self.objects, self.subjects))
+
+
+@dataclass(frozen=True)
+class ImportHO3D(Answering):
+    """Import HO-3D: one grasp of each sequence. Its files don't say which way is up: see --camera-tilt."""
+
+    source: SourcePath
+    """Folder with the sequences' folders (<sequence>/meta/0000.pkl)."""
+    out: Path
+    """Grasp file to write (.npz)."""
+    objects: Path
+    """Folder of the YCB models."""
+    camera_tilt: float = 0.0
+    """By how much the camera looks down from level [degrees]."""
+
+    def run(self) -> CommandResult:
+        import math
+
+        from fungrasp.grasps.importers.motions import import_ho3d
+
+        grasps = import_ho3d(self.source, self.objects, math.radians(self.camera_tilt))
+        return write_human_grasps(self.out, grasps)
+
+
+@dataclass(frozen=True)
 class ImportOther(Answering):
     """Import by another package's importer (entry point fungrasp.grasps)."""
 
@@ -148,7 +183,7 @@ class ImportOther(Answering):
     """Grasp file to write (.npz)."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.registry import load_importer
+        from fungrasp.grasps.importers import load_importer
 
         return write_human_grasps(self.out, load_importer(self.importer)(self.source))
 
@@ -160,6 +195,8 @@ class ImportGrasps:
     data: (
         Annotated[ImportDexYCB, tyro.conf.subcommand("dexycb")]
         | Annotated[ImportDGrasp, tyro.conf.subcommand("dgrasp")]
+        | Annotated[ImportGrab, tyro.conf.subcommand("grab")]
+        | Annotated[ImportHO3D, tyro.conf.subcommand("ho3d")]
         | Annotated[ImportOther, tyro.conf.subcommand("other")]
     )
     """The kind of data set."""

@@ -115,7 +115,7 @@ class Fit(Answering):
     joint: str = "index_proximal_joint"
     """Joint of a .csv."""
     settings: Annotated[FitSettings, tyro.conf.arg(name="")] = field(default_factory=FitSettings)
-    """How."""
+    """What is fitted, and how."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -125,9 +125,6 @@ class Fit(Answering):
         from fungrasp.sim2real.identification.motion_log import load_motion_log, read_step_csv
         from fungrasp.sim2real.joint_dynamics import QUANTITIES, save_dynamics
 
-        for name in self.settings.fixed:
-            if name not in QUANTITIES:
-                raise FungraspError(f"--fixed takes {', '.join(QUANTITIES)}, not '{name}'")
         hand = load_hand(self.hand)
         step = self.log.suffix == ".csv"
         if step:
@@ -151,17 +148,17 @@ class Fit(Answering):
         for j, joint in enumerate(found.dynamics.joints):
             rows.append((joint, *(self._value(found, quantity, j) for quantity in QUANTITIES)))
         lines = [table(rows), f"delay {1e3 * found.dynamics.delay:.1f} ms"]
-        numbers = {
-            "method": self.settings.method,
+        fit = {
+            "method": "gauss-newton",
             "rms": found.rms,
             "held_out_rms": self._held_out(hand, logs, found, step),
             "simulations": found.simulations,
             "seconds": found.seconds,
         }
-        rows = [("method", "fitted RMS [rad]", "held-out RMS [rad]", "simulations", "seconds")]
-        cells = (f"{found.rms:.4f}", f"{numbers['held_out_rms']:.4f}", str(found.simulations))
-        rows.append((self.settings.method, *cells, f"{found.seconds:.1f}"))
-        lines.append(table(rows))
+        lines.append(
+            f"RMS {fit['rms']:.4f} rad where fitted, {fit['held_out_rms']:.4f} rad where held out; "
+            f"{found.simulations} simulations, {found.seconds:.1f} s"
+        )
         vague = sum(int((~known).sum()) for known in found.identified.values())
         if vague:
             lines.append(
@@ -169,18 +166,19 @@ class Fit(Answering):
                 f"{self.settings.bound:.0%} by it alone): they keep the model's values. Logs with the palm "
                 "turned to other sides, or with weights on the fingertips, may tell them"
             )
+        fixed = self.settings.fixed
         joints = {
             joint: {
                 name: {
                     "value": getattr(found.dynamics, name)[j],
-                    "identified": found.identified[name][j] and name not in self.settings.fixed,
-                    "relative_error": found.relative_error[name][j],
+                    "identified": name not in fixed and found.identified[name][j],
+                    "relative_error": None if name in fixed else found.relative_error[name][j],
                 }
                 for name in QUANTITIES
             }
             for j, joint in enumerate(found.dynamics.joints)
         }
-        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": [numbers]}
+        value = {"dynamics": self.out, "delay": found.dynamics.delay, "joints": joints, "methods": [fit]}
         return CommandResult(value, "\n".join(lines))
 
     def _held_out(self, hand: Hand, logs: list[MotionLog], found: IdentifiedDynamics, step: bool) -> float:

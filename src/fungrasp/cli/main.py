@@ -60,6 +60,8 @@ LEFT: Mapping[str, str] = {
     "train --ray": "submit each training to your cluster as its own job",
     "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
     "train --sweep": "loop over the values in your shell, with a separate --out for each run",
+    "identify fit --method": "leave it out: the fit is a bounded Gauss-Newton",
+    "identify fit --evaluations": "leave it out: it was an option of CMA-ES",
     "predictor": "rollouts choose among plans of any hand: fungrasp evaluate --policy plan",
     "train --plans": "--search: the policy follows the best of many plans, which rollouts choose",
     "perceive --countdown": "--camera takes the image immediately",

@@ -130,7 +130,7 @@ class GraspChoice:
         if self.image is not None:
             return self._of_image(self.image, seed)
         from fungrasp.grasps import load_human_grasps, load_objects
-        from fungrasp.grasps.grasp_selection import picked_rows
+        from fungrasp.grasps.grasp_arguments import picked_rows
 
         everything = load_human_grasps(self.grasps)
         human = everything.select(picked_rows(everything, (self.grasp,)))

@@ -88,9 +88,9 @@ class LiftTestSpec:
     """Whether the planner fits the grasps to the object as it has settled, a little optimization that also
     repairs grasps that were retargeted badly; --no-adapt plays them unchanged."""
     rollouts: bool = True
-    """Policies that choose among candidate plans try the most promising in simulated rollouts first, in
-    worlds that differ from the nominal one, and search further where none holds: 12 to 201 episodes for each
-    grasp."""
+    """Policies that choose among candidate plans try them in simulated rollouts until one is held as shown,
+    in worlds that differ from the nominal one, and search further where none is: 3 to 104 episodes for each
+    grasp. Without, they play the one motion of each grasp."""
     other_places: bool = False
     """Where no candidate plan holds the object as the person showed it, play one that holds it otherwise."""
     selection: SelectionSettings | None = None

@@ -3,6 +3,8 @@
 from fungrasp.grasps.contacts import link_contacts
 from fungrasp.grasps.conversion import Convention, converted, mirrored_grasps
 from fungrasp.grasps.diagnosis import checked_grasps
+from fungrasp.grasps.from_arrays import mediapipe_joints
+from fungrasp.grasps.grasp_arguments import load_objects
 from fungrasp.grasps.grasp_files import (
     builtin_grasps,
     load_grasps,
@@ -11,7 +13,6 @@ from fungrasp.grasps.grasp_files import (
     save_human_grasps,
     save_robot_grasps,
 )
-from fungrasp.grasps.grasp_selection import load_objects
 from fungrasp.grasps.grasp_set import GraspSet
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import (
@@ -45,6 +46,7 @@ __all__ = [
     "load_human_grasps",
     "load_objects",
     "load_robot_grasps",
+    "mediapipe_joints",
     "mirrored_grasps",
     "save_human_grasps",
     "save_robot_grasps",

@@ -23,6 +23,12 @@ if TYPE_CHECKING:
 CONTACT_REACH = 0.03
 """Largest distance of a contact point from the skin of the link that it is a point of [m]."""
 
+SKIN = 0.009
+"""Joints of fingers lie so far under the skin [m], ``LINK_RADII`` in the mean."""
+
+LANDMARK_ERROR = 0.005
+"""Error of a landmark as a share of its distance: 3 pixels at a focal length of 600."""
+
 
 def human_grasp(
     joints: ArrayLike,
@@ -89,6 +95,60 @@ def human_grasp(
         fields["object_rest_pose"] = pose[None]
     grasps = checked_grasps(fields, {model.name: model}, "the grasp")
     return replace(grasps, objects={model.name: model})[0]
+
+
+def mediapipe_joints(
+    pixels: ArrayLike, world: ArrayLike, intrinsics: ArrayLike, depth: np.ndarray | None = None
+) -> np.ndarray:
+    """Joints in the camera's frame (x right, y down, z forward) from MediaPipe's landmarks [m], [21, 3].
+    World landmarks have a shape and no place: that is where they project to the pixels.
+
+    Without a depth image the hand is as large as MediaPipe's mean hand, and its distance as wrong as that.
+
+    Args:
+        pixels: landmarks in the image [pixels], shape [21, 2]: the normalized ones times width and height.
+        world: world landmarks [m], shape [21, 3].
+        intrinsics: of the camera, shape [3, 3].
+        depth: aligned with the image [m], shape [H, W], 0 where not measured: tells size and distance, also
+            where some of the landmarks are hidden by the object.
+
+    Returns:
+        In the order of ``HUMAN_JOINTS``.
+
+    Raises:
+        FungraspError: arrays of another shape, normalized landmarks, or depth that is measured at fewer than
+            four landmarks.
+    """
+    from scipy.optimize import least_squares
+
+    seen, shape = _finite("pixels", pixels, (21, 2)), _finite("world landmarks", world, (21, 3))
+    camera = _finite("intrinsics", intrinsics, (3, 3))
+    if np.ptp(seen, axis=0).max() <= 1.0:
+        raise FungraspError("the landmarks are normalized: multiply them by the image's width and height")
+    rays = (seen - camera[:2, 2]) / camera[[0, 1], [0, 1]]
+    known, surface = np.zeros(21, dtype=bool), np.zeros(21)
+    if depth is not None:
+        column, row = np.rint(seen).astype(int).T
+        inside = (row >= 0) & (row < depth.shape[0]) & (column >= 0) & (column < depth.shape[1])
+        surface[inside] = depth[row[inside], column[inside]]
+        known = (surface > 0) & np.isfinite(surface)
+        if known.sum() < 4:
+            raise FungraspError(
+                f"depth is measured at {known.sum()} of the 21 landmarks: at least 4 are needed"
+            )
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        places = x[0] * shape + x[1:]
+        missed = places[:, :2] / np.maximum(places[:, 2:], 1e-3) - rays
+        # Joints lie under the skin that depth sees.
+        behind = places[known, 2] - surface[known] - SKIN
+        return np.concatenate(
+            [missed.ravel() / LANDMARK_ERROR, behind / SKIN, [100.0 * (x[0] - 1)] * (depth is None)]
+        )
+
+    start = [1.0, *(0.5 * rays.mean(axis=0)), float(np.median(surface[known])) if known.any() else 0.5]
+    found = least_squares(residuals, start, loss="soft_l1" if depth is not None else "linear").x
+    return (found[0] * shape + found[1:])[joint_order("mediapipe")]
 
 
 def as_pose(pose: ArrayLike) -> np.ndarray:

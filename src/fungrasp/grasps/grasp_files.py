@@ -37,7 +37,7 @@ def load_human_grasps(path: str | Path) -> HumanGraspSet:
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
-    return _human(Path(path), _read(path))
+    return _human(Path(path), read_grasp_fields(path))
 
 
 @guarded("grasp file")
@@ -47,7 +47,7 @@ def load_robot_grasps(path: str | Path) -> RobotGraspSet:
     Raises:
         FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
     """
-    return _robot(Path(path), _read(path))
+    return _robot(Path(path), read_grasp_fields(path))
 
 
 @guarded("grasp file")
@@ -59,7 +59,7 @@ def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
-    arrays = _read(path)
+    arrays = read_grasp_fields(path)
     return _robot(Path(path), arrays) if _is_robot(arrays) else _human(Path(path), arrays)
 
 
@@ -104,15 +104,6 @@ def _needed_objects(arrays: Mapping[str, np.ndarray]) -> dict[str, ObjectModel]:
     if names.dtype.kind not in "US" or not (lacking or "object_rest_pose" not in arrays):
         return {}
     return {name: load_object(name) for name in set(names.astype(str).ravel().tolist()) & set(object_names())}
-
-
-def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
-    """The fields of a grasp file by name, as they are: neither checked nor complete.
-
-    Raises:
-        FungraspError: no such file, or none that can be read.
-    """
-    return _read(path)
 
 
 def _robot(path: Path, arrays: Mapping[str, np.ndarray]) -> RobotGraspSet:
@@ -179,7 +170,12 @@ def _require_fields(
         raise FungraspError(f"{path}: field '{missing[0]}' is missing; found: {found}")
 
 
-def _read(path: str | Path) -> dict[str, np.ndarray]:
+def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
+    """The fields of a grasp file by name, as they are: neither checked nor complete.
+
+    Raises:
+        FungraspError: no such file, or none that can be read.
+    """
     path = Path(path)
     arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith(EXTRA))
     version = arrays.pop("version", np.array(FILE_VERSION))

@@ -82,6 +82,7 @@ class ManoHand:
         *,
         pca: bool | None = None,
         flat_hand: bool = False,
+        template: np.ndarray | None = None,
     ) -> np.ndarray:
         """The 21 joints of one hand [m], shape [21, 3], in the order of ``HUMAN_JOINTS``, frame of the
         parameters. A left hand is not mirrored.
@@ -95,6 +96,7 @@ class ManoHand:
             pca: whether ``hand_pose`` are principal components; None: where they are fewer than 45.
             flat_hand: whether the pose counts from the flat hand (smplx: ``flat_hand_mean=True``), and not
                 from the mean pose, as MANO's and DexYCB's do.
+            template: vertices of a person's own hand at rest [m], shape [778, 3], in place of the mean one.
 
         Raises:
             FungraspError: a number of parameters that can't be.
@@ -109,7 +111,7 @@ class ManoHand:
         if not flat_hand:
             numbers = numbers + self._arrays["hands_mean"]
         vectors = np.concatenate([np.asarray(global_orient, dtype=float).ravel(), numbers])
-        joints, vertices = self._posed(betas, vectors, transl)
+        joints, vertices = self._posed(betas, vectors, transl, template)
         return np.concatenate([joints, vertices[TIP_VERTICES]])[MANO]
 
     def pose(self, betas: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -131,7 +133,7 @@ class ManoHand:
         return vertices, joints[0], vectors.reshape(16, 3)[MANO_TO_OURS]
 
     def _posed(
-        self, betas: ArrayLike, vectors: np.ndarray, transl: ArrayLike
+        self, betas: ArrayLike, vectors: np.ndarray, transl: ArrayLike, template: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """MANO's 16 joints and 778 vertices [m]: linear blend skinning with corrections by shape and pose."""
         shape = np.asarray(betas, dtype=float).ravel()
@@ -140,7 +142,11 @@ class ManoHand:
                 "MANO takes 10 betas at most, 3 numbers of orientation and of translation each"
             )
         a: Any = self._arrays
-        template = a["v_template"] + a["shapedirs"][..., : len(shape)] @ shape
+        if template is not None and np.shape(template) != _ARRAYS["v_template"]:
+            raise FungraspError(f"a hand's vertices have shape {np.shape(template)}, expected (778, 3)")
+        template = (a["v_template"] if template is None else template) + a["shapedirs"][
+            ..., : len(shape)
+        ] @ shape
         rest = a["J_regressor"] @ template
         turns = Rotation.from_rotvec(vectors.reshape(16, 3)).as_matrix()
         bent = template + a["posedirs"] @ (turns[1:] - np.eye(3)).ravel()

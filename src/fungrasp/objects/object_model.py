@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     import trimesh
 
 
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s^2]."""
+
 GRID_SPACING = 0.0025
 """Edge of a cell of the signed-distance grid [m]."""
 

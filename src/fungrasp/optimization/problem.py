@@ -16,10 +16,7 @@ from fungrasp.grasps import HumanGraspSet
 from fungrasp.grasps.as_shown import shown_places
 from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.object_model import settled_up
-
-GRAVITY = 9.81
-"""[m/s^2]."""
+from fungrasp.objects.object_model import GRAVITY, settled_up
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.hands import Hand
-
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
+from fungrasp.objects.object_model import GRAVITY
 
 
 class GravityCompensation:

@@ -17,6 +17,7 @@ from mujoco.batch import MODEL_FIELDS
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.simulation.devices import BufferSizes, Device
 
 WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "wrist_yaw")
@@ -24,9 +25,6 @@ WRIST_JOINTS = ("wrist_x", "wrist_y", "wrist_z", "wrist_roll", "wrist_pitch", "w
 
 HAND_PREFIX = "hand/"
 """Prefix of the names of the hand's bodies, joints and actuators."""
-
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
 
 NOMINAL_FRICTION = 0.9
 """Sliding friction of hand, object and table where nothing else is said (docs/evaluate.md)."""

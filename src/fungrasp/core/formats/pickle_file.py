@@ -12,6 +12,7 @@ import gzip
 import io
 import lzma
 import pickle
+import zipfile
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
@@ -38,7 +39,7 @@ _COMPRESSED: dict[bytes, Callable[[bytes], bytes]] = {
 
 
 def load_arrays_pickle(path: str | Path) -> Any:
-    """Read a pickle written by ``pickle.dump`` or ``joblib.dump``.
+    """Read a pickle written by ``pickle.dump`` or ``joblib.dump``, or an ``.npz`` file with such in it.
 
     Returns:
         Containers (dict, list, tuple, set), numbers, text, bytes and arrays of numbers, flags or text.
@@ -58,6 +59,9 @@ def unpickled(data: bytes) -> Any:
     Raises:
         Exception: they hold something else, or are no pickle.
     """
+    if data.startswith(b"PK\x03\x04"):
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return {n.removesuffix(".npy"): _npy(io.BytesIO(archive.read(n))) for n in archive.namelist()}
     for start, unpacked in _COMPRESSED.items():
         if data.startswith(start):
             data = unpacked(data)
@@ -65,12 +69,22 @@ def unpickled(data: bytes) -> Any:
     return _plain(_ArraysUnpickler(io.BytesIO(data)).load())
 
 
+def _npy(stream: io.BytesIO) -> Any:
+    """The array of an ``.npy`` file; what a single object of Python's in it holds."""
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    if not read(stream)[2].hasobject:
+        stream.seek(0)
+        return np.lib.format.read_array(stream, allow_pickle=False)
+    return _plain(_ArraysUnpickler(stream).load())
+
+
 class _DType:
     """Stands for ``numpy.dtype``; only what plain numbers, flags and text need."""
 
     def __init__(self, code: str, *_: Any):
         self.dtype = np.dtype(code)
-        if self.dtype.kind not in "biufSU":
+        if self.dtype.kind not in "biufSUO":
             raise FungraspError(f"it holds an array of {self.dtype}, which is no plain data")
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -79,6 +93,8 @@ class _DType:
 
     def array(self, data: Any, shape: Any, fortran: Any) -> np.ndarray:
         """The array of these bytes; a view of them, as far as the order of bytes allows."""
+        if self.dtype.hasobject:
+            raise FungraspError("it holds an array of objects, which is no plain data")
         raw = data.encode("latin1") if isinstance(data, str) else data
         array = np.frombuffer(raw, self.dtype).reshape(shape, order="F" if fortran else "C")
         return array.astype(self.dtype.newbyteorder("="), copy=False)
@@ -87,10 +103,13 @@ class _DType:
 class _Array:
     """Stands for ``numpy.ndarray``."""
 
-    value = np.zeros(0)
+    value: Any = np.zeros(0)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _, shape, dtype, fortran, data = state
+        if shape == () and isinstance(data, list) and len(data) == 1:
+            self.value = _plain(data[0])
+            return
         self.value = _typed(dtype).array(data, shape, fortran)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import io
 import json
+import math
 import os
+import re
 import signal
 import struct
 import sys
@@ -97,6 +99,12 @@ def _trimesh_load(path: str, **options: bool) -> Any:
     import trimesh
 
     load: Any = trimesh.load
+    if path.lower().endswith(".dae"):
+        if importlib.util.find_spec("collada") is None:
+            raise ValueError(
+                'a .dae file needs pycollada: pip install "fungrasp[collada]", or convert it to .obj'
+            )
+        return _as_collada_says(load(path, force="mesh", process=False, **options), Path(path).read_bytes())
     try:
         return load(path, force="mesh", process=False, **options)
     except ValueError as error:
@@ -104,6 +112,20 @@ def _trimesh_load(path: str, **options: bool) -> Any:
             raise
         text = io.BytesIO(ply_as_text(Path(path).read_bytes()))
         return load(text, file_type="ply", force="mesh", process=False, **options)
+
+
+def _as_collada_says(mesh: Any, data: bytes) -> Any:
+    """A mesh of a .dae file in meters, z up, as far as the file names its unit and axis. MeshLab names one
+    that it does not mean: it keeps the coordinates of whatever it has read."""
+    unit = re.search(rb"<unit[^>]*\bmeter\s*=\s*[\"']([^\"']+)", data)
+    axis = re.search(rb"<up_axis>\s*([XY])_UP", data)
+    if unit is not None and math.isfinite(float(unit[1])) and float(unit[1]) > 0:
+        mesh.apply_scale(float(unit[1]))
+    if axis is not None and b"MeshLab" not in data and b"VCGLab" not in data:
+        up = {b"Y": [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]}
+        up[b"X"] = [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
+        mesh.apply_transform(up[axis[1]])
+    return mesh
 
 
 _PLY_NAMES = (

@@ -1,7 +1,26 @@
-"""Reading other people's data sets as human grasps, and finding importers of other packages by name."""
+"""Reading other people's data sets as human grasps; importers of other packages: entry point "
+"``fungrasp.grasps``."""
 
-from fungrasp.grasps.importers.dexycb import DexYCBOptions, import_dexycb
-from fungrasp.grasps.importers.dgrasp import import_dgrasp
-from fungrasp.grasps.importers.registry import load_importer
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
 
-__all__ = ["DexYCBOptions", "import_dexycb", "import_dgrasp", "load_importer"]
+from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.grasps.human_grasp import HumanGraspSet
+
+Importer = Callable[[Path], HumanGraspSet]
+"""Takes the data set's file or folder."""
+
+
+def load_importer(name: str) -> Importer:
+    """An importer by the name of its entry point.
+
+    Raises:
+        FungraspError: no installed package has it.
+    """
+    found = {entry.name: entry for entry in entry_points(group="fungrasp.grasps")}
+    if not found:
+        raise FungraspError(f"no importer '{name}': no installed package brings importers of grasps")
+    if name not in found:
+        raise UnknownNameError("importer", name, found)
+    return found[name].load()

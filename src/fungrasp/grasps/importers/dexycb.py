@@ -25,15 +25,12 @@ from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.formats.text_files import read_yaml
 from fungrasp.grasps.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.human_hand import mirror_points, mirror_pose
+from fungrasp.grasps.human_hand import OPENPOSE, mirror_points, mirror_pose
 from fungrasp.grasps.importers.ycb import YCB_MASSES, YCB_NAMES
 from fungrasp.grasps.mano import ManoHand
 from fungrasp.objects import MIRRORED
 
 TAG = "apriltag"
-
-TO_OUR_JOINTS = np.array([0, *range(5, 21), *range(1, 5)])
-"""DexYCB's joints are wrist, thumb, index, middle, ring, little finger; ours have the thumb last."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +132,7 @@ def read_track(sequence: Sequence, serial: str) -> Track:
         if pose_y[sequence.grasped].any():
             objects[frame] = world_camera @ np.vstack([pose_y[sequence.grasped], [0, 0, 0, 1]])
         if pose_m.any() and not (joint_3d == -1).all():
-            joints[frame] = joint_3d[TO_OUR_JOINTS] @ world_camera[:3, :3].T + world_camera[:3, 3]
+            joints[frame] = joint_3d[OPENPOSE] @ world_camera[:3, :3].T + world_camera[:3, 3]
             mano[frame] = pose_m
     return Track(objects, joints, mano, world_camera)
 
@@ -192,6 +189,10 @@ class DexYCBOptions:
     """Folder of meshes <name>.obj; by default DexYCB's own models."""
     contact_tolerance: float = TRACKED_CONTACT_GAP
     """Gap between hand and object that still counts as contact [m]."""
+
+    def __post_init__(self) -> None:
+        if not self.displacement > 0:
+            raise FungraspError(f"--displacement must be greater than 0, not {self.displacement}")
 
 
 @dataclass(frozen=True)

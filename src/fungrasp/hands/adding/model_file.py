@@ -18,7 +18,13 @@ from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model, quiet
 from fungrasp.hands.adding.model_repairs import drop_bad_inertias, find_palm, repair_joints
-from fungrasp.hands.adding.model_text import check_mimics, flatten, keep_everything, parse_xml, wrap_world
+from fungrasp.hands.adding.model_text import (
+    check_mimics,
+    inline_includes,
+    keep_everything,
+    parse_xml,
+    wrap_world,
+)
 from fungrasp.hands.findings import Finding, listed, note, warning
 from fungrasp.hands.kinematic_tree import subtree
 
@@ -89,7 +95,7 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
         check_mimics(root, tied, findings)
         keep_everything(root)
     else:
-        flatten(root, path.parent)
+        inline_includes(root, path.parent)
     palm = wrap_world(root, palm, findings)
     with quiet():
         spec = _spec(path, root, findings)
@@ -273,6 +279,15 @@ def _take_meshes(
         geom.mass, geom.contype, geom.conaffinity = 0.0, 0, 0
     for mesh in list(spec.meshes):
         spec.delete(mesh)
+    collada = [
+        name
+        for name, shape in loaded.items()
+        if shape is not None and by_name[name].file.lower().endswith(".dae")
+    ]
+    if collada:
+        findings.append(
+            note(f"the mesh {listed(collada)} is read with the unit and the up axis that its .dae names")
+        )
     carriers = _in_meters(carriers, findings)
     if missing:
         findings.append(

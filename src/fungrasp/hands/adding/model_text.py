@@ -66,7 +66,7 @@ def keep_everything(robot: ElementTree.Element) -> None:
     ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", settings)
 
 
-def flatten(root: ElementTree.Element, folder: Path) -> None:
+def inline_includes(root: ElementTree.Element, folder: Path) -> None:
     """Put included files in place of the ``<include>`` elements, and find those of attached models."""
     for asset in root.iter("model"):
         file = folder / asset.get("file", "")

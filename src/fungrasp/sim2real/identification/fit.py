@@ -1,4 +1,4 @@
-"""Fits joint dynamics to a log: bounded Gauss-Newton, and CMA-ES beside it.
+"""Fits joint dynamics to a log by bounded Gauss-Newton.
 
 minimize over (delay; logarithms of stiffness, damping, friction, armature of each joint; its drive's errors)
     sum (q_simulated(t) - q_measured(t))^2 / sigma^2 + sum (log factor)^2 / prior^2
@@ -29,7 +29,6 @@ from fungrasp.sim2real.identification.log_simulation import (
 from fungrasp.sim2real.identification.motion_log import MotionLog, joint_samples
 from fungrasp.sim2real.joint_dynamics import QUANTITIES, JointDynamics, model_dynamics
 
-METHODS = ("gauss-newton", "cma-es")
 ERRORS = ("offset", "backlash")
 
 
@@ -37,8 +36,6 @@ ERRORS = ("offset", "backlash")
 class FitSettings:
     """What is fitted, and between which bounds."""
 
-    method: str = "gauss-newton"
-    """"gauss-newton" or "cma-es"."""
     fixed: tuple[str, ...] = ()
     """Quantities that keep the model's values: "stiffness" where the host computes the torques."""
     range: float = 30.0
@@ -61,16 +58,11 @@ class FitSettings:
     """Standard deviation of measured positions, for the uncertainties' floor [rad]."""
     iterations: int = 60
     """Of Gauss-Newton."""
-    evaluations: int = 3000
-    """Simulations of CMA-ES."""
-    seed: int = 0
-    """Of CMA-ES."""
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise FungraspError(
-                f"the method of identification is {' or '.join(METHODS)}, not '{self.method}'"
-            )
+        for name in self.fixed:
+            if name not in QUANTITIES:
+                raise FungraspError(f"fixed quantities are {', '.join(QUANTITIES)}, not '{name}'")
         for name in self.errors:
             if name not in ERRORS:
                 raise FungraspError(f"errors of drives are {' and '.join(ERRORS)}, not '{name}'")
@@ -128,11 +120,11 @@ def fit_dynamics(
 def _fit(hand: Hand, logs: Sequence[MotionLog], settings: FitSettings) -> IdentifiedDynamics:
     problem = _Problem(hand, logs, settings)
     began = time.perf_counter()
-    best = _from_gains(problem) if settings.method == "gauss-newton" else _cma_es(problem, problem.start(1.0))
+    best = _from_gains(problem)
     errors = _withhold(problem, best)
     if problem.withheld.any():
         best[problem.withheld] = 0.0
-        best = _gauss_newton(problem, best) if settings.method == "gauss-newton" else _cma_es(problem, best)
+        best = _gauss_newton(problem, best)
     seconds = time.perf_counter() - began
     residual = problem.residuals(best[:, None])
     rms = float(np.sqrt(np.mean(residual[: problem.measured] ** 2)) * settings.noise)
@@ -413,31 +405,3 @@ def _from_gains(problem: _Problem) -> np.ndarray:
         if cost < GOOD_FIT:
             break
     return best
-
-
-def _cma_es(problem: _Problem, start: np.ndarray) -> np.ndarray:
-    try:
-        import cma
-    except ImportError as error:
-        raise FungraspError(
-            'the method cma-es needs the package cma: pip install "fungrasp[sysid]"'
-        ) from error
-    settings = problem.settings
-    free = ~problem.withheld
-    lower, upper = problem.lower[free], problem.upper[free]
-    options = {
-        "bounds": [lower.tolist(), upper.tolist()],
-        "seed": settings.seed + 1,
-        "maxfevals": settings.evaluations,
-        "verbose": -9,
-        "verb_log": 0,
-    }
-    search = cma.CMAEvolutionStrategy(np.clip(start[free], lower + 1e-3, upper - 1e-3), 0.5, options)
-    while not search.stop():
-        some = search.ask()
-        tries = np.zeros((problem.count, len(some)))
-        tries[free] = np.array(some).T
-        search.tell(some, ((problem.residuals(tries) ** 2).sum(axis=0)).tolist())
-    found = np.zeros(problem.count)
-    found[free] = search.result.xbest
-    return found

@@ -12,6 +12,7 @@ import numpy as np
 from mujoco import rollout
 
 from fungrasp.hands import Hand
+from fungrasp.hands.kinematic_tree import carrier_of
 from fungrasp.sim2real.identification.motion_log import JointSamples, MotionLog, joint_samples
 from fungrasp.sim2real.joint_dynamics import JointDynamics, set_dynamics
 
@@ -196,7 +197,11 @@ def hang_weights(model: mujoco.MjModel, hand: Hand, mass: float) -> None:
         mass: of each [kg].
     """
     for finger in hand.fingers.values():
-        body, place = _fingertip(model, finger.tip)
+        body, site = (
+            carrier_of(model, finger.tip),
+            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, finger.tip),
+        )
+        place = model.site_pos[site].copy() if site >= 0 else np.zeros(3)
         own, center = float(model.body_mass[body]), model.body_ipos[body].copy()
         both = own + mass
         middle = (own * center + mass * place) / both
@@ -210,14 +215,6 @@ def hang_weights(model: mujoco.MjModel, hand: Hand, mass: float) -> None:
         mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
         model.body_mass[body], model.body_ipos[body], model.body_inertia[body] = both, middle, moments
     mujoco.mj_setConst(model, mujoco.MjData(model))
-
-
-def _fingertip(model: mujoco.MjModel, tip: str) -> tuple[int, np.ndarray]:
-    """Body and place in its frame [m] of a site or body."""
-    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, tip)
-    if site < 0:
-        return int(model.body(tip).id), np.zeros(3)
-    return int(model.site_bodyid[site]), model.site_pos[site].copy()
 
 
 def _about(mass: float, offset: np.ndarray) -> np.ndarray:

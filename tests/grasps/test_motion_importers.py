@@ -1,0 +1,188 @@
+"""Data sets of hands that move objects, made here in the layouts of GRAB and HO-3D; MediaPipe's landmarks."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import fungrasp
+from fungrasp.cli.main import main
+from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.poses import inverse_transform_points
+from fungrasp.grasps import load_human_grasps, mediapipe_joints
+from fungrasp.grasps.human_hand import MANO, OPENPOSE
+from fungrasp.grasps.importers.motions import grasp_from_motion, import_grab, import_ho3d
+from fungrasp.grasps.mano import TIP_VERTICES
+
+TABLE = 0.8
+"""Height of the table in the motions [m]."""
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """A built-in grasp, and its object as a file."""
+    grasp = fungrasp.builtin_grasps()[36]
+    model = fungrasp.load_object(grasp.object_name)
+    return grasp, trimesh.Trimesh(model.vertices, model.faces, process=False)
+
+
+def motion(grasp) -> tuple[np.ndarray, np.ndarray]:
+    """Object poses and joints of five frames: at rest, then lifted; on a table of height ``TABLE``."""
+    up = np.array([0.0, 0.0, 0.004, 0.012, 0.03])[:, None] * [0.0, 0.0, 1.0] + [0.3, -0.2, TABLE]
+    poses = np.tile(grasp.object_rest_pose, (5, 1))
+    poses[:, :3] += up
+    shift = grasp.object_rest_pose[:3] - grasp.object_pose[:3]
+    turn = Rotation.from_quat(grasp.object_rest_pose[3:], scalar_first=True)
+    back = Rotation.from_quat(grasp.object_pose[3:], scalar_first=True).inv()
+    joints = turn.apply(back.apply(grasp.hand_joints - grasp.object_pose[:3])) + grasp.object_pose[:3] + shift
+    return poses, joints + up[:, None]
+
+
+def held(grasp) -> np.ndarray:
+    """Joints in the frame of the object."""
+    return inverse_transform_points(grasp.object_pose, grasp.hand_joints)
+
+
+def test_a_motion_gives_the_grasp_in_which_the_object_moves(shown, tmp_path):
+    grasp, mesh = shown
+    poses, joints = motion(grasp)
+    mesh.export(tmp_path / "thing.ply")
+    found = grasp_from_motion(joints, poses, tmp_path / "thing.ply", task="drink")
+    np.testing.assert_allclose(held(found), held(grasp), atol=1e-6)
+    # The fourth frame is the first that is more than 1 cm away, on a table that is now at zero.
+    assert found.object_pose[2] - grasp.object_rest_pose[2] == pytest.approx(0.012, abs=1e-6)
+    assert found.task == "drink" and found.object_name == "thing" and found.link_contacts.sum() >= 3
+    with pytest.raises(FungraspError, match="never moves"):
+        grasp_from_motion(joints[:3], poses[:3], tmp_path / "thing.ply")
+    with pytest.raises(FungraspError, match="order of openpose"):
+        grasp_from_motion(joints[:, np.argsort(OPENPOSE)], poses, tmp_path / "thing.ply")
+
+
+def mano_vertices(joints: np.ndarray) -> np.ndarray:
+    """Of the model that ``write_mano`` writes: the first 16 are its joints."""
+    scattered = np.empty((21, 3))
+    scattered[MANO] = joints
+    template = np.zeros((778, 3))
+    template[:16], template[TIP_VERTICES] = scattered[:16], scattered[16:]
+    return template
+
+
+def write_mano(folder: Path, joints: np.ndarray) -> None:
+    """A MANO model whose flat hand is this one, moved as one piece by the wrist."""
+    regressor, weights = np.eye(16, 778), np.zeros((778, 16))
+    weights[:, 0] = 1.0
+    parents = np.array([2**32 - 1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14])
+    model = {
+        "v_template": mano_vertices(joints),
+        "shapedirs": np.zeros((778, 3, 10)),
+        "posedirs": np.zeros((778, 3, 135)),
+        "J_regressor": regressor,
+        "weights": weights,
+        "hands_components": np.eye(45),
+        "hands_mean": np.full(45, 0.3),
+        "kintree_table": np.stack([parents, np.arange(16)]),
+    }
+    (folder / "MANO_RIGHT.pkl").write_bytes(pickle.dumps(model))
+
+
+def test_grab(shown, tmp_path, capsys):
+    grasp, mesh = shown
+    poses, joints = motion(grasp)
+    # MANO turns a hand about its wrist.
+    turn = Rotation.from_rotvec([0.4, -0.3, 1.1])
+    rest = turn.inv().apply(joints[0] - joints[0, 0]) + np.array([0.1, 0.0, 0.02])
+    write_mano(tmp_path, 1.1 * rest)
+    (tmp_path / "grab" / "s1").mkdir(parents=True)
+    (tmp_path / "people").mkdir()
+    trimesh.Trimesh(mano_vertices(rest), [[0, 1, 2]], process=False).export(
+        tmp_path / "people" / "s1_rhand.ply"
+    )
+    (tmp_path / "meshes").mkdir()
+    mesh.export(tmp_path / "meshes" / "mug.ply")
+    right = {
+        "global_orient": np.tile(turn.as_rotvec(), (5, 1)).astype(np.float32),
+        "hand_pose": np.zeros((5, 24), np.float32),
+        "transl": (joints[:, 0] - rest[0]).astype(np.float32),
+    }
+    thing = {
+        # Rotations of row vectors.
+        "global_orient": -Rotation.from_quat(poses[:, 3:], scalar_first=True).as_rotvec(),
+        "transl": poses[:, :3],
+    }
+    content = {"rhand": {"params": right, "vtemp": "people/s1_rhand.ply"}, "object": {"params": thing}}
+    np.savez(tmp_path / "grab" / "s1" / "mug_drink_1.npz", n_frames=5, obj_name="mug", **content)  # type: ignore[arg-type]
+    found = import_grab(tmp_path / "grab", tmp_path, tmp_path / "meshes", tmp_path)
+    assert found.object_name.tolist() == ["mug"] and found.task.tolist() == ["drink"]
+    np.testing.assert_allclose(held(found[0]), held(grasp), atol=1e-5)
+    out = tmp_path / "out.npz"
+    arguments = ["--mano", str(tmp_path), "--objects", str(tmp_path / "meshes"), "--subjects", str(tmp_path)]
+    assert main(["grasps", "import", "grab", str(tmp_path / "grab"), "--out", str(out), *arguments]) == 0
+    assert len(load_human_grasps(out)) == 1
+    # The mean hand, a tenth larger, about the same wrist.
+    larger = import_grab(tmp_path / "grab", tmp_path, tmp_path / "meshes").hand_joints[0]
+    assert np.ptp(larger, axis=0).max() > 1.05 * np.ptp(joints[0], axis=0).max()
+    np.savez(tmp_path / "grab" / "s1" / "mug_drink_1.npz", rhand=np.zeros(3))
+    with pytest.raises(FungraspError, match="no field 'rhand' of fields"):
+        import_grab(tmp_path / "grab", tmp_path, tmp_path / "meshes")
+    with pytest.raises(FungraspError, match="holds no sequence"):
+        import_grab(tmp_path / "meshes", tmp_path, tmp_path / "meshes")
+
+
+def test_ho3d(shown, tmp_path):
+    grasp, mesh = shown
+    tilt = 0.5
+    camera = Rotation.from_euler("x", 0.5 * np.pi - tilt)
+    (tmp_path / "MC1" / "meta").mkdir(parents=True)
+    (tmp_path / "models" / "025_mug").mkdir(parents=True)
+    mesh.export(tmp_path / "models" / "025_mug" / "textured_simple.obj")
+    scattered = np.empty((21, 3))
+    scattered[MANO] = grasp.hand_joints
+    turn = camera.inv() * Rotation.from_quat(grasp.object_pose[3:], scalar_first=True)
+    shift = np.array([0.1, -0.1, -0.6])
+    fields = {
+        "objName": "025_mug",
+        "objRot": turn.as_rotvec()[:, None],
+        "objTrans": camera.inv().apply(grasp.object_pose[:3]) + shift,
+        "handJoints3D": camera.inv().apply(scattered) + shift,
+    }
+    for frame, content in enumerate(({"handJoints3D": None}, {"handJoints3D": None}, fields)):
+        (tmp_path / "MC1" / "meta" / f"{frame:04d}.pkl").write_bytes(pickle.dumps(content))
+    found = import_ho3d(tmp_path, tmp_path / "models", tilt)
+    np.testing.assert_allclose(held(found[0]), held(grasp), atol=1e-6)
+    turned = Rotation.from_quat(found.object_pose[0, 3:], scalar_first=True)
+    wanted = Rotation.from_quat(grasp.object_pose[3:], scalar_first=True)
+    assert (turned.inv() * wanted).magnitude() < 1e-6
+    assert found.hand_joints[..., 2].min() >= 0.05 - 1e-9 and found.object_mass[0] == 0.118
+    (tmp_path / "MC1" / "meta" / "0002.pkl").write_bytes(pickle.dumps(fields | {"objRot": np.array(["a"])}))
+    with pytest.raises(FungraspError, match="'objRot' holds"):
+        import_ho3d(tmp_path, tmp_path / "models")
+
+
+def test_landmarks_of_mediapipe_get_a_place(shown):
+    grasp, _ = shown
+    camera = np.array([[600.0, 0, 320], [0, 610, 240], [0, 0, 1]])
+    hand = Rotation.from_rotvec([0.5, 2.0, 0.3]).apply(grasp.hand_joints - grasp.hand_joints.mean(axis=0))
+    hand += [0.06, -0.03, 0.55]
+    pixels = hand[:, :2] / hand[:, 2:] * [600, 610] + [320, 240]
+    world = 0.85 * (hand - hand.mean(axis=0))
+    ordered = np.argsort(OPENPOSE)
+    # Without depth the hand is as large as its world landmarks, and as much nearer.
+    near = mediapipe_joints(pixels[ordered], world[ordered], camera)
+    np.testing.assert_allclose(near, 0.85 * hand, atol=0.003)
+    depth = np.zeros((480, 640), np.float32)
+    row, column = np.rint(pixels[:, ::-1]).astype(int).T
+    depth[row, column] = hand[:, 2] - 0.009
+    # An object hides three fingertips.
+    depth[row[[4, 8, 12]], column[[4, 8, 12]]] -= 0.06
+    np.testing.assert_allclose(
+        mediapipe_joints(pixels[ordered], world[ordered], camera, depth), hand, atol=0.006
+    )
+    with pytest.raises(FungraspError, match="normalized"):
+        mediapipe_joints(pixels[ordered] / 640, world[ordered], camera)
+    with pytest.raises(FungraspError, match="at 0 of the 21"):
+        mediapipe_joints(pixels[ordered], world[ordered], camera, np.zeros((480, 640)))
