@@ -25,8 +25,12 @@ from fungrasp.deployment.hold_after_stop import OPENING, HoldWatch, endings_as_i
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.spec import Phase
 from fungrasp.policies import OpenLoopPolicy
+from fungrasp.robots.arms.ur import URSettings
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import DeviceSettings, RobotCell
+from fungrasp.robots.hands.allegro import AllegroSettings
+from fungrasp.robots.hands.inspire import InspireSettings
+from fungrasp.robots.hands.leap import LeapSettings
 from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_throughout, hold_sample
 from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
@@ -329,6 +333,15 @@ def _ended(
     return session.heard.get("ended")  # pyright: ignore[reportReturnType]
 
 
+USUAL = {
+    "ur-rtde": URSettings.stale_after,
+    "allegro-can": AllegroSettings.stale_after,
+    "inspire": InspireSettings.stale_after,
+    "leap-dynamixel": LeapSettings.stale_after,
+}
+"""Silence after which a device counts as disconnected, by driver [s]."""
+
+
 def private_cell(cell: RobotCell, patience: float) -> RobotCell:
     """The cell with addresses that no other process has.
 
@@ -342,10 +355,8 @@ def private_cell(cell: RobotCell, patience: float) -> RobotCell:
     number = os.getpid()
 
     def patient(device: DeviceSettings, address: str) -> Any:
-        options = dict(device.options)
-        if "stale_after" in options:
-            options["stale_after"] *= patience
-        return replace(device, address=address, options=options)
+        said = device.options.get("stale_after", USUAL[device.driver])
+        return replace(device, address=address, options={**device.options, "stale_after": patience * said})
 
     hands = {
         "allegro-can": str(20000 + number % 20000),

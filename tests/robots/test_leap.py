@@ -14,7 +14,7 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from fungrasp.hands import load_hand
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands import leap as codec
-from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+from fungrasp.robots.hands.leap import LeapLoop, LeapSettings, leap_driver
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.leap import DynamixelEmulator
 from fungrasp_emulators.plants import ServoPlant
@@ -86,6 +86,15 @@ def test_a_hardware_error_is_a_fault():
         device.emulator.report_error(5, 1 << 5)
         assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
         assert "servo 5: overload" in device.driver.read().message
+
+
+def test_a_late_answer_of_another_register_is_no_hardware_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop, none = LeapLoop(LeapSettings(build="full")), (0,) * 16
+    late, overload = (1, 4, *none[2:]), (*none[:5], 1 << 5, *none[6:])
+    answers = [late, none, none, overload, overload]
+    monkeypatch.setattr(loop, "_read_all", lambda address, size: answers.pop(0))
+    said = [loop._read_faults() for _ in range(3)]
+    assert said[:2] == ["", ""] and "overload" in said[2]
 
 
 def test_power_off_and_open():

@@ -3,7 +3,8 @@
 Each quantity has a unit that means something, and is normalized by what the image itself shows: numbers of
 pixels by the pixels that show the object, lengths in pixels by the image's size, fits at the noise of this
 image's depth. So the limits are the same for every camera. They were chosen on renders of two kinds of depth
-cameras (RealSense D435i, Xtion), between right answers and wrong meshes.
+cameras (RealSense D435i, Xtion) and six images of one RealSense camera, between right answers and wrong
+meshes.
 """
 
 from __future__ import annotations
@@ -37,9 +38,8 @@ WORSE = 2.0
 """Another size of the mesh must fit worse by so many standard errors of the share explained:
 1 / sqrt(pixels)."""
 
-SIDE, SIDE_MASKED = 0.3, 1.0
-"""Another length of one side may fit better by so many of them. Without a mask the fit decides as well what
-is the object's, and a mesh that is too short takes less for it; with one, what is beyond it shows."""
+SIDE = 1.0
+"""Another length of one side may fit better by so many of them: the best of 18 does by chance."""
 
 LARGER, OFF = 1.5, 4.5
 """Largest difference between the outlines in the image and of the mesh: of their size, and of their place in
@@ -142,13 +142,12 @@ def object_meters(e: PoseEvidence) -> tuple[Meter, ...]:
     count = max(e.pixels, 1.0)
     noise = 100.0 / np.sqrt(count)
     piece = 100.0 * e.mask_piece / count if e.hinted == 1.0 else nan
-    side = SIDE_MASKED if e.hinted == 1.0 else SIDE
     unexplained = 100.0 * (1.0 - min(e.explained, e.visible))
     # Value, limit and tolerance.
     found = {
         "unexplained": (unexplained, 100 * UNEXPLAINED, 10.0),
         "other_size": (100 * e.other_size, -WORSE * noise, 2 * noise),
-        "other_side": (100 * e.other_side, side * noise, 2 * noise),
+        "other_side": (100 * e.other_side, SIDE * noise, 2 * noise),
         "larger": (abs(e.larger), LARGER, 1.0),
         "off": (e.off, OFF, 2.0),
         "left_over": (100 * e.left_over, 100 * LEFT_OVER, 10.0),

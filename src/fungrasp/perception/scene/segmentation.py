@@ -37,6 +37,7 @@ CAPSULE_RADII = np.concatenate(
     ]
 )
 FOREARM = (0.35, 0.045)  # Length and radius of forearm and sleeve [m].
+MARGINS = (0.012, 0.004, 0.02)  # Pixels nearer to the skin [m] are left out of such masks; several are tried.
 TIPS = (4, 8, 12, 16, 20)  # The fingertips among the 21 joints.
 NEAR_HAND = 0.06  # A thing this near to the hand's skin [m] may be what it holds.
 FARTHEST = 3.0  # Nobody holds an object farther away [m].
@@ -148,6 +149,14 @@ def segment(
         masks = pointed_pieces(_pieces(seen, capture.depth), capture.point)
     else:
         masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not hinted)
+    if capture.mask is None:
+        # Colors may take skin for the object: what is clear of the hand is proposed as well.
+        for margin in MARGINS if joints is not None else (0.0,):
+            pieces = _pieces(candidate & (np.minimum(hand, arm) > margin), capture.depth)
+            if capture.point is not None:
+                masks.extend(pointed_pieces(pieces, capture.point))
+            else:
+                masks.extend(_groups(pieces, hand, joints is not None))
     return Segmentation(_different(masks), classes.obj * near, classes, spread, width)
 
 

@@ -323,9 +323,13 @@ class LeapLoop(DeviceLoop):
         errors = self._read_all(HARDWARE_ERROR, 1)
         if errors is None:
             return self._fault
-        for servo, bits in zip(self._servos, errors, strict=True):
+        # An answer does not say of which register it is: what came late of other ones is not there again.
+        again = self._read_all(HARDWARE_ERROR, 1) if any(errors) else errors
+        if again is None:
+            return self._fault
+        for servo, first, second in zip(self._servos, errors, again, strict=True):
             for bit, what in HARDWARE_ERRORS.items():
-                if bits >> bit & 1:
+                if (first & second) >> bit & 1:
                     return f"servo {servo}: {what}; switch the hand off and on"
         return ""
 
