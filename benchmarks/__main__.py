@@ -8,7 +8,6 @@ BENCHMARKS = {
     "gpu": "worlds from one to thousands on each device: steps, rollouts, memory, shares",
     "peers": "retargeting beside other packages",
     "grasp_set": "makes human grasps of many objects, in parts to train, to validate and to test",
-    "choose": "two variants on the same grasps of that set: the difference and its interval",
     "perception": "perceived hands and objects against the truth: rendered, varied and recorded captures",
     "wire": "deployments on twins over emulated wires, on the clock of the wall",
     "fault_series": "faults of all kinds in every phase of deployments on twins and over emulated wires",

@@ -1,18 +1,24 @@
 """``python -m benchmarks.speed``: how long the package takes for what it does most.
 
-Retargeting, planning, training, one robot's control step, and the start of the program. Pairs of runs on one
-machine, each from its own clone, compare two versions.
+Retargeting, planning, training, one robot's control step, and the start of the program; ``python -m
+benchmarks.speed commands`` times whole commands. Pairs of runs on one machine, each from its own clone,
+compare two versions.
 """
 
 from __future__ import annotations
 
+import os
+import resource
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from benchmarks.command import check_positive, main
 from fungrasp.cli.console import progress_bar, table, write_json
@@ -28,11 +34,59 @@ STARTS = {
 }
 """Python code whose processes are timed, by what it is called."""
 
+GRASPS, ROBOT = "{grasps}", "robot.npz"
+COMMANDS = {
+    "import": ("", "import fungrasp"),
+    "--help": ("", "--help"),
+    "hands list": ("", "hands list"),
+    "retarget": ("retargeting:retarget", f"retarget {GRASPS} --out {ROBOT}"),
+    "evaluate reference": ("evaluation:evaluate", f"evaluate {GRASPS} --policy reference"),
+    "view, until it serves": (
+        "viewer.choose_page:choose_page",
+        "import fungrasp; fungrasp.view(wait=False).close()",
+    ),
+    "demo": ("media.demonstration:demonstrate", "demo"),
+}
+"""What a person waits for: the verb that does the work ("module:name", its time apart; "" for none), and the
+words of the command line, or Python code."""
+
+TIMED = """
+import importlib, sys, time
+spent = 0.0
+place, words, code = sys.argv[1:4]
+if place:
+    module, name = place.split(":")
+    module = importlib.import_module(f"fungrasp.{module}")
+    verb = getattr(module, name)
+    def timed(*arguments, **options):
+        global spent
+        start = time.perf_counter()
+        try:
+            return verb(*arguments, **options)
+        finally:
+            spent += time.perf_counter() - start
+    setattr(module, name, timed)
+if code:
+    exec(code)
+else:
+    from fungrasp.cli.main import main
+    try:
+        status = main(words.split("\\n"))
+    except SystemExit as end:
+        status = end.code
+    assert not status, status
+open("spent", "w").write(str(spent))
+"""
+"""Runs a command, and says for how long its verb did."""
+
 
 @dataclass(frozen=True)
 class Speed:
     """Measure retargeting, planning, training, a control step and the start of the program."""
 
+    what: Annotated[Literal["package", "commands"], tyro.conf.Positional] = "package"
+    """The package's functions; or whole commands, cold (with an empty cache: nothing is compiled, no mesh is
+    known) and warm, on the clock of the wall and of the processors, with the share of the verb."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None
@@ -55,6 +109,12 @@ class Speed:
     """Write the numbers here (.json)."""
 
     def run(self) -> None:
+        if self.what == "commands":
+            self._run_commands()
+        else:
+            self._run_package()
+
+    def _run_package(self) -> None:
         import numpy as np
 
         from fungrasp.cli.train import prepare_torch
@@ -88,6 +148,31 @@ class Speed:
             write_json(self.json, about | {"speed": found})
         print(table([("what", "measured"), *((name, f"{value:,.3g}") for name, value in found.items())]))
         print("; ".join(f"{name} {value}" for name, value in about.items()))
+
+    def _run_commands(self) -> None:
+        """Each command cold, then ``repeat`` times warm, of which the fastest counts."""
+        from fungrasp.core.provenance import machine
+
+        check_positive(repeat=self.repeat)
+        grasps = f"--grasps\n{Path(self.grasps).absolute() if Path(self.grasps).is_file() else self.grasps}"
+        if self.objects is not None:
+            grasps += f"\n--objects\n{self.objects.absolute()}"
+        rows: dict[str, dict[str, float]] = {}
+        with TemporaryDirectory() as folder:
+            for name, (place, words) in COMMANDS.items():
+                code = words if words.startswith("import ") else ""
+                line = words.replace(" ", "\n").replace(GRASPS, grasps)
+                runs = [_timed(Path(folder), place, line, code) for _ in range(1 + self.repeat)]
+                rows[name] = {"cold": runs[0]["wall"], **min(runs[1:], key=lambda run: run["wall"])}
+        head = ("command", "cold [s]", "warm [s]", "processors [s]", "the verb")
+        lines = [
+            (name, f"{r['cold']:.2f}", f"{r['wall']:.2f}", f"{r['cpu']:.2f}", f"{r['verb'] / r['wall']:.0%}")
+            for name, r in rows.items()
+        ]
+        if self.json is not None:
+            write_json(self.json, {"machine": machine(), "commands": rows})
+        print(table([head, *lines]))
+        print(machine())
 
     def _training(
         self, robot: RobotGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
@@ -177,6 +262,23 @@ def _best(work: Callable[[], object], times: int) -> float:
         work()
         seconds.append(perf_counter() - start)
     return min(seconds)
+
+
+def _timed(folder: Path, place: str, words: str, code: str) -> dict[str, float]:
+    """Seconds of a process on the wall and on processors, and of its verb.
+
+    Args:
+        folder: in which it runs, with a cache of its own.
+    """
+    variables = {**os.environ, "FUNGRASP_CACHE": str(folder / "cache")}
+    # As an installed package has them: without, each start compiles all that it imports.
+    variables.pop("PYTHONDONTWRITEBYTECODE", None)
+    command = [sys.executable, "-c", TIMED, place, words, code]
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+    subprocess.run(command, check=True, cwd=folder, env=variables, stdout=subprocess.DEVNULL)
+    wall, after = perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"wall": wall, "cpu": cpu, "verb": float((folder / "spent").read_text())}
 
 
 def _process(code: str) -> None:

@@ -2,8 +2,8 @@
 
 A file given in a block with a title is written there. ``grasps.npz`` and ``meshes/`` stand for the reader's
 own data. Of the built-in grasps there are only a few, to be quick. Lines below a command must be part of
-what it prints. A block that is not run carries the reason, ``<!-- not run: ... -->``; one that fails its
-status, ``<!-- ends with 2 -->``.
+what it prints. A block that is not run carries the reason, ``<!-- not run: ... -->``, and its commands are
+read as far as to the run itself; one that fails carries its status, ``<!-- ends with 2 -->``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 import pytest
 
 import fungrasp
-from fungrasp.cli.main import COMMANDS, every_command, main
+from fungrasp.cli.main import COMMANDS, every_command, main, parsed
 from fungrasp.deployment import deploy
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
@@ -112,7 +112,7 @@ def run(arguments: list[str]) -> int:
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with the reader's data; few built-in grasps, and films of few small frames; twins that run
-    as fast as they go."""
+    as fast as they go; a viewer that nobody looks at."""
     builtin = grasp_files.builtin_grasps()
     assert builtin.task is not None
     first = {
@@ -125,6 +125,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
     monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0, width=240, height=136))
     monkeypatch.setattr(deploy, "DeploymentSpec", partial(deploy.DeploymentSpec, real_time=False))
+    monkeypatch.setattr("fungrasp.viewer.view.Viewer.wait", lambda viewer: viewer.close())
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[REACHED])
     (tmp_path / "meshes").mkdir()
     builtin_object("box").mesh.export(tmp_path / "meshes" / "carton.obj")
@@ -163,24 +164,28 @@ def makefile_targets() -> set[str]:
     return {*named[1].split(), *checks[1].split()}
 
 
-def test_commands_that_are_not_run_have_their_options(
+def test_commands_that_are_not_run_are_understood(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Options and values: all but the run itself; of benchmarks the options alone."""
     monkeypatch.setenv("COLUMNS", "200")
     checked = 0
     for page in MANUAL:
         for block, reason, _ in blocks(page):
             lines = [line for line, _ in lines_of(block)] if reason and block["language"] == "console" else []
             for line in lines:
-                words = shlex.split(line)
-                if words[0] != "fungrasp" and words[:2] != ["python", "-m"]:
+                words = shlex.split(line, comments=True)
+                if words[0] == "fungrasp":
+                    checked += 1
+                    assert callable(parsed(words[1:]).run), f"{page.name}: {line}"
+                    continue
+                if words[:2] != ["python", "-m"]:
                     continue
                 first = next((i for i, word in enumerate(words) if word.startswith("--")), len(words))
                 status = run([*words[:first], "--help"])
                 shown = capsys.readouterr().out
                 assert status == 0, f"{page.name}: {line}"
                 for option in words[first:]:
-                    checked += 1
                     assert not option.startswith("--") or option in shown, f"{page.name}: {line}: {option}"
     assert checked > 50
 

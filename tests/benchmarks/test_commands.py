@@ -9,6 +9,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
+from benchmarks import speed
 from fungrasp.grasps import save_human_grasps
 from fungrasp.planning.selection import SelectionSettings
 
@@ -47,6 +48,18 @@ def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_p
     assert len(speed) == 9 and all(value > 0 for value in speed.values())
     with_rollouts, alone = (value for name, value in speed.items() if name.startswith("planning"))
     assert with_rollouts > alone
+
+
+def test_whole_commands_are_timed_cold_and_warm(tmp_path, capsys, monkeypatch):
+    some = {name: speed.COMMANDS[name] for name in ("import", "hands list")}
+    made = {"check": ("hands.checking.hand_checks:check_hand_files", "hands check allegro")}
+    monkeypatch.setattr(speed, "COMMANDS", some | made)
+    path = tmp_path / "b.json"
+    status, out, _ = run_benchmark(capsys, "speed", "commands", "--repeat", 1, "--json", path)
+    assert status == 0 and "hands list" in out
+    found = json.loads(path.read_text())["commands"]
+    assert all(one["cold"] > 0 and one["wall"] > 0 and one["cpu"] > 0 for one in found.values())
+    assert found["import"]["verb"] == 0 < found["check"]["verb"] < found["check"]["wall"]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import av
 import numpy as np
@@ -29,7 +30,7 @@ def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "shown" / "here"
-    assert main(["demo", "--pick", "flashlight", "--out", str(out)]) == 0
+    assert main(["demo", "--grasp", "flashlight", "--out", str(out)]) == 0
     assert sorted(path.name for path in out.iterdir()) == ["film.mp4", "index.html"]
     said = capsys.readouterr()
     assert f"film: {out / 'film.mp4'}" in said.out
@@ -59,16 +60,16 @@ def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFix
     ("arguments", "words"),
     [
         (["--hand", "alegro"], "Did you mean 'allegro'?"),
-        (["--pick", "mugg"], "unknown grasp 'mugg'. Did you mean 'mug'?"),
-        (["--pick", "9999"], "--pick 9999: the grasps are numbered 0 to"),
-        (["--pick", "mug", "mug"], "is picked twice"),
+        (["--grasp", "mugg"], "unknown grasp 'mugg'. Did you mean 'mug'?"),
+        (["--grasp", "9999"], "--grasp 9999: the grasps are numbered 0 to"),
+        (["--grasp", "mug", "mug"], "is picked twice"),
         (["--count", "0"], "--count must be at least 1"),
         (["--seed", "-1"], "--seed must be at least 0"),
         (["--policy", "allegro-studnt"], "Did you mean 'allegro-student-free'"),
         (["--grasps", "nowhere.npz"], "nowhere.npz"),
         (["--objects", "nowhere"], "nowhere"),
         (["--mesh", "mug"], "--mesh needs --from-image FOLDER"),
-        (["--from-image", "--pick", "mug"], "--pick needs grasps, not an image"),
+        (["--from-image", "--grasp", "mug"], "--grasp needs grasps, not an image"),
         (["--from-image", "--mesh", "mug"], "the built-in image has its own object"),
         (["--from-image", "nowhere"], "--mesh must say what is held"),
         (["--from-image", "nowhere", "--mesh", "mug"], "the folder nowhere does not exist"),
@@ -99,7 +100,7 @@ def test_an_interruption_leaves_no_half_written_file(tmp_path: Path, monkeypatch
         raise KeyboardInterrupt
 
     monkeypatch.setattr(film, "captioned", interrupted)
-    assert main(["demo", "--pick", "flashlight", "--out", str(tmp_path / "out")]) == 130
+    assert main(["demo", "--grasp", "flashlight", "--out", str(tmp_path / "out")]) == 130
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -133,7 +134,7 @@ def see(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Lets the next image be seen as it truly is, without the hand models."""
     truth = builtin_truth()
 
-    def set_up(side: str = "right", score: float = 0.9) -> None:
+    def set_up(side: Literal["right", "left"] = "right", score: float = 0.9) -> None:
         real = pipeline.perceive
 
         def seen(capture, model, **options) -> Perceived:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,3 +49,25 @@ def test_hints_lead_from_grasps_to_a_page(tmp_path: Path, monkeypatch, capsys) -
     assert isinstance(page, ChosenPage) and page.title == "Result"
     result = page.make.keywords["shown"]
     assert result.missing == "" and set(result.objects) == {"mine"}
+
+
+@pytest.mark.parametrize(
+    ("height", "why"), [(0.012, "at 1.2 cm in the hold"), (np.inf, "no hold was reached")]
+)
+def test_a_lift_that_fails_on_a_twin_says_why(height, why, tmp_path: Path, monkeypatch, capsys) -> None:
+    late = SimpleNamespace(summary=lambda: "no tick")
+    result = SimpleNamespace(
+        ticks=late,
+        setpoints=late,
+        phase=SimpleNamespace(name="DONE"),
+        fault="",
+        attempts=1,
+        success=False,
+        height=height,
+        times={},
+        words=lambda: "not lifted",
+    )
+    monkeypatch.setattr("fungrasp.deployment.deploy.deploy", lambda *_, **__: result)
+    with pytest.raises(SystemExit) as end:
+        main(["deploy", "--log", str(tmp_path / "lift.mcap")])
+    assert end.value.code == 4 and f"not lifted: {why}" in capsys.readouterr().out

@@ -51,7 +51,7 @@ def answered(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
         "objects list",
         "objects show mug",
         "grasps list",
-        "grasps show builtin --index 3",
+        "grasps show builtin --grasp 3",
         "policies list",
         "policies info allegro-student-free",
         "robots list",

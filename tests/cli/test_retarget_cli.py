@@ -33,6 +33,7 @@ def test_grasps_quality_and_a_picture(tmp_path, capsys):
         quality,
         "--picture",
         picture,
+        "--exact",
     )
     assert status == 0 and err == ""
     robot = load_robot_grasps(out)

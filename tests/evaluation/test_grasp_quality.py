@@ -10,6 +10,7 @@ from surface_samples import PlacedHand, convex_distance, matrix, nearest_point
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import static_quality
+from fungrasp.evaluation.grasp_quality import with_quality
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
@@ -132,3 +133,14 @@ def test_sets_that_do_not_belong_together(human, objects, hand, robot):
         static_quality(robot.select([1, 0, 2, 3]).select([3, 2, 1, 0]), human, objects, hand)
     with pytest.raises(FungraspError, match="other joints"):
         static_quality(robot, human, objects, load_hand("leap"))
+
+
+def test_the_solvers_distances_are_a_millimeter_off_at_most(human, objects, hand, robot):
+    exact, quick = (static_quality(robot, human, objects, hand, exact=which) for which in (True, False))
+    assert np.isnan(quick.force_closure_epsilon).all() and np.isfinite(exact.force_closure_epsilon).all()
+    for name in ("contact_gap_mm", "object_penetration_mm"):
+        difference = np.abs(getattr(exact, name) - getattr(quick, name))
+        assert 0 < difference.max() < 1.0
+    np.testing.assert_allclose(quick.contact_error_mm, exact.contact_error_mm, atol=1e-6)
+    np.testing.assert_array_equal(quick.held_as_shown, exact.held_as_shown)
+    assert "force_closure_epsilon" not in with_quality(robot, quick).extra

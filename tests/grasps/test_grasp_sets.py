@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_grasps
+from fungrasp.grasps import (
+    HumanGrasp,
+    HumanGraspSet,
+    RobotGrasp,
+    RobotGraspSet,
+    builtin_grasps,
+    load_grasps,
+)
+from fungrasp.hands import load_hand
+from fungrasp.retargeting import retarget
 
 
 def same(a, b) -> None:
@@ -172,3 +182,20 @@ def test_joints_are_found_by_name(robot_grasps):
     np.testing.assert_array_equal(robots.joints_in_order(["two"]), robots.joint_positions[:, 1:])
     with pytest.raises(FungraspError, match=r"unknown joint 'tow'\. Did you mean 'two'"):
         robots[0].joints_in_order(["tow"])
+
+
+def test_a_grasp_becomes_a_model_of_other_programs(tmp_path):
+    human = builtin_grasps()[:1]
+    grasp = retarget(human, hand="allegro", progress=False)[0]
+    model = grasp.to_mjspec().compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("grasp").id)
+    mujoco.mj_kinematics(model, data)
+    hand = load_hand("allegro")
+    palm = data.body(hand.palm)
+    np.testing.assert_allclose([*palm.xpos, *palm.xquat], grasp.wrist_pose, atol=1e-9)
+    tip = hand.keypoint_names.index("ff_tip_centre")
+    np.testing.assert_allclose(data.site("ff_tip_centre").xpos, grasp.keypoints[tip], atol=1e-6)
+    assert grasp.to_urdf(tmp_path / "hand.urdf") == grasp.joint_dict()
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.urdf"))
+    assert {written.joint(i).name for i in range(written.njnt)} == set(grasp.joint_names)

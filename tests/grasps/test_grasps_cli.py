@@ -43,18 +43,18 @@ def test_show_tells_the_numbers(tmp_path, capsys, human_grasps, robot_grasps):
     contacts = np.zeros((2, 16), dtype=bool)
     contacts[1, [3, 15]] = True
     save_human_grasps(tmp_path / "h.npz", human_grasps(2, link_contacts=contacts))
-    status, out, _ = run(capsys, "show", tmp_path / "h.npz", "--index", 1)
+    status, out, _ = run(capsys, "show", tmp_path / "h.npz", "--grasp", 1)
     assert status == 0 and "task 1" in out and "index_distal, thumb_distal" in out and "179 mm" in out
     save_robot_grasps(tmp_path / "r.npz", robot_grasps(2, joint_positions=np.array([[0.0, 0], [0.25, -1]])))
-    status, out, _ = run(capsys, "show", tmp_path / "r.npz", "--index", 1)
+    status, out, _ = run(capsys, "show", tmp_path / "r.npz", "--grasp", 1)
     assert status == 0 and "claw" in out and "+0.2500 rad" in out and "quality" in out
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("show", "h.npz", "--index", 9), "holds grasps 0 to 1, not 9"),
-        (("show", "h.npz", "--index", -1), "holds grasps 0 to 1, not -1"),
+        (("show", "h.npz", "--grasp", 9), "--grasp 9: the grasps are numbered 0 to 1"),
+        (("show", "h.npz", "--grasp", -1), "unknown grasp '-1'"),
         (("show", "none.npz"), "none.npz does not exist"),
         (("show", "h.npz", "--picture", "p.png"), "unknown object 'object 0'"),
         (("list", "--grasps", "text"), "not an .npz file"),

@@ -8,7 +8,6 @@ from typing import Any
 from fungrasp.cli.main import run_command
 
 MODULES = {
-    "choose": "__main__",
     "engines": "__main__",
     "fault_series": "__main__",
     "grasp_set": "__main__",

@@ -151,13 +151,6 @@ def test_use_is_judged_by_itself(tmp_path):
     assert "1 of 2 used" in _check(html).text and html.count("✓ Used") == 1
 
 
-def test_animated_pictures_are_shown_as_pictures(tmp_path):
-    film = write_video(tmp_path / "film.webp", [_picture(), _picture(50)], 10)
-    html = page_html(Page("Grasps", [_grasp(film=film, human_picture=None, robot_picture=None)]))
-    assert "<video" not in html
-    assert "data:image/webp" in html
-
-
 @pytest.mark.parametrize("film", ["missing.mp4", "film.avi"])
 def test_bad_films_are_named(tmp_path, film):
     with pytest.raises(FungraspError, match=film):

@@ -1,10 +1,8 @@
 import av
 import numpy as np
 import pytest
-from PIL import Image
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.media import video
 from fungrasp.media.video import write_video
 
 
@@ -37,20 +35,6 @@ def test_an_mp4_holds_every_frame(tmp_path):
 def test_odd_sizes_are_made_even(tmp_path):
     frames, _, _ = _decode(write_video(tmp_path / "film.mp4", _frames(2, 47, 63), 10))
     assert frames[0].shape == (48, 64, 3)
-
-
-@pytest.mark.parametrize("suffix", [".webp", ".gif"])
-def test_animated_pictures(tmp_path, suffix):
-    path = write_video(tmp_path / f"film{suffix}", _frames(4), 20)
-    with Image.open(path) as image:
-        assert image.n_frames == 4
-
-
-def test_without_h264_the_film_becomes_webp(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "_has_h264", lambda: False)
-    path = write_video(tmp_path / "film.mp4", _frames(3), 20)
-    assert path == tmp_path / "film.webp"
-    assert [p.name for p in tmp_path.iterdir()] == ["film.webp"]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
-from fungrasp.cli.options import optional_value
+from fungrasp.cli.options import GraspsOption, optional_value
 from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fungrasp.perception.perceived import Perceived
 
 FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
-"""What is shown if nothing is picked, as far as the grasps have it."""
+"""What is shown if no --grasp is given, as far as the grasps have it."""
 
 LOW_CONFIDENCE = 3
 """Exit status when the page was written but the robot did not try the grasp."""
@@ -29,24 +29,20 @@ Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
 
 
 @dataclass(frozen=True)
-class Demo(Answering):
+class Demo(GraspsOption, Answering):
     """Grasp a few objects as people do, and the one in an image where the hand models are there, and show it:
     a film and a page."""
 
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
-    grasps: str = "builtin"
-    """A file of human grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
-    pick: tuple[str, ...] = ()
+    grasp: tuple[str, ...] = ()
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few, and
     the one in the built-in image."""
     count: int = 3
-    """How many to show if none are picked, the one in the image among them."""
+    """How many to show if none are given, the one in the image among them."""
     from_image: Folder = None
     """Show only the grasp in an image with depth of a person holding an object: the built-in one, or that of
-    a folder with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --pick and
+    a folder with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --grasp and
     --count."""
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
@@ -110,7 +106,7 @@ class Demo(Answering):
         from fungrasp.media.demonstration import Shown
 
         everything = load_human_grasps(self.grasps)
-        rows = picked_rows(everything, self.pick, count, FAVORITES)
+        rows = picked_rows(everything, self.grasp, count, FAVORITES)
         human = everything.select(rows)
         source = {"Grasps": f"{self.grasps}, rows {', '.join(map(str, rows))}"}
         return Shown(human, load_objects(human, self.objects), source)
@@ -122,7 +118,7 @@ class Demo(Answering):
         from fungrasp.perception.hand.mediapipe_models import have_weights
         from fungrasp.perception.io.scene_folders import BUILTIN
 
-        usual = not self.pick and self.grasps == Demo.grasps
+        usual = not self.grasp and self.grasps == Demo.grasps
         return BUILTIN if usual and find_spec("ai_edge_litert") and have_weights() else None
 
     def _seen(self, folder: str, meanwhile: Callable[[], None] | None) -> Perceived:
@@ -166,7 +162,7 @@ class Demo(Answering):
             needs = "--from-image FOLDER"
         else:
             other = self.grasps if self.grasps != Demo.grasps else None
-            idle = {"--grasps": other, "--objects": self.objects, "--pick": self.pick}
+            idle = {"--grasps": other, "--objects": self.objects, "--grasp": self.grasp}
             needs = "grasps, not an image"
         for name, value in idle.items():
             if value:

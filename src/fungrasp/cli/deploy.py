@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,9 +21,16 @@ if TYPE_CHECKING:
     from fungrasp.robots.stop_switch import StopSwitch
 
 
+NOT_LIFTED = 4
+"""Exit status when all went as planned, and a twin's object was not lifted and held."""
+
+
 @dataclass(frozen=True)
 class Deploy(Answering):
-    """Grasp an object with a robot: look, plan, move to the start, grasp, lift, hold, put down, go home."""
+    """Grasp an object with a robot: look, plan, move to the start, grasp, lift, hold, put down, go home.
+
+    Exit status 4: a twin's object was not lifted and held.
+    """
 
     spec: DeploymentSpec = field(default_factory=DeploymentSpec)
     """What is asked."""
@@ -92,7 +100,11 @@ class Deploy(Answering):
         }
         if result.fault:
             return CommandResult(value, "\n".join(lines), fault=result.words())
-        return CommandResult(value, "\n".join([*lines, result.words()]))
+        if result.success is not False:
+            return CommandResult(value, "\n".join([*lines, result.words()]))
+        reached = isfinite(result.height)
+        why = f"at {100 * result.height:.1f} cm in the hold" if reached else "no hold was reached"
+        return CommandResult(value, "\n".join([*lines, f"{result.words()}: {why}"]), status=NOT_LIFTED)
 
 
 def _terminal(

@@ -9,7 +9,16 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import CommandResult, option, progress_bar, suggestion
-from fungrasp.cli.options import JsonOut, device_and_buffers, json_path, on_cluster, print_use
+from fungrasp.cli.options import (
+    ClusterOption,
+    GraspsOption,
+    JsonOut,
+    MirrorOption,
+    ThreadsOption,
+    device_and_buffers,
+    json_path,
+    print_use,
+)
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.lift_test_spec import WorldDifferences
@@ -20,7 +29,7 @@ from fungrasp.task import LiftProtocol
 
 
 @dataclass(frozen=True)
-class Evaluate(LiftTestSpec):
+class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTestSpec):
     """Try grasps in simulation: reach, grasp, lift, hold; measure how many succeed."""
 
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(name="seed")] = (0,)
@@ -36,16 +45,9 @@ class Evaluate(LiftTestSpec):
 
     differs: WorldDifferences = field(default_factory=WorldDifferences)
     """How worlds differ from what is believed, in the place of a protocol."""
-    grasps: str = "builtin"
-    """A file of human grasps (they are retargeted first) or of robot grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str | None = None
     """Name of a hand, or the path of a hand's TOML file: that of robot grasps, and allegro for human ones, by
     default."""
-    mirror: bool = False
-    """Mirror human grasps and their objects first: those of right hands for a left hand, or the other way
-    round."""
     hand_dynamics: Path | None = None
     """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     method: str = "contact"
@@ -62,18 +64,12 @@ class Evaluate(LiftTestSpec):
     """Draw some of the grasps, and whether they held, to this PNG file."""
     noslip: int = 0
     """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
-    threads: int = 0
-    """0 means all processors; the result does not depend on it."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
     """Where worlds and rollouts are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or
     the processor. By default a GPU if there is one with the extra "gpu"."""
     buffers: tuple[int, int] | None = None
     """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
     by default."""
-    ray: tuple[str, ...] | None = None
-    """Plan and play on a Ray cluster: on that of this address ("auto": the one that this machine is part of),
-    or on all processors of this machine where none is given. Same results. Every machine must see the files
-    under the same names."""
 
     def __post_init__(self) -> None:
         """Nothing: the request is checked where it is made of this, with an error of one line."""
@@ -84,11 +80,10 @@ class Evaluate(LiftTestSpec):
         from fungrasp.core.jobs import PartStore
         from fungrasp.evaluation import evaluate
         from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects, mirrored_grasps
-        from fungrasp.media.pictures import draw_grasps
         from fungrasp.retargeting import RetargetSpec, method_name, retarget
         from fungrasp.sim2real.joint_dynamics import identified_hand
 
-        spec, cluster, path = self._spec(), on_cluster(self.ray), json_path(self.json)
+        spec, cluster, path = self._spec(), self.cluster, json_path(self.json)
         file = path or self.out
         if cluster is not None and file is None:
             raise FungraspError("--ray keeps finished parts beside the result: give --json or --out too")
@@ -117,6 +112,8 @@ class Evaluate(LiftTestSpec):
                 result.save(self.out, compact=True)
         print_use(cluster)
         if self.picture is not None:
+            from fungrasp.media.pictures import draw_grasps
+
             o, held = result.outcomes, "held as shown" if result.knows_places else "held"
             reasons = zip(o.reason.tolist(), o.not_as_shown.tolist(), strict=True)
             captions = [failed or (f"held, but {why}" if why else held) for failed, why in reasons]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
+from fungrasp.cli.options import ObjectsOption
 from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Export(Answering):
+class Export(ObjectsOption, Answering):
     """Write recorded episodes (evaluate --record) as a data set of LeRobot's or as MCAP files."""
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -30,8 +31,6 @@ class Export(Answering):
     """Folder to be written."""
     format: Literal["lerobot", "mcap"] = "lerobot"
     """What is written."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj, for films; built-in objects need none."""
     cameras: tuple[Literal["front", "wrist"], ...] = ()
     """Films that a data set of LeRobot's has of each episode: front, over the table; wrist, on the hand."""
     size: tuple[int, int] = (320, 240)

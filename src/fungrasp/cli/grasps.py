@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, write_human_grasps
-from fungrasp.cli.options import on_cluster, print_use
+from fungrasp.cli.options import ClusterOption, ObjectsOption, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.conversion import Convention
 from fungrasp.grasps.importers.dexycb import DexYCBOptions
@@ -62,28 +62,26 @@ class ListGrasps(Answering):
 
 
 @dataclass(frozen=True)
-class ShowGrasp(Answering):
+class ShowGrasp(ObjectsOption, Answering):
     """Show one grasp: numbers, and on request a picture."""
 
     file: GraspFile
     """A file of human or robot grasps, or "builtin"."""
-    index: int = 0
-    """Which grasp of the file, from 0."""
+    grasp: str = "0"
+    """The grasp: an object ("mug"), object and task ("mug:drink") or a row number, from 0."""
     picture: Path | None = None
     """Draw the grasp to this PNG file."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj for the picture; built-in objects need none."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps import load_grasps
+        from fungrasp.grasps.grasp_arguments import picked_rows
 
         grasps = load_grasps(self.file)
-        if not 0 <= self.index < len(grasps):
-            raise FungraspError(f"{self.file} holds grasps 0 to {len(grasps) - 1}, not {self.index}")
-        grasp = grasps[self.index]
+        (row,) = picked_rows(grasps, (self.grasp,))
+        grasp = grasps[row]
         text = _description(grasp)
         if self.picture is not None:
-            _draw(grasps, self.index, self.picture, self.objects)
+            _draw(grasps, row, self.picture, self.objects)
             text += f"\npicture: {self.picture}"
         return CommandResult({**_fields(grasp), "picture": self.picture}, text)
 
@@ -214,13 +212,11 @@ class ImportGrasps:
 
 
 @dataclass(frozen=True)
-class CheckGrasps(Answering):
+class CheckGrasps(ObjectsOption, Answering):
     """Say what is probably wrong with human grasps: units, order of joints, side, frames, table."""
 
     file: GraspFile
     """A file of human grasps."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps.anatomy import check_anatomy, grouped
@@ -261,7 +257,7 @@ class CheckGrasps(Answering):
 
 
 @dataclass(frozen=True)
-class ConvertGrasps(Answering):
+class ConvertGrasps(ObjectsOption, Answering):
     """Bring a file of human grasps from other conventions into ours, and compute missing contacts."""
 
     file: GraspFile
@@ -270,8 +266,6 @@ class ConvertGrasps(Answering):
     """Grasp file to write (.npz)."""
     convention: Annotated[Convention, tyro.conf.arg(name="")] = field(default_factory=Convention)
     """How the file is written."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj, for what is computed from them; built-in objects need none."""
     below_table: Literal["keep", "lift", "drop"] = "keep"
     """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
 
@@ -349,7 +343,7 @@ class SelectGrasps(Answering):
 
 
 @dataclass(frozen=True)
-class MakeGrasps(Answering):
+class MakeGrasps(ClusterOption, Answering):
     """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
 
     out: Path
@@ -367,9 +361,6 @@ class MakeGrasps(Answering):
     seed: tuple[int, ...] = (0,)
     """Seed of the random starts; with several, each grasp is sought with each, and those that differ are
     kept."""
-    ray: tuple[str, ...] | None = None
-    """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
-    all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> CommandResult:
         from fungrasp.core.jobs import PartStore
@@ -379,7 +370,7 @@ class MakeGrasps(Answering):
         if not self.seed or len(set(self.seed)) < len(self.seed) or min(self.seed) < 0:
             raise FungraspError("--seed needs at least one number, none negative, and each once")
         specs, models, settings = self._specifications()
-        sought, cluster = len(specs) * len(self.seed), on_cluster(self.ray)
+        sought, cluster = len(specs) * len(self.seed), self.cluster
         with PartStore.beside(self.out) as store:
             with progress_bar("synthesizing grasps", 1.0) as show:
                 grasps = synthesize_grasps(

@@ -44,6 +44,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
 help."""
 
 LEFT: Mapping[str, str] = {
+    "demo --pick": "--grasp picks grasps, here as elsewhere",
+    "grasps show --index": "--grasp takes an object, object:task or a row number",
+    "perceive --hand": "--side right or left; --hand names a robot hand",
     "demo --refine": "rollouts choose among plans; --policy reference runs one motion without choosing",
     "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
     "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the completion script",
@@ -104,7 +107,7 @@ def run_command(program: str, command: Any, arguments: Sequence[str]) -> int:
     Returns:
         Exit status, as of ``main``.
     """
-    return _status(lambda: _run(program, command, list(arguments)))
+    return _status(lambda: _run(_parse(program, command, list(arguments))))
 
 
 def _status(work: Callable[[], int]) -> int:
@@ -141,11 +144,25 @@ def every_command() -> dict[str, Any]:
     return commands
 
 
+def parsed(arguments: Sequence[str]) -> Any:
+    """The command that arguments ask for, which is not run.
+
+    Raises:
+        FungraspError: there is no such command, or a value is impossible.
+        SystemExit: a usage error was printed.
+    """
+    first, *rest = arguments
+    _check_left(first, rest)
+    if first not in COMMANDS:
+        raise UnknownNameError("option" if first.startswith("-") else "command", first, COMMANDS)
+    return _parse(f"fungrasp {first}", _loaded(COMMANDS[first][0]), rest)
+
+
 def _dispatch(arguments: list[str]) -> int:
     if not arguments:
         print(_help(), file=sys.stderr)
         return USAGE_ERROR
-    first, *rest = arguments
+    first = arguments[0]
     if first in ("-h", "--help"):
         print(_help())
         return 0
@@ -154,10 +171,7 @@ def _dispatch(arguments: list[str]) -> int:
         return 0
     if first == COMPLETION:
         _print_completion(arguments)
-    _check_left(first, rest)
-    if first not in COMMANDS:
-        raise UnknownNameError("option" if first.startswith("-") else "command", first, COMMANDS)
-    return _run(f"fungrasp {first}", _loaded(COMMANDS[first][0]), rest)
+    return _run(parsed(arguments))
 
 
 def _check_left(first: str, rest: Sequence[str]) -> None:
@@ -199,11 +213,10 @@ def _choices(commands: Mapping[str, Any]) -> Any:
     return Union[tuple(kinds)]  # noqa: UP007 - made at run time
 
 
-def _run(program: str, command: Any, arguments: list[str]) -> int:
-    parsed = _parse(program, command, arguments)
-    as_json = getattr(parsed, "json", None) in (True, STDOUT)
+def _run(command: Any) -> int:
+    as_json = getattr(command, "json", None) in (True, STDOUT)
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
-        answer = parsed.run()
+        answer = command.run()
     if isinstance(answer, CommandResult):
         answer.show(as_json)
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,19 +21,60 @@ CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE
 """A robot cell: a TOML file, or one that comes with the package."""
 
 
-def on_cluster(words: tuple[str, ...] | None) -> RayCluster | None:
-    """The cluster that ``--ray`` means; None where it is not given.
+@dataclass(frozen=True, kw_only=True)
+class ObjectsOption:
+    """Meshes of one's own."""
 
-    Raises:
-        FungraspError: more than one address.
-    """
-    from fungrasp.core.jobs import RayCluster
+    objects: Path | None = None
+    """Folder of meshes <name>.obj; built-in objects need none."""
 
-    if words is None:
-        return None
-    if len(words) > 1:
-        raise FungraspError(f"--ray takes one address, not {len(words)}")
-    return RayCluster(*words)
+
+@dataclass(frozen=True, kw_only=True)
+class GraspsOption(ObjectsOption):
+    """Which grasps, and of what."""
+
+    grasps: str = "builtin"
+    """A file of human or robot grasps, as the command takes them, or "builtin"."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MirrorOption:
+    """Grasps of right hands for a left hand."""
+
+    mirror: bool = False
+    """Mirror human grasps and their objects first: those of right hands for a left hand, or the other way
+    round. Mirrored objects are named <name>_mirrored."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThreadsOption:
+    """Of this machine."""
+
+    threads: int = 0
+    """0 means all processors; the result does not depend on it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClusterOption:
+    """Of many machines."""
+
+    ray: tuple[str, ...] | None = None
+    """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
+    all processors of this machine where none is given. Same results. Every machine must see the files under
+    the same names."""
+
+    @property
+    def cluster(self) -> RayCluster | None:
+        """The cluster that is meant; None where ``--ray`` is not given.
+
+        Raises:
+            FungraspError: more than one address.
+        """
+        from fungrasp.core.jobs import RayCluster
+
+        if self.ray is not None and len(self.ray) > 1:
+            raise FungraspError(f"--ray takes one address, not {len(self.ray)}")
+        return None if self.ray is None else RayCluster(*self.ray)
 
 
 def device_and_buffers(

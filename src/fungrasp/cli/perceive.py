@@ -45,7 +45,7 @@ class Perceive:
     """Grasp file to write (.npz)."""
     source: CommandSource = field(default_factory=CommandSource)
     """Where the image comes from."""
-    hand: Literal["right", "left"] | None = None
+    side: Literal["right", "left"] | None = None
     """Which hand it is; by default it is recognized."""
     mass: float | None = None
     """The object's [kg]; by default a built-in object's own, or guessed from the mesh."""
@@ -84,7 +84,7 @@ class Perceive:
             self.source,
             self.mesh,
             mass=self.mass,
-            side=self.hand,
+            side=self.side,
             task=self.task,
             table=parse_plane(self.table),
             hand=self._hand(),
@@ -143,7 +143,7 @@ class Perceive:
         if self.hand_from is not None:
             return load_hand_estimator(self.hand_from)
         assert self.hand_file is not None
-        return partial(read_hand_estimate, self.hand_file, side=self.hand)
+        return partial(read_hand_estimate, self.hand_file, side=self.side)
 
     def _object_pose(self) -> Any:
         """The same of the object's pose."""

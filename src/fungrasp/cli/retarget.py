@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, option, progress_bar, suggestion, write_json
-from fungrasp.cli.options import on_cluster, print_use
+from fungrasp.cli.options import ClusterOption, GraspsOption, MirrorOption, ThreadsOption, print_use
+from fungrasp.retargeting.retarget import RetargetSpec
 
 
 @dataclass(frozen=True)
-class Retarget(Answering):
+class Retarget(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, Answering):
     """Turn human grasps into grasps of a robot hand, and measure how good they are."""
+
+    option_prefixes: ClassVar[bool] = True
 
     out: Path
     """Grasp file to write (.npz). Finished parts lie in <out>.partial until all are done: the same command
     goes on where an interrupted one was."""
-    grasps: str = "builtin"
-    """A file of human grasps, or "builtin"."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
-    hand: str = "allegro"
-    """Name of a hand, or the path of a hand's TOML file."""
-    mirror: bool = False
-    """Mirror the grasps and their objects first: grasps of right hands for a left hand, or the other way
-    round. Mirrored objects are named <name>_mirrored."""
-    method: str = "contact"
-    """Retargeting method: contact, angle-copy or dexgraspnet."""
+    spec: Annotated[RetargetSpec, tyro.conf.arg(name="")] = field(default_factory=RetargetSpec)
+    """How."""
     quality: Path | None = None
     """Write a summary of the quality of the grasps here (.json)."""
+    exact: bool = False
+    """Measure the quality by the triangles of the meshes, not by the solver's distances (up to 1 mm off), and
+    the weakest wrench that is resisted too. It takes about as long as all else."""
     picture: Path | None = None
     """Draw some of the grasps, human and robot side by side, to this PNG file."""
-    threads: int = 0
-    """Number of threads, 0 for all processors; the result does not depend on it."""
-    ray: tuple[str, ...] | None = None
-    """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
-    all processors of this machine where none is given. Same grasps."""
 
     def run(self) -> CommandResult:
         from time import perf_counter
@@ -46,42 +42,36 @@ class Retarget(Answering):
         from fungrasp.grasps import load_human_grasps, load_objects, mirrored_grasps, save_robot_grasps
         from fungrasp.hands import load_hand
         from fungrasp.hands.collisions import self_contact_words
-        from fungrasp.media.pictures import draw_grasps
         from fungrasp.retargeting import retarget
 
-        hand, cluster = load_hand(self.hand), on_cluster(self.ray)
+        hand, method, cluster = load_hand(self.spec.hand), self.spec.method, self.cluster
         human = load_human_grasps(self.grasps)
         if self.mirror:
             human = mirrored_grasps(human)
         objects = load_objects(human, self.objects)
         with PartStore.beside(self.out) as store:
             start = perf_counter()
-            with progress_bar(f"retargeting to {hand.name} ({self.method})", 1.0) as show:
-                robot = retarget(
-                    human,
-                    objects,
-                    hand,
-                    self.method,
-                    threads=self.threads,
-                    store=store,
-                    ray=cluster,
-                    progress=show,
-                )
+            with progress_bar(f"retargeting to {hand.name} ({method})", 1.0) as show:
+                how = {"threads": self.threads, "store": store, "ray": cluster, "progress": show}
+                robot = retarget(human, objects, hand, method, self.spec.settings, **how)
             rate = len(human) / (perf_counter() - start)
-            quality = static_quality(robot, human, objects, hand)
+            quality = static_quality(robot, human, objects, hand, exact=self.exact)
             save_robot_grasps(self.out, with_quality(robot, quality))
         print_use(cluster)
         touching = self_contact_words(hand.model, robot.joint_positions)
+        for words in touching:
+            print(f"fungrasp: warning: {words}", file=sys.stderr)
         numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
         summary = finite(quality.summary()) | numbers
         if self.quality is not None:
             write_json(self.quality, summary)
         if self.picture is not None:
+            from fungrasp.media.pictures import draw_grasps
+
             with progress_bar("drawing", 1.0) as show:
                 draw_grasps(self.picture, robot, objects, human, progress=show)
         lines = [
             quality.table(),
-            *(f"warning: {words}" for words in touching),
             f"{self.out}: {len(robot)} grasps of {len(objects)} objects, {rate:,.1f} grasps/s",
             suggestion("evaluate --grasps", self.out, option("--objects", self.objects)),
         ]

@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
+from fungrasp.cli.options import ObjectsOption
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.features import LayoutName
@@ -25,14 +26,12 @@ LINE_PERIOD = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingGrasps:
+class TrainingGrasps(ObjectsOption):
     """Options that say what is trained on."""
 
     grasps: tuple[str, ...] = ("builtin",)
     """Files of human grasps (they are retargeted first) or of robot grasps of --hand, or "builtin"; several
     are trained on together."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     hand_dynamics: Path | None = None

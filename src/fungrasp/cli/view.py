@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from fungrasp.cli.options import ObjectsOption
 from fungrasp.core.errors import FungraspError
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class View:
+class View(ObjectsOption):
     """Look at something in a browser: drag a grasp and a robot hand follows, play an episode, replay the
     episodes of a result. Only this machine reaches the page, unless --host says otherwise."""
 
@@ -26,8 +27,6 @@ class View:
     or its name) or the folder of a capture; the built-in grasps if left out."""
     hand: str = "allegro"
     """Hand that imitates human grasps at first: its name, or the path of its TOML file."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
     mesh: str | None = None
     """The object in a capture: a mesh file [m], or the name of a built-in object."""
     grasps: Path | None = None
@@ -63,11 +62,11 @@ class View:
 
     def _what(self) -> tuple[Any, Mapping[str, ObjectModel] | None]:
         if self.mesh is not None:
-            from fungrasp.viewer.choose_page import perceived_capture
+            from fungrasp.viewer.choose_page import capture_page
 
             if self.what is None:
                 raise FungraspError("--mesh needs the folder of a capture")
-            return perceived_capture(self.what, self.mesh), None
+            return capture_page(self.what, self.mesh), None
         if self.grasps is not None or self.recordings is not None:
             from fungrasp.viewer.choose_page import shown_result
 

@@ -73,11 +73,6 @@ class StaticQuality:
     force_closure_epsilon: np.ndarray
     """Weakest wrench that those contacts resist (Ferrari and Canny's Q1); zero if they don't resist all."""
 
-    @classmethod
-    def of(cls, robot: RobotGraspSet) -> StaticQuality:
-        """What ``with_quality`` has added to grasps."""
-        return cls(**{field.name: robot.extra[field.name] for field in fields(cls)})
-
     def table(self) -> str:
         """``summary`` as text."""
         return static_quality_table(self.summary())
@@ -112,8 +107,9 @@ def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def with_quality(robot: RobotGraspSet, quality: StaticQuality) -> RobotGraspSet:
-    """The grasps with their quality in ``extra``."""
+    """The grasps with their quality in ``extra``, but for numbers that no grasp has."""
     numbers = {field.name: getattr(quality, field.name) for field in fields(quality)}
+    numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
     return replace(robot, extra={**robot.extra, **numbers})
 
 
@@ -123,6 +119,7 @@ def static_quality(
     objects: Mapping[str, ObjectModel],
     hand: Hand | str | None = None,
     spacing: float = 0.004,
+    exact: bool = True,
 ) -> StaticQuality:
     """Judge robot grasps against the human ones they imitate.
 
@@ -130,6 +127,8 @@ def static_quality(
         robot: N grasps.
         hand: the robot hand, or its name; that of the grasps if None.
         spacing: of the points that cover the hand's collision geometry [m].
+        exact: distances by the triangles of the mesh; else by the solver's grid, up to a millimeter off, and
+            no ``force_closure_epsilon`` (NaN), which takes longer than all else.
 
     Raises:
         FungraspError: the sets don't belong together.
@@ -147,7 +146,7 @@ def static_quality(
     # Grasps of one object after the other, a part at a time, so that memory does not grow with their number.
     order = np.argsort(robot.object_name, kind="stable")
     parts = [
-        _quality(robot.select(rows), human.select(rows), objects, hand, match, spheres)
+        _quality(robot.select(rows), human.select(rows), objects, hand, match, spheres, exact)
         for rows in np.split(order, np.arange(PART, len(order), PART))
         if len(rows)
     ]
@@ -165,6 +164,7 @@ def _quality(
     hand: Hand,
     match: Correspondence,
     spheres: CollisionSpheres,
+    exact: bool,
 ) -> StaticQuality:
     kinematics = HandKinematics(hand, len(robot))
     wrist = compose(invert(robot.object_pose), robot.wrist_pose)
@@ -178,19 +178,21 @@ def _quality(
     grid = np.array([names.index(name) for name in robot.object_name.tolist()])
     models = [objects[name] for name in names]
     wanted = match.link_contacts(human.link_contacts)[:, 1:]
-    wanted_places = nearest_surface_points(models, grid, joints[:, match.human_far], wanted)
+    places, normals = robot.shown_places, robot.shown_normals
+    if exact or places is None or normals is None:
+        places, normals = shown_places(human, objects, match)
     ours = nearest_surface_points(models, grid, keypoints[:, match.far], wanted)
-    contact_error = _mean_where(np.linalg.norm(wanted_places - ours, axis=-1), wanted)
+    contact_error = _mean_where(np.linalg.norm(places - ours, axis=-1), wanted)
 
     centers, clearance, heights = _clearances(kinematics, spheres, bank, grid, robot)
-    clearance = exact_clearance(models, grid, centers, clearance, spheres.radius)
+    if exact:
+        clearance = exact_clearance(models, grid, centers, clearance, spheres.radius)
     nearest = [_nearest(clearance, spheres.link == link) for link in range(len(hand.links))]
     by_link = np.stack([distance for _, distance in nearest], axis=1)
     contacts = np.stack([centers[np.arange(len(robot)), sphere] for sphere, _ in nearest], axis=1)
-    places, normals = shown_places(human, objects, match)
     theirs = ShownContacts(robot.object_name, wanted, places, normals)
     shown = ShownJudge(hand, objects)(wrist, robot.joint_positions, theirs)
-    residual, epsilon = _force_closure(contacts, by_link, bank, grid, models)
+    residual, epsilon = _force_closure(contacts, by_link, bank, grid, models, exact)
     return StaticQuality(
         held_as_shown=np.where(wanted.any(axis=1), shown.holds.astype(float), np.nan),
         shown_share=shown.share,
@@ -201,7 +203,7 @@ def _quality(
         contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
         link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
         object_penetration_mm=1e3
-        * penetration_depth(models, bank, grid, centers, clearance, spheres.radius, spheres.link),
+        * penetration_depth(models, bank, grid, centers, clearance, spheres.radius, spheres.link, exact),
         table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),
         self_penetration_mm=1e3 * self_collision_depth(hand.model, robot.joint_positions),
         limit_violation_rad=np.maximum(
@@ -251,8 +253,9 @@ def _force_closure(
     bank: SignedDistanceBank,
     grid: np.ndarray,
     objects: list[ObjectModel],
+    exact: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and epsilon of the links in contact, shape [N] each.
+    """Residual and epsilon of the links in contact, shape [N] each; epsilon NaN unless ``exact``.
 
     Args:
         centers: of the sphere of each link that is nearest to the object, object frame [m], shape [N, L, 3].
@@ -267,7 +270,7 @@ def _force_closure(
         levers = surface[row, touching] - objects[number].center_of_mass
         length = 0.5 * float(objects[number].size.max())
         wrenches = primitive_wrenches(levers, -outward[row, touching], length, NOMINAL_FRICTION)
-        values[:, row] = closure_residual(wrenches), closure_epsilon(wrenches)
+        values[:, row] = closure_residual(wrenches), closure_epsilon(wrenches) if exact else np.nan
     return values[0], values[1]
 
 
@@ -317,6 +320,7 @@ def penetration_depth(
     clearance: np.ndarray,
     radius: np.ndarray,
     link: np.ndarray,
+    exact: bool = True,
 ) -> np.ndarray:
     """Depth of the deepest point of the hand in the object [m], shape [N]. In a thin wall, or at an edge, it
     is less than how far a sphere reaches beyond the surface.
@@ -336,7 +340,9 @@ def penetration_depth(
         samples = best + around
         samples /= np.maximum(1.0, np.linalg.norm(samples, axis=-1, keepdims=True))
         places = centers[rows, spheres][:, None] + radius[spheres][:, None, None] * samples
-        distance = _signed_distance(objects, bank, grid[rows], places)
+        distance = bank.query(grid[rows], places)[0]
+        if exact:
+            distance = _signed_distance(objects, distance, grid[rows], places)
         best = samples[pick, distance.argmin(axis=1)][:, None]
     depth = np.zeros(len(grid))
     np.maximum.at(depth, rows, -distance.min(axis=1, initial=0.0))
@@ -356,11 +362,10 @@ def _deepest_spheres(clearance: np.ndarray, link: np.ndarray) -> tuple[np.ndarra
 
 
 def _signed_distance(
-    objects: list[ObjectModel], bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray
+    objects: list[ObjectModel], rough: np.ndarray, grid: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
     """Exact distance of points that may be inside, by the side of the nearest triangle they are on; by
-    the grid for the others. points: shape [M, S, 3]; returns shape [M, S]."""
-    rough, _ = bank.query(grid, points)
+    the grid (``rough``, shape [M, S]) for the others. points: shape [M, S, 3]; returns shape [M, S]."""
     near = rough < GRID_ERROR
     result = rough.copy()
     for number, model in enumerate(objects):

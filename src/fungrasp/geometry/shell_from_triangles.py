@@ -6,7 +6,6 @@ import itertools
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from fungrasp.geometry.signed_distance import points_on_triangles
@@ -70,6 +69,9 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
         )
         + origin
     )
+    # Its import takes as long as that of NumPy, and shells are rare.
+    from scipy import ndimage
+
     touched = np.zeros(shape, dtype=bool)
     touched[tuple(np.round((points - origin) / spacing).astype(int).T)] = True
     steps: Any = ndimage.distance_transform_edt(~touched)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from fungrasp.core.files import atomic_path
@@ -72,6 +71,9 @@ class SignedDistanceGrid:
         touched[tuple(np.round((samples.points - low) / spacing).astype(int).T)] = True
         feet = np.zeros((*shape, 3))
         feet[touched] = samples.nearest(points[touched])[0]
+        # Its import takes as long as that of NumPy, and grids are mostly read from the cache.
+        from scipy import ndimage
+
         transformed: Any = ndimage.distance_transform_edt(~touched, return_indices=True)
         nearest_touched = transformed[1]
         distance = np.linalg.norm(points - feet[tuple(nearest_touched)], axis=-1)
@@ -336,7 +338,8 @@ class _SurfaceSamples:
         gap = max(0.001, float(mesh.extents.max()) / 200, float(np.sqrt(mesh.area / MOST_SAMPLES)))
         self.points, self._owners = points_on_triangles(np.asarray(mesh.triangles), gap)
         self._triangles = mesh.triangles
-        self._tree = KDTree(self.points)
+        # Samples are even: splits in the middle are found in a third of the time.
+        self._tree = KDTree(self.points, balanced_tree=False, compact_nodes=False)
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         parts = [self._nearest(points[i : i + CHUNK]) for i in range(0, max(len(points), 1), CHUNK)]
@@ -370,6 +373,8 @@ def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spaci
     """Sign of each grid corner, shape [X, Y, Z]. Corners farther than half a cell from the surface have the
     sign of their connected component, as no grid edge between two of them can cross the surface; only the
     others are asked one by one."""
+    from scipy import ndimage
+
     flat = points.reshape(-1, 3)
     clear = distance > 0.55 * spacing
     labelled: Any = ndimage.label(clear)

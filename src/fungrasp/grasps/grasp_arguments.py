@@ -118,12 +118,12 @@ def named_objects(
 
 
 def picked_rows(
-    grasps: HumanGraspSet, picks: Sequence[str], count: int = 1, favorites: Sequence[str] = ()
+    grasps: HumanGraspSet | RobotGraspSet, picks: Sequence[str], count: int = 1, favorites: Sequence[str] = ()
 ) -> list[int]:
     """Rows of the picked grasps; without picks, of the favorites, then of objects that they leave out.
 
     Args:
-        grasps: N human grasps.
+        grasps: N of them.
         picks: "object", "object:task" (the first of them) or a row number.
         count: how many if there are no picks.
         favorites: picks that come first then, as far as the grasps have them.
@@ -147,14 +147,14 @@ def picked_rows(
     for pick in picks:
         if pick not in first and pick.isdecimal():
             if int(pick) >= len(grasps):
-                raise FungraspError(f"--pick {pick}: the grasps are numbered 0 to {len(grasps) - 1}")
+                raise FungraspError(f"--grasp {pick}: the grasps are numbered 0 to {len(grasps) - 1}")
             rows.append(int(pick))
         elif pick in first:
             rows.append(first[pick])
         else:
             raise UnknownNameError("grasp", pick, first)
     if len(set(rows)) < len(rows):
-        raise FungraspError(f"--pick {' '.join(picks)}: grasp {max(rows, key=rows.count)} is picked twice")
+        raise FungraspError(f"--grasp {' '.join(picks)}: grasp {max(rows, key=rows.count)} is picked twice")
     return rows
 
 

@@ -15,6 +15,8 @@ from fungrasp.grasps.grasp_set import ArrayField, GraspSet, check_rows, checked_
 from fungrasp.grasps.human_grasp import MAX_HAND_DISTANCE
 
 if TYPE_CHECKING:
+    import mujoco
+
     from fungrasp.hands import Hand
     from fungrasp.objects import ObjectModel
 
@@ -82,6 +84,41 @@ class RobotGrasp:
             FungraspError: the hand has no such joint.
         """
         return self.joint_positions[_columns(self.joint_names, names)]
+
+    def to_mjspec(self) -> mujoco.MjSpec:
+        """The hand as a model of MuJoCo's, its palm at ``wrist_pose``; keyframe "grasp" has the joints, and
+        what the position servos are told.
+
+        Raises:
+            FungraspError: the hand is not found, or is another version of it.
+        """
+        hand = RobotGraspSet.of([self]).load_hand()
+        spec = hand.spec()
+        palm = spec.body(hand.palm)
+        palm.pos, palm.quat = self.wrist_pose[:3], self.wrist_pose[3:]
+        told = hand.independent(self.joint_positions)
+        spec.add_key(name="grasp", qpos=self.joint_positions.tolist(), ctrl=told.tolist())
+        return spec
+
+    def to_urdf(self, path: str | Path) -> dict[str, float]:
+        """Write the hand as a URDF, meshes in a folder ``meshes`` beside it.
+
+        Returns:
+            ``joint_dict``, as a URDF holds no posture.
+
+        Raises:
+            FungraspError: the hand is not found or has what URDF has not, or a file can't be written.
+        """
+        import xml.etree.ElementTree as xml
+
+        from fungrasp.core.files import atomic_path
+        from fungrasp.hands.export import model_urdf
+
+        path, hand = Path(path), RobotGraspSet.of([self]).load_hand()
+        root = model_urdf(hand.name, hand.model, path.parent / "meshes")
+        with atomic_path(path) as temporary:
+            temporary.write_text(xml.tostring(root, encoding="unicode") + "\n")
+        return self.joint_dict()
 
     def save(self, path: str | Path) -> None:
         """Write a file of one grasp, see ``RobotGraspSet.save``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -151,6 +152,8 @@ class SelfContact:
     """Of the deepest penetration [m]."""
     share: float
     """Share of the poses in which they penetrate each other."""
+    rows: tuple[int, ...]
+    """These poses, the one of the deepest penetration first."""
 
 
 def self_contacts(
@@ -163,8 +166,8 @@ def self_contacts(
         depth: contacts less deep don't count [m].
     """
     data = mujoco.MjData(model)
-    found: dict[tuple[str, str], list[float]] = {}
-    for positions in joint_positions:
+    found: dict[tuple[str, str], list[tuple[float, int]]] = {}
+    for row, positions in enumerate(joint_positions):
         data.qpos[:] = positions
         mujoco.mj_fwdPosition(model, data)
         deepest: dict[tuple[str, str], float] = {}
@@ -174,9 +177,12 @@ def self_contacts(
                 pair = body_name(model, first), body_name(model, second)
                 deepest[pair] = max(deepest.get(pair, 0.0), -float(contact.dist))
         for pair, value in deepest.items():
-            found.setdefault(pair, []).append(value)
+            found.setdefault(pair, []).append((-value, row))
     contacts = [
-        SelfContact(*pair, max(depths), len(depths) / len(joint_positions)) for pair, depths in found.items()
+        SelfContact(
+            *pair, -min(each)[0], len(each) / len(joint_positions), tuple(row for _, row in sorted(each))
+        )
+        for pair, each in found.items()
     ]
     return sorted(contacts, key=lambda contact: (-contact.share, contact.first, contact.second))
 
@@ -191,8 +197,13 @@ def zero_and_random_poses(model: mujoco.MjModel) -> np.ndarray:
     )
 
 
+NAMED = 5
+"""Most grasps or pairs of links to name in a warning."""
+
+
 def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> list[str]:
-    """For each pair of links that penetrate in some grasps: how often, how deep, why, and what to do.
+    """What penetrates itself in some grasps, and what to do: a sentence for those whose pose is the reason,
+    and one for pairs of links whose shapes are.
 
     Args:
         joint_positions: of the grasps [rad], shape [N, M].
@@ -203,22 +214,35 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
     poses = zero_and_random_poses(model)
     at_zero = {(c.first, c.second) for c in self_contacts(model, poses[:1])}
     anywhere = {(c.first, c.second): c.share for c in self_contacts(model, poses[1:])}
+    shapes = [
+        c
+        for c in contacts
+        if (c.first, c.second) in at_zero or anywhere.get((c.first, c.second), 0.0) > BY_SHAPE
+    ]
+    posed = [contact for contact in contacts if contact not in shapes]
     words = []
-    for contact in contacts:
-        pair = contact.first, contact.second
-        share = anywhere.get(pair, 0.0)
-        if pair in at_zero:
-            reason = "their shapes do so at the zero pose already: " + exclusion(*pair)
-        elif share > BY_SHAPE:
-            reason = f"their shapes do so in {100 * share:.0f} % of all poses: " + exclusion(*pair)
-        else:
-            often = f"the shapes allow it in {100 * share:.0f} % of all poses"
-            reason = f"{often}: the pose of the grasp is the reason"
+    if posed:
+        worst = max(posed, key=lambda contact: contact.depth)
+        rows = sorted({row for contact in posed for row in contact.rows})
         words.append(
-            f"'{pair[0]}' and '{pair[1]}' penetrate each other by up to {1e3 * contact.depth:.1f} mm in "
-            f"{100 * contact.share:.0f} % of the grasps; {reason}"
+            f"{len(rows)} of {len(joint_positions)} grasps collide with themselves, by up to "
+            f"{1e3 * worst.depth:.1f} mm ({_some(rows)}; '{worst.first}' and '{worst.second}' in row "
+            f"{worst.rows[0]}): look at them with 'fungrasp grasps show', or drop them"
+        )
+    if shapes:
+        worst = max(shapes, key=lambda contact: contact.depth)
+        pairs = _some([f"'{contact.first}' and '{contact.second}'" for contact in shapes], "")
+        words.append(
+            f"links penetrate each other by their shapes, at the zero pose or in over {BY_SHAPE:.0%} of all "
+            f"poses, by up to {1e3 * worst.depth:.1f} mm: {pairs}; {exclusion(worst.first, worst.second)}"
         )
     return words
+
+
+def _some(values: Sequence[object], noun: str = "rows ") -> str:
+    """The first of them, and how many more there are."""
+    more = f" and {len(values) - NAMED} more" if len(values) > NAMED else ""
+    return noun + ", ".join(map(str, values[:NAMED])) + more
 
 
 def exclusion(first: str, second: str) -> str:

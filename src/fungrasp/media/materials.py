@@ -67,12 +67,8 @@ LOOKS: dict[str, dict[str, Material]] = {
 """Materials of built-in objects by part; "" is for all other parts."""
 
 
-def painted_parts(model: ObjectModel, plain: Material = PLAIN) -> list[tuple[Material, np.ndarray]]:
-    """Materials of an object, and which of its faces have each, shape [F] bool.
-
-    Args:
-        plain: the material of one that is not built in.
-    """
+def painted_parts(model: ObjectModel) -> list[tuple[Material, np.ndarray]]:
+    """Materials of an object, and which of its faces have each, shape [F] bool."""
     looks = LOOKS.get(model.name.removesuffix(MIRRORED), {}) if model.parts else {}
     rest = np.ones(len(model.faces), dtype=bool)
     masks: dict[Material, np.ndarray] = {}
@@ -80,5 +76,5 @@ def painted_parts(model: ObjectModel, plain: Material = PLAIN) -> list[tuple[Mat
         if part in looks:
             masks[looks[part]] = masks.get(looks[part], np.zeros_like(rest)) | (faces & rest)
             rest &= ~faces
-    masks[looks.get("", plain)] = masks.get(looks.get("", plain), np.zeros_like(rest)) | rest
+    masks[looks.get("", PLAIN)] = masks.get(looks.get("", PLAIN), np.zeros_like(rest)) | rest
     return [(material, mask) for material, mask in masks.items() if mask.any()]

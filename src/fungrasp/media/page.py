@@ -154,10 +154,6 @@ def _encoded(picture: np.ndarray, photograph: bool) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
-MEDIA_TYPES = {".mp4": "video/mp4", ".webp": "image/webp", ".gif": "image/gif", ".png": "image/png"}
-"""Kinds of files that a page can hold, by suffix."""
-
-
 @dataclass(frozen=True)
 class Contact:
     """Whether a link of the robot's hand should touch the object, and does."""
@@ -189,7 +185,7 @@ class GraspReport:
     robot_picture: np.ndarray | None = None
     """Picture of the robot grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     film: Path | None = None
-    """Film of the episode: a file of a kind in ``MEDIA_TYPES``."""
+    """Film of the episode, an mp4 file."""
     use_success: bool | None = None
     """Whether the use test that followed was passed; None if there was none."""
     use_outcome: str = ""
@@ -309,12 +305,13 @@ def _use_badge(success: bool | None) -> str:
 def _film(film: Path | None, alt: str, caption: str, play: str) -> str:
     if film is None:
         return ""
-    kind, data = _media(film)
-    source, alt = f"data:{kind};base64,{base64.b64encode(data).decode()}", escape(alt)
-    if kind.startswith("image/"):
-        inner = f'<img src="{source}" alt="{alt}">'
-    else:
-        inner = f'<video src="{source}" controls{play} muted loop playsinline aria-label="{alt}"></video>'
+    if film.suffix != ".mp4":
+        raise FungraspError(f"{film}: a film on a page must be an mp4 file")
+    try:
+        source = f"data:video/mp4;base64,{base64.b64encode(film.read_bytes()).decode()}"
+    except OSError as error:
+        raise FungraspError(f"cannot read {film}: {error.strerror or error}") from error
+    inner = f'<video src="{source}" controls{play} muted loop playsinline aria-label="{escape(alt)}"></video>'
     return f'<figure class="film">{inner}<figcaption>{escape(caption)}</figcaption></figure>'
 
 
@@ -340,13 +337,3 @@ def _dot(value: bool) -> str:
     return (
         '<span class="dot on" title="yes">yes</span>' if value else '<span class="dot" title="no">no</span>'
     )
-
-
-def _media(film: Path) -> tuple[str, bytes]:
-    kind = MEDIA_TYPES.get(film.suffix.lower())
-    if kind is None:
-        raise FungraspError(f"{film}: a film on a page must be one of {', '.join(MEDIA_TYPES)}")
-    try:
-        return kind, film.read_bytes()
-    except OSError as error:
-        raise FungraspError(f"cannot read {film}: {error.strerror or error}") from error

@@ -18,7 +18,6 @@ from fungrasp.hands import Hand
 from fungrasp.hands.arm import mounting_pose
 from fungrasp.media.camera import Camera
 from fungrasp.media.grasp_scenes import frame_geoms, grasp_scene, look_at_grasp, view_angles
-from fungrasp.media.ray_tracing import Look
 from fungrasp.media.render import Renderer, render
 from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel
@@ -97,31 +96,18 @@ def captioned(image: np.ndarray, left: str, right: str = "") -> np.ndarray:
     return np.asarray(picture)
 
 
-def four_views(
-    model: mujoco.MjModel,
-    qpos: np.ndarray | None = None,
-    *,
-    width: int = 480,
-    height: int = 360,
-    azimuth: float = -60.0,
-    look: Look | None = None,
-) -> list[np.ndarray]:
-    """A thing from four sides, a quarter turn apart, alternately from low and from high, for ``grid``.
+def four_views(model: mujoco.MjModel, azimuth: float = -60.0) -> list[np.ndarray]:
+    """A model's reference from four sides, a quarter turn apart, alternately from low and from high, for
+    ``grid``: sRGB, shape [360, 480, 3] uint8 each.
 
     Args:
-        qpos: shape [nq]; None for the model's reference.
         azimuth: of the first view [degrees].
-
-    Returns:
-        four pictures, sRGB, shape [height, width, 3] uint8.
     """
-    state = np.asarray(model.qpos0 if qpos is None else qpos, dtype=float)
-    renderer = Renderer(model, look=look)
+    renderer, size = Renderer(model), {"width": 480, "height": 360}
     cameras = [
-        frame_geoms(model, state, azimuth + 90.0 * i, 22.0 + 18.0 * (i % 2), width=width, height=height)
-        for i in range(4)
+        frame_geoms(model, model.qpos0, azimuth + 90.0 * i, 22.0 + 18.0 * (i % 2), **size) for i in range(4)
     ]
-    return [next(renderer.stream(state, camera)) for camera in cameras]
+    return [next(renderer.stream(model.qpos0, camera)) for camera in cameras]
 
 
 PART_COLORS = {

@@ -1,20 +1,16 @@
-"""Writing films: H.264 in an mp4 file, or an animated picture."""
+"""Writing films: H.264 in an mp4 file."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
-
-SUFFIXES = (".mp4", ".webp", ".gif")
-"""Kinds of film that can be written."""
 
 
 def write_video(
@@ -30,59 +26,49 @@ def write_video(
     An odd number of rows or columns is made even by repeating the last one (H.264 needs that).
 
     Args:
-        path: its suffix, one of ``SUFFIXES``, decides the format. Animated pictures hold all frames in
-            memory.
+        path: of the mp4 file.
         frames: sRGB, each of shape [H, W, 3] uint8, all of one size.
         fps: frames per second.
         quality: constant rate factor of H.264, from 0 (lossless) to 51 (worst).
-        keyframes: one frame in so many stands alone in an mp4 file, so that it is found fast; by default the
-            encoder decides.
+        keyframes: one frame in so many stands alone, so that it is found fast; by default the encoder
+            decides.
 
     Returns:
-        the file written: ``path``, or the same name with the suffix ``.webp`` if PyAV was built without
-            H.264.
+        The path.
 
     Raises:
-        FungraspError: no frames, frames of different shapes, an unknown suffix, or a file that can't be
-            written.
+        FungraspError: no frames, frames of different shapes, another suffix, or a file that can't be written.
     """
+    import av
+    from av.error import FFmpegError
+    from av.video.reformatter import ColorRange, Colorspace, VideoReformatter
+
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise FungraspError(f"{path}: a film's name must end in one of {', '.join(SUFFIXES)}")
+    if path.suffix.lower() != ".mp4":
+        raise FungraspError(f"{path}: a film's name must end in .mp4")
     if not 0 < fps <= 1000:
         raise FungraspError(f"{path}: frames per second must lie between 0 and 1000, not {fps}")
     checked = _checked(path, frames)
     first = next(checked, None)
     if first is None:
         raise FungraspError(f"{path}: a film needs at least one frame")
-    everything = itertools.chain([first], checked)
-    if path.suffix.lower() != ".mp4":
-        return _write_animation(path, everything, fps)
-    if not _has_h264():
-        return _write_animation(path.with_suffix(".webp"), everything, fps)
-    options = {"crf": f"{quality:g}", "preset": "veryfast"}
+    if "libx264" not in av.codecs_available:
+        raise FungraspError(
+            f"{path}: this build of PyAV has no H.264; the wheels on the package index have it"
+        )
+    options: dict[str, object] = {"crf": f"{quality:g}", "preset": "veryfast"}
     options |= {} if keyframes is None else {"g": str(keyframes), "bf": "0"}
-    return _write_mp4(path, everything, first.shape, fps, options)
-
-
-def _write_mp4(
-    path: Path, frames: Iterator[np.ndarray], shape: tuple[int, ...], fps: float, options: Mapping[str, str]
-) -> Path:
-    import av
-    from av.error import FFmpegError
-    from av.video.reformatter import ColorRange, Colorspace, VideoReformatter
-
-    odd = ((0, shape[0] % 2), (0, shape[1] % 2), (0, 0))
+    odd = ((0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0))
     with atomic_path(path) as temporary:
         try:
             with av.open(str(temporary), "w", options={"movflags": "+faststart"}) as container:
                 stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-                stream.height, stream.width = shape[0] + odd[0][1], shape[1] + odd[1][1]
+                stream.height, stream.width = first.shape[0] + odd[0][1], first.shape[1] + odd[1][1]
                 stream.pix_fmt = "yuv420p"
-                stream.options = {**options}
+                stream.options = options
                 # One converter for all frames: making it takes ten times as long as using it.
                 converter = VideoReformatter()
-                for array in frames:
+                for array in itertools.chain([first], checked):
                     frame = av.VideoFrame.from_ndarray(np.pad(array, odd, mode="edge"), format="rgb24")
                     frame = converter.reformat(
                         frame,
@@ -98,18 +84,6 @@ def _write_mp4(
     return path
 
 
-def _write_animation(path: Path, frames: Iterator[np.ndarray], fps: float) -> Path:
-    from PIL import Image
-
-    images = [Image.fromarray(array) for array in frames]
-    options: dict[str, Any] = {"quality": 80, "method": 4} if path.suffix.lower() == ".webp" else {}
-    with atomic_path(path) as temporary:
-        images[0].save(
-            temporary, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0, **options
-        )
-    return path
-
-
 def _checked(path: Path, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     shape = None
     for i, frame in enumerate(frames):
@@ -121,9 +95,3 @@ def _checked(path: Path, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
             raise FungraspError(f"{path}: frame {i} has shape {frame.shape}, but the first has {shape}")
         shape = frame.shape
         yield frame
-
-
-def _has_h264() -> bool:
-    import av
-
-    return "libx264" in av.codecs_available

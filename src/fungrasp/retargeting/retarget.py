@@ -63,7 +63,7 @@ class RetargetSpec:
     hand: str = "allegro"
     """Name of the robot hand, or the path of its TOML file."""
     method: str = "contact"
-    """One of ``METHODS``."""
+    """Retargeting method: contact, angle-copy or dexgraspnet."""
     settings: RetargetSettings = field(default_factory=RetargetSettings)
     """Weights and iterations."""
 

@@ -1,4 +1,4 @@
-"""Which page shows what: by what it is, or by what the file holds."""
+"""Which page shows what: by what it is, or by what the file holds. ``KINDS`` is the one list of it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.evaluation import LiftTestResult, Trajectory, read_result, replay
-from fungrasp.grasps import (
-    HumanGrasp,
-    HumanGraspSet,
-    RobotGrasp,
-    RobotGraspSet,
-    load_grasps,
-    load_objects,
-)
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_grasps, load_objects
 from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, named_objects, resolve_objects
 from fungrasp.hands import Hand, hand_origin, load_hand
 from fungrasp.hands.hand_registry import hand_files
@@ -30,6 +23,7 @@ from fungrasp.task import GraspPlan
 if TYPE_CHECKING:
     from viser import ClientHandle
 
+    from fungrasp.perception.perceived import Perceived
     from fungrasp.viewer.grasp_page import PickableGrasps
     from fungrasp.viewer.page import BrowserPage
 
@@ -49,9 +43,95 @@ class ChosenPage:
     """Loads what is to be there when the first browser comes; None if nothing is."""
 
 
+def _human_grasps(grasps: HumanGraspSet, objects: Objects, hand: str | Hand) -> ChosenPage:
+    from fungrasp.viewer.grasp_page import GraspPage, PickableGrasps
+
+    name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
+    load_hand(name)
+    choice = PickableGrasps(grasps, resolve_objects(grasps, objects), name)
+    return ChosenPage("Grasps", partial(GraspPage, choice=choice), partial(_load_solver, choice))
+
+
+def _robot_grasps(grasps: RobotGraspSet, objects: Objects, hand: str | Hand) -> ChosenPage:
+    from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
+
+    grasps.load_hand()
+    make = partial(RobotGraspsPage, grasps=grasps, objects=resolve_objects(grasps, objects))
+    return ChosenPage("Robot grasps", make)
+
+
+def _plans(plans: GraspPlan, objects: Objects, hand: str | Hand) -> ChosenPage:
+    from fungrasp.viewer.plan_page import PlanPage
+
+    load_hand(plans.hand)
+    known = named_objects(plans.object_name.tolist(), plans.object_mass.tolist(), objects)
+    return ChosenPage("Plans", partial(PlanPage, plans=plans, objects=known))
+
+
+def _result(result: LiftTestResult, objects: Objects, hand: str | Hand) -> ChosenPage:
+    from fungrasp.viewer.result_page import ResultPage, ShownResult
+
+    return ChosenPage("Result", partial(ResultPage, shown=ShownResult.of(result)))
+
+
+def _episode(trajectory: Trajectory, objects: Objects, hand: str | Hand) -> ChosenPage:
+    from fungrasp.viewer.result_page import RecordingPage
+
+    known = named_objects([trajectory.object_name], [trajectory.object_mass], objects)
+    return ChosenPage("Episode", partial(RecordingPage, trajectory=trajectory, objects=known))
+
+
+def _perceived(seen: Perceived, objects: Objects, hand: str | Hand) -> ChosenPage:
+    from fungrasp.viewer.capture_page import CapturePage
+
+    return ChosenPage("Capture", partial(CapturePage, capture=seen.capture, perceive=lambda: seen))
+
+
+def _npz(path: Path) -> HumanGraspSet | RobotGraspSet | GraspPlan | Trajectory:
+    fields = read_npz(path, "file", ("qpos", "closing_step").__contains__)
+    if "qpos" in fields:
+        return replay(path)
+    return GraspPlan.load(path) if "closing_step" in fields else load_grasps(path)
+
+
+def _log_file(path: Path) -> ChosenPage:
+    from fungrasp.deployment.log import read_log
+    from fungrasp.viewer.log_page import LogPage, check_log
+
+    log = read_log(path)
+    check_log(log, path)
+    return ChosenPage("Deployment", partial(LogPage, log=log))
+
+
+def _hand_file(path: Path, title: str = "") -> ChosenPage:
+    from fungrasp.viewer.hand_page import HandPage
+
+    return ChosenPage(title or path.parent.name, partial(HandPage, path=path))
+
+
+KINDS: dict[str, tuple[str, Callable[[Any, Objects, str | Hand], ChosenPage]]] = {
+    "HumanGraspSet": ("human grasps", _human_grasps),
+    "RobotGraspSet": ("robot grasps", _robot_grasps),
+    "GraspPlan": ("plans", _plans),
+    "LiftTestResult": ("a result", _result),
+    "Trajectory": ("a recorded episode", _episode),
+    "Perceived": ("what was perceived", _perceived),
+    "Hand": ("a hand", lambda shown, objects, hand: _hand_file(shown.path, shown.title)),
+}
+"""All that can be viewed, by the name of its class, as not all are imported to look at one: what it is, and
+its page, from itself, its objects, and the hand that imitates human grasps at first."""
+
+FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    ".npz": ("grasps, plans or an episode", _npz),
+    ".json": ("a result", lambda path: shown_result(path)),
+    ".mcap": ("a deployment's log", _log_file),
+    ".toml": ("a hand", _hand_file),
+}
+"""What files of each kind hold, and their readers. A folder is that of a hand, or of a capture."""
+
+
 def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
-    """The page of something. Everything is read here, so that mistakes are met before the
-    server runs.
+    """The page of something. Everything is read here, so that mistakes are met before the server runs.
 
     Args:
         what: see ``view``.
@@ -61,60 +141,19 @@ def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
     Raises:
         FungraspError: it can't be viewed.
     """
-    if isinstance(what, str | Path):
-        what = _read(what)
-    if what is None:
-        what = load_grasps("builtin")
+    if what is None or isinstance(what, str | Path):
+        what = _read("builtin" if what is None else what)
     if isinstance(what, HumanGrasp | RobotGrasp):
         what = as_grasp_set(what)
-    if isinstance(what, HumanGraspSet):
-        from fungrasp.viewer.grasp_page import GraspPage, PickableGrasps
-
-        if not len(what):
-            raise FungraspError("there are no grasps to view: the set is empty")
-        name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
-        load_hand(name)
-        choice = PickableGrasps(what, resolve_objects(what, objects), name)
-        return ChosenPage("Grasps", partial(GraspPage, choice=choice), partial(_load_solver, choice))
-    if isinstance(what, RobotGraspSet):
-        from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
-
-        if not len(what):
-            raise FungraspError("there are no grasps to view: the set is empty")
-        what.load_hand()
-        make = partial(RobotGraspsPage, grasps=what, objects=resolve_objects(what, objects))
-        return ChosenPage("Robot grasps", make)
-    if isinstance(what, LiftTestResult):
-        from fungrasp.viewer.result_page import ResultPage, ShownResult
-
-        return ChosenPage("Result", partial(ResultPage, shown=ShownResult.of(what)))
-    if isinstance(what, Trajectory):
-        from fungrasp.viewer.result_page import RecordingPage
-
-        known = named_objects([what.object_name], [what.object_mass], objects)
-        return ChosenPage("Episode", partial(RecordingPage, trajectory=what, objects=known))
-    if isinstance(what, GraspPlan):
-        from fungrasp.viewer.plan_page import PlanPage
-
-        load_hand(what.hand)
-        known = named_objects(what.object_name.tolist(), what.object_mass.tolist(), objects)
-        return ChosenPage("Plans", partial(PlanPage, plans=what, objects=known))
-    from fungrasp.perception.perceived import Perceived
-
-    if isinstance(what, Perceived):
-        from fungrasp.viewer.capture_page import CapturePage
-
-        return ChosenPage("Capture", partial(CapturePage, capture=what.capture, perceive=lambda: what))
-    if isinstance(what, Hand):
-        from fungrasp.viewer.hand_page import HandPage
-
-        return ChosenPage(what.title, partial(HandPage, path=what.path))
+    if isinstance(what, HumanGraspSet | RobotGraspSet) and not len(what):
+        raise FungraspError("there are no grasps to view: the set is empty")
     if isinstance(what, ChosenPage):
         return what
-    raise FungraspError(
-        "grasps, plans, a result, a recorded episode, what was perceived, a hand, or the path of one of "
-        f"their files, of a deployment's log or of a capture can be viewed, not a {type(what).__name__}"
-    )
+    name = type(what).__name__
+    if name not in KINDS:
+        known = ", ".join(words for words, _ in KINDS.values())
+        raise FungraspError(f"{known}, and their files, can be viewed, not a {name}")
+    return KINDS[name][1](what, objects, hand)
 
 
 def _load_solver(choice: PickableGrasps) -> None:
@@ -127,80 +166,53 @@ def _load_solver(choice: PickableGrasps) -> None:
 
 
 def _read(what: str | Path) -> Any:
-    """What a file or folder holds: something to view, or what makes its page."""
+    """What a file or folder holds: something to view, or its page."""
     name, path = str(what), Path(what)
     if name == "builtin":
         return load_grasps(name)
-    if not path.exists() and name in hand_files():
-        return load_hand(name)
-    if path.is_dir():
-        if (path / "hand.toml").is_file():
-            return _hand(path / "hand.toml")
-        return _capture(path)
     if not path.exists():
+        if name in hand_files():
+            return load_hand(name)
         raise FungraspError(f"there is no file, folder or hand '{what}' to view")
-    if path.suffix == ".toml":
-        return _hand(path)
-    if path.suffix == ".json":
-        from fungrasp.viewer.result_page import ResultPage, ShownResult
-
-        return ChosenPage("Result", partial(ResultPage, shown=ShownResult.read(path, read_result(path))))
-    if path.suffix == ".mcap":
-        from fungrasp.deployment.log import read_log
-        from fungrasp.viewer.log_page import LogPage, check_log
-
-        log = read_log(path)
-        check_log(log, path)
-        return ChosenPage("Deployment", partial(LogPage, log=log))
-    if path.suffix == ".npz":
-        fields = read_npz(path, "file", ("qpos", "closing_step").__contains__)
-        if "qpos" in fields:
-            return replay(path)
-        if "closing_step" in fields:
-            return GraspPlan.load(path)
-        return load_grasps(path)
-    raise FungraspError(
-        f"{path}: a .npz of grasps, plans or an episode, a result .json, a log .mcap, a hand .toml or the "
-        "folder of a capture can be viewed"
-    )
+    if path.is_dir():
+        return _hand_file(path / "hand.toml") if (path / "hand.toml").is_file() else capture_page(path)
+    if path.suffix not in FILES:
+        known = ", ".join(f"{suffix} ({words})" for suffix, (words, _) in FILES.items())
+        raise FungraspError(f"{path}: these files can be viewed: {known}; or the folder of a capture")
+    return FILES[path.suffix][1](path)
 
 
-def _hand(path: Path) -> Any:
-    from fungrasp.viewer.hand_page import HandPage
-
-    return ChosenPage(path.parent.name, partial(HandPage, path=path))
-
-
-def _capture(folder: Path) -> Any:
-    from fungrasp.perception.io.scene_folders import read_folder
-    from fungrasp.viewer.capture_page import CapturePage
-
-    return ChosenPage("Capture", partial(CapturePage, capture=read_folder(folder), perceive=None))
-
-
-def perceived_capture(folder: str, mesh: str) -> Any:
-    """The page of a capture in which hand and object are looked for.
+def capture_page(folder: str | Path, mesh: str | None = None) -> ChosenPage:
+    """The page of a capture.
 
     Args:
-        mesh: file of the object's mesh, or the name of a built-in object.
+        mesh: file of the object's mesh, or the name of a built-in object: hand and object are looked for. The
+            image alone is shown if None.
 
     Raises:
         FungraspError: no such folder or mesh, or the perception is not set up.
     """
-    from fungrasp.objects.resolved_object import resolve_object
     from fungrasp.perception.io.scene_folders import read_folder
-    from fungrasp.perception.pipeline import perceive
     from fungrasp.viewer.capture_page import CapturePage
 
-    held = resolve_object(mesh, None)
+    look = None
+    if mesh is not None:
+        from fungrasp.objects.resolved_object import resolve_object
+        from fungrasp.perception.pipeline import perceive
+
+        held = resolve_object(mesh, None)
+        look = lambda: perceive(capture, held)  # noqa: E731
     capture = read_folder(folder)
-    return ChosenPage(
-        "Capture", partial(CapturePage, capture=capture, perceive=lambda: perceive(capture, held))
-    )
+    return ChosenPage("Capture", partial(CapturePage, capture=capture, perceive=look))
 
 
-def shown_result(path: str, grasps: Path | None, objects: Path | None, recordings: Path | None) -> Any:
-    """The page of a result whose files are somewhere else than they were.
+def shown_result(
+    path: str | Path,
+    grasps: Path | None = None,
+    objects: Path | None = None,
+    recordings: Path | None = None,
+) -> ChosenPage:
+    """The page of a result file, whose own files may be somewhere else than they were.
 
     Raises:
         FungraspError: a file can't be read.

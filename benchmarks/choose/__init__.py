@@ -1,1 +1,0 @@
-"""Two variants compared on the same grasps and worlds."""
