@@ -218,6 +218,8 @@ def _stop_file(file: Path, made: bool) -> Iterator[None]:
     finally:
         timer.cancel()
         if made:
+            # It may be making the file at this moment.
+            timer.join()
             file.unlink(missing_ok=True)
 
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.formats.mujoco_model import read_model
+from fungrasp.core.formats.mujoco_model import quiet, read_model
 from fungrasp.core.formats.text_files import read_toml
 from fungrasp.hands.adding.couplings import find_couplings
 from fungrasp.hands.adding.model_file import read_foreign
@@ -56,12 +56,13 @@ def check_hand(path: Path) -> list[Finding]:
     """What is wrong with a hand's TOML file and its model: no error if and only if the hand can be used."""
     findings: list[Finding] = []
     hand = None
-    try:
-        read = read_hand_toml(path)
-        hand = read if read.model.njnt and read.coupling else None
-    except FungraspError as problem:
-        findings.append(error(str(problem)))
-    findings += _faults_of_model(path, hand is not None)
+    with quiet():
+        try:
+            read = read_hand_toml(path)
+            hand = read if read.model.njnt and read.coupling else None
+        except FungraspError as problem:
+            findings.append(error(str(problem)))
+        findings += _faults_of_model(path, hand is not None)
     if hand is not None:
         findings += [*_joints(hand), *_palm(hand), *_fingers(hand)]
         if not any(finding.severity == "error" for finding in findings):
