@@ -3,7 +3,7 @@
 import fungrasp
 
 human = fungrasp.builtin_grasps()
-human = human.select(human.object_name == "can")[:1]
+human = human.select(human.object_name == "wine_glass")[:1]
 objects = fungrasp.load_objects(human)
 robot = fungrasp.retarget(human, objects, hand="allegro")
 

@@ -135,7 +135,9 @@ class SearchPlanner:
             chunk=s.chunk,
             promise=partial(chance_of_use, hand=self._hand, objects=self._objects) if s.for_use else None,
         )
-        number = 1 if s.rollouts is None else s.candidates
+        # Where few plans can be carried out, there must be some to choose from.
+        number = s.candidates if feasible is None else max(s.candidates, s.more)
+        number = 1 if s.rollouts is None and feasible is None else number
         everyone = np.arange(len(grasps))
         first = with_settings(grasps).select(np.tile(everyone, number))
         numbers = np.repeat(np.arange(number), len(grasps))
