@@ -119,7 +119,7 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         f"{name} {task}": row
         for row, (name, task) in enumerate(zip(builtin.object_name, builtin.task, strict=True))
     }
-    named = [first["can drink"]]
+    named = [first["can drink"], first["wine_glass drink"]]
     others = [row for row in first.values() if row not in named]
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
