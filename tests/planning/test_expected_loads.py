@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from planned_grasps import grasps_and_objects, hand
 
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.optimization.wrench_resistance import lift_loads
 from fungrasp.planning.expected_loads import use_loads
-from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task.use import UseMotion, load_use_motions
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

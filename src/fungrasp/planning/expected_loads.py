@@ -16,7 +16,7 @@ from fungrasp.geometry.signed_distance import project_to_surface
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
-from fungrasp.simulation.scene import GRAVITY
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.task.use import UseMotion
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis
 

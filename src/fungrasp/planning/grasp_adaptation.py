@@ -20,10 +20,11 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem
+from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 
 @dataclass(frozen=True)

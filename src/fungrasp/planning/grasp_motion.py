@@ -16,6 +16,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.optimization.grip_forces import squeeze_torques
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import CollisionScene
@@ -23,7 +24,6 @@ from fungrasp.optimization.wrench_resistance import grip_of, lift_loads
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
 from fungrasp.planning.expected_loads import use_loads
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object
-from fungrasp.simulation.scene import GRAVITY
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.setpoints import SETPOINT_PERIOD, WristSetpoint
 from fungrasp.task.use import UseMotion, load_use_motions, motion_of

@@ -1,6 +1,7 @@
 """Human grasps from specifications: the solver of retargeting, applied to the human hand, with contact
 targets on named parts of the object.
 
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.synthesis import GraspSpecification, synthesize_grasps
 
 spec = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
@@ -26,7 +27,7 @@ from fungrasp.objects import ObjectModel, load_object
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
-from fungrasp.optimization.problem import GRAVITY, CollisionScene, RetargetingProblem
+from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 from fungrasp.optimization.terms import Term
 from fungrasp.synthesis.grasp_candidates import (
     HAND,

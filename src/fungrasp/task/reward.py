@@ -16,7 +16,7 @@ from array_api_compat import array_namespace
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import Array
-from fungrasp.simulation.scene import GRAVITY
+from fungrasp.objects.object_model import GRAVITY
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from fungrasp.objects.convex_decomposition import (
     convex_hull,
     convex_pieces,
 )
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters, twin_torque_limits
-from fungrasp.simulation.scene import GRAVITY
 
 OBJECT, TABLE = "twin_object", "twin_table"
 """Names of the object's body and of the table's geom."""
