@@ -2,6 +2,7 @@
 targets on named parts of the object.
 
 from fungrasp.objects.object_model import GRAVITY
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.synthesis import GraspSpecification, synthesize_grasps
 
 spec = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
