@@ -1,8 +1,6 @@
 """Human grasps from specifications: the solver of retargeting, applied to the human hand, with contact
 targets on named parts of the object.
 
-from fungrasp.objects.object_model import GRAVITY
-from fungrasp.objects.object_model import GRAVITY
 from fungrasp.synthesis import GraspSpecification, synthesize_grasps
 
 spec = GraspSpecification("can", "drink", "body", "wrap", at=(0, 0, 0), palm=(0, 1, 0), fingers=(1, 0, 0))
@@ -25,6 +23,7 @@ from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
