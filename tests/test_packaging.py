@@ -34,9 +34,9 @@ FREE = "Apache-2.0"
 FOREIGN = re.compile(r"(mano_|dex-?ycb|research)(?!.*\.(py|md)$)", re.IGNORECASE)
 """Parts of the names of files (other than code and pages) and data sets that may not be shipped."""
 
-IMPORTED_BY_OTHERS = {"mujoco", "daqp", "embreex", "pyserial", "tensorboard"}
+IMPORTED_BY_OTHERS = {"mujoco", "daqp", "embreex", "pyserial", "tensorboard", "pycollada"}
 """Distributions that are declared for other packages: solver of mink, ray casts of trimesh, ports of pymodbus
-and dynamixel_sdk, event files of torch; mujoco itself of mujoco-warp, beside mujoco-core."""
+and dynamixel_sdk, event files of torch; .dae meshes of trimesh; mujoco itself of mujoco-warp, beside mujoco-core."""
 
 DISTRIBUTIONS = {
     "warp": "warp-lang",

@@ -52,7 +52,7 @@ def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_p
 
 def test_whole_commands_are_timed_cold_and_warm(tmp_path, capsys, monkeypatch):
     some = {name: speed.COMMANDS[name] for name in ("import", "hands list")}
-    made = {"check": ("hands.checking.hand_checks:check_hand_files", "hands check allegro")}
+    made = {"check": ("hands.adding.add_hand:check_hand_files", "hands check allegro")}
     monkeypatch.setattr(speed, "COMMANDS", some | made)
     path = tmp_path / "b.json"
     status, out, _ = run_benchmark(capsys, "speed", "commands", "--repeat", 1, "--json", path)
