@@ -36,7 +36,8 @@ FOREIGN = re.compile(r"(mano_|dex-?ycb|research)(?!.*\.(py|md)$)", re.IGNORECASE
 
 IMPORTED_BY_OTHERS = {"mujoco", "daqp", "embreex", "pyserial", "tensorboard", "pycollada"}
 """Distributions that are declared for other packages: solver of mink, ray casts of trimesh, ports of pymodbus
-and dynamixel_sdk, event files of torch; .dae meshes of trimesh; mujoco itself of mujoco-warp, beside mujoco-core."""
+and dynamixel_sdk, event files of torch; .dae meshes of trimesh; mujoco itself of mujoco-warp, beside
+mujoco-core."""
 
 DISTRIBUTIONS = {
     "warp": "warp-lang",
