@@ -172,7 +172,7 @@ def test_plans_are_made_on_a_table_at_zero_and_played_where_it_is(asked, known, 
 def test_plans_that_cannot_be_carried_out_are_not_tried() -> None:
     """Of the candidates only those that squeeze little are allowed: one of them is chosen; where none is
     allowed, one is given without any rollout."""
-    settings = SelectionSettings(8, SHORT, confirmations=1, searches=0)
+    settings = SelectionSettings(8, SHORT, confirmations=1, searches=0, more=8)
     rows = rows_of(["can"])
     grasps, known = grasps_and_objects()[0].select(rows), belief().select(rows)
     allowed: list[float] = []
