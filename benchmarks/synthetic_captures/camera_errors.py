@@ -99,6 +99,23 @@ _D435I = DepthCamera(
     reach=(0.2, 6.0),
 )
 
+TIME_OF_FLIGHT = DepthCamera(
+    baseline=0.0,
+    window=3.0,
+    merge=1e3,
+    fattening=1.0,
+    noise=0.0,
+    waves=0.0,
+    wavelength=10.0,
+    subpixel=0.0,
+    axial=(0.001, 0.0008),
+    dark=0.01,
+    shiny=1.2,
+    grazing=(78.0, 88.0),
+    reach=(0.25, 5.5),
+)
+"""What all cameras that measure the time of flight have in common."""
+
 DEPTH_CAMERAS: Mapping[str, DepthCamera] = {
     "d435i": _D435I,
     "d435i_filtered": replace(
@@ -122,30 +139,10 @@ DEPTH_CAMERAS: Mapping[str, DepthCamera] = {
         speckle=0.002,
         reach=(0.4, 5.0),
     ),
-    "tof": DepthCamera(
-        baseline=0.0,
-        window=3.0,
-        merge=1e3,
-        fattening=1.0,
-        noise=0.0,
-        waves=0.0,
-        wavelength=10.0,
-        subpixel=0.0,
-        axial=(0.001, 0.0008),
-        dark=0.01,
-        shiny=1.2,
-        grazing=(78.0, 88.0),
-        reach=(0.25, 5.5),
-    ),
-    "kinect_v2": DepthCamera(
-        baseline=0.0,
+    "tof": TIME_OF_FLIGHT,
+    "kinect_v2": replace(
+        TIME_OF_FLIGHT,
         window=5.0,
-        merge=1e3,
-        fattening=1.0,
-        noise=0.0,
-        waves=0.0,
-        wavelength=10.0,
-        subpixel=0.0,
         axial=(0.0013, 0.0005),
         dark=0.015,
         shiny=1.1,

@@ -143,10 +143,13 @@ class Tally:
             other_places: what success otherwise than shown counts.
             share: bonus of a rollout that is expected before the first.
         """
-        weight = self.tried + HOPE_WEIGHT
+        bonus = (self.bonus + HOPE_WEIGHT * share * self.promise) / (self.tried + HOPE_WEIGHT)
+        return np.where(self.promise > 0, self.hoped(other_places) + bonus, -np.inf)
+
+    def hoped(self, other_places: float) -> np.ndarray:
+        """Success as shown after the rollouts if ``HOPE`` was expected before."""
         counted = self.shown + other_places * (self.held - self.shown)
-        hope = (counted + HOPE_WEIGHT * HOPE + self.bonus + HOPE_WEIGHT * share * self.promise) / weight
-        return np.where(self.promise > 0, hope, -np.inf)
+        return (counted + HOPE_WEIGHT * HOPE) / (self.tried + HOPE_WEIGHT)
 
     def expected(self, counted: np.ndarray) -> np.ndarray:
         """Share of the rollouts that ``counted``; ``HOPE_WEIGHT`` more are added that go like those of all

@@ -198,10 +198,10 @@ class SearchPlanner:
         rollouts, shape [S] bool. In use, what passes counts a little less than one."""
         s, tally = self.settings, pool.tally
         passed = WITHSTOOD if s.for_use else 1.0
-        counted = tally.shown + s.other_places * (tally.held - tally.shown)
-        mean = (counted + HOPE_WEIGHT * HOPE) / (tally.tried + HOPE_WEIGHT)
         enough = (passed * s.confirmations + HOPE_WEIGHT * HOPE) / (s.confirmations + HOPE_WEIGHT)
-        return np.any((tally.tried >= s.confirmations) & (mean >= enough - 1e-9), axis=0)
+        return np.any(
+            (tally.tried >= s.confirmations) & (tally.hoped(s.other_places) >= enough - 1e-9), axis=0
+        )
 
     def _varied_again(
         self,
