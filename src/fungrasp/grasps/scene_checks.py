@@ -42,6 +42,10 @@ EXPLAINED = 0.8
 
 SURFACE_SAMPLES = 3000
 
+TRIED = 64
+"""Conventions are tried on so many grasps first, spread evenly over the set; on all where these speak for
+one."""
+
 
 @dataclass(frozen=True)
 class Remark:
@@ -169,10 +173,11 @@ class GraspScene:
         of_hands: as the joints alone tell it.
         """
         best, found = of_hands, self._fit(of_hands)
-        told = []
+        told, some = [], self._some()
         for _ in range(3):
-            candidates = [(c, self._fit(c)) for c in self._candidates(best)]
-            better = [pair for pair in candidates if self._explains(pair[1], found)]
+            now = some._fit(best)
+            candidates = [c for c in some._candidates(best) if some._explains(some._fit(c), now)]
+            better = [(c, fit) for c in candidates if self._explains(fit := self._fit(c), found)]
             if not better:
                 break
             chosen, fit = min(better, key=lambda pair: pair[1].errors.sum())
@@ -187,6 +192,11 @@ class GraspScene:
             rows = self.rows[np.logical_and.reduce(told)]
             remarks.append(Remark(f"fingers, objects and table fit only if {reasons}", rows, True, True))
         return self._with_rest(best, found, remarks)
+
+    def _some(self) -> GraspScene:
+        """The scene of ``TRIED`` grasps at most."""
+        chosen = np.unique(np.linspace(0, len(self.rows) - 1, min(TRIED, len(self.rows))).astype(int))
+        return replace(self, rows=self.rows[chosen], held_at_rest=self.held_at_rest[chosen])
 
     def _with_rest(
         self, best: Convention, fit: _Fit, remarks: list[Remark]
