@@ -93,7 +93,7 @@ def test_links_are_in_place_within_20_mm_of_the_reference(array):
 def test_touching_share_counts_wanted_links_alone(array):
     contacts = np.array([[True, False, True], [True, True, True], [True, True, True]])
     targets = np.array([[True, True, False], [True, False, False], [False, False, False]])
-    check(reward.touching_share(array(contacts), array(targets)), array, [0.5, 1.0, 0.0])
+    check(reward.touching_share(array(contacts), array(targets), array([0.0])), array, [0.5, 1.0, 0.0])
 
 
 def test_safety_sums_undesired_forces_and_is_bounded(array):

@@ -156,20 +156,20 @@ def in_place(keypoints: Array, targets: Array, near: float = NEAR) -> Array:
     return xp.linalg.vector_norm(keypoints - targets, axis=-1) <= near
 
 
-def touching_share(contacts: Array, targets: Array) -> Array:
+def touching_share(contacts: Array, targets: Array, like: Array) -> Array:
     """Share of the links that should touch that do: ``|c and c'| / |c'|``, 0 in a world without targets.
 
     Args:
         contacts: which links touch the object, shape [W, L] bool.
         targets: which links should, shape [W, L] bool.
+        like: an array of the number type of the result.
 
     Returns:
         In [0, 1], shape [W].
     """
     xp = array_namespace(contacts, targets)
-    both = xp.astype(contacts & targets, xp.float32)
-    wanted = xp.sum(xp.astype(targets, xp.float32), axis=-1)
-    return xp.sum(both, axis=-1) / xp.clip(wanted, 1.0, None)
+    both, wanted = (xp.sum(xp.astype(x, like.dtype), axis=-1) for x in (contacts & targets, targets))
+    return both / xp.clip(wanted, 1.0, None)
 
 
 def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, cap: float = 5.0) -> Array:
@@ -192,7 +192,7 @@ def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, 
     xp = array_namespace(contacts, targets, forces, mass)
     wanted = xp.astype(targets, forces.dtype)
     pressed = xp.sum(wanted * forces, axis=-1) / (cap * GRAVITY * mass)
-    return touching_share(contacts, targets) + xp.clip(pressed, 0.0, 1.0)
+    return touching_share(contacts, targets, forces) + xp.clip(pressed, 0.0, 1.0)
 
 
 def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) -> Array:

@@ -72,7 +72,7 @@ class LiftReward:
             "lift": where(lifting, reward.lift_reward(p.lifted_height, self._goal), 0.0),
             "stability": where(lifting, held, drift),
             "action": reward.action_reward(state.action, previous_action),
-            "shown": reward.touching_share(touching, target.contacts),
+            "shown": reward.touching_share(touching, target.contacts, pressed),
         }
         if self._start_distance is not None:
             terms["approach"] = reward.approach_reward(keypoints, target.keypoints, self._start_distance)
