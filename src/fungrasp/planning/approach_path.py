@@ -33,6 +33,11 @@ BLOCKED = 0.003
 margin."""
 ORDER_PENALTY = 1e-4
 """Each direction is preferred to the next unless it intrudes deeper by this [m]."""
+TOUCHED = 0.001
+"""Fingers that close this much deeper into the object than the grasp is do so through it, as beside a handle
+in place of within [m]."""
+CLOSING_POINTS = 7
+"""Hands looked at between the open and the closed one: some 5 mm apart."""
 WIDE = 0.3
 """Wide open fingers, as a fraction of their angles in the grasp."""
 NARROW = 0.25
@@ -140,6 +145,9 @@ def _best_path(
     wrist, fingers = grasp
     iterations = resolve.settings.iterations
     first = resolve(wrist, opening * fingers, 2 * iterations)
+    through = resolve.closing_depth(first, wrist, fingers)
+    blocked = np.where(through > TOUCHED, resolve.settings.object_margin + through, 0.0)
+    first = replace(first, collision=np.maximum(first.collision, blocked))
     directions = _directions(resolve.hand, wrist, around.up[:, 0], center)
     best = _withdraw(resolve, first, directions[0], iterations)
     cost = best.collision.copy()
@@ -207,6 +215,20 @@ class _CollisionResolution:
             self._points, self._around, [*self._terms, stay], wrist, fingers, iterations
         )
         return Approach(wrist[:, None], fingers[:, None], self.intrusion(wrist, fingers))
+
+    def closing_depth(self, first: Approach, wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
+        """How much deeper in the object than in the grasp a hand is on its straight way there [m], shape [N].
+
+        Args:
+            first: the waypoint from which it closes.
+            wrist, fingers: the grasp.
+        """
+        open_wrist, open_fingers, clearance = first.wrist_pose[:, 0], first.fingers[:, 0], []
+        for share in np.linspace(0.0, 1.0, CLOSING_POINTS):
+            pose = _between(open_wrist, wrist, share)
+            joints = open_fingers + share * (fingers - open_fingers)
+            clearance.append(HandState(self._points, self._around, pose, joints).clearance.min(axis=1))
+        return np.maximum(np.minimum(clearance[-1], 0.0) - np.min(clearance, axis=0), 0.0)
 
     def intrusion(self, wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
         """How deep hands are in the margins around object and table [m], shape [N]."""

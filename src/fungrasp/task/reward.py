@@ -43,7 +43,7 @@ class RewardWeights:
     success: float = 5.0
     """Reward once, where the episode ends in success (term: 1 there, 0 elsewhere)."""
     shown: float = 10.0
-    """Reward once, where the episode ends in success: share of the wanted links that touch in their places."""
+    """Reward once, where the episode ends in success: share of the wanted links that touch in place."""
     drop: float = -3.0
     """Reward once, where the episode ends with the object lost (term: 1 there, 0 elsewhere)."""
 
