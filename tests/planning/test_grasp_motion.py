@@ -89,6 +89,25 @@ def test_nothing_is_struck_before_the_fingers_close():
         assert state.clearance[going].min() > -0.002
 
 
+def test_fingers_close_within_a_handle_and_not_through_it():
+    human = builtin_grasps().select(np.array([15, 16, 17]))  # a pitcher's handle, to pour
+    objects = load_objects(human)
+    grasps = retarget(human, objects, hand(), progress=False)
+    believed = LiftEnvironment(build_scene(hand(), objects), 3).settle(grasps)
+    p = MotionPlanner(hand(), objects).plan(grasps, believed)
+    rows = np.arange(3)
+    opened = p.finger_targets[rows, p.closing_step - 1]
+    around = CollisionScene.settled(p.object_name.tolist(), p.object_pose, objects)
+    points = HandPoints(HandKinematics(hand(), 3))
+    deepest = [
+        HandState(points, around, p.grasp_palm_pose, opened + share * (p.grasp_joints - opened))
+        .clearance.min(axis=1)
+        .min()
+        for share in np.linspace(0.0, 1.0, 11)
+    ]
+    assert min(deepest) > -0.002
+
+
 def test_the_task_goes_where_it_was_planned_to_go():
     """The setpoints of an episode that follows the plan are those of the plan, to the lift."""
     environment, policy, p = start(), OpenLoopPolicy(), plan()
