@@ -10,6 +10,7 @@ from twin_robots import twin_robot
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_multiply, relative
+from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.robot import Robot
@@ -109,10 +110,24 @@ def test_the_twins_physics_is_not_the_planners() -> None:
 
     twin, planner = TwinPhysics(), SceneSettings()
     assert twin.timestep != planner.timestep
-    assert twin.cone != "elliptic"
     assert twin.impratio != planner.impratio
     assert twin.contact_time != 0.02
     assert twin.pieces != DecompositionSettings()
+
+
+@pytest.mark.parametrize("direction", [0.0, np.pi / 4])
+def test_a_twins_friction_is_the_same_in_every_direction(direction: float) -> None:
+    book = load_objects(builtin_grasps().select(np.array([111])))["book"]
+    cell, hand = cell_and_hand()
+    world = TwinWorld(cell, hand, book, draw_twin(0, len(hand.joint_names), len(hand.actuators), IDEAL))
+    # Flat on the table.
+    world.settle(np.array([0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0]))
+    model, slope = world.model, np.arctan(0.9 * world.truth.object_friction)
+    down = np.array([np.sin(slope) * np.cos(direction), np.sin(slope) * np.sin(direction), -np.cos(slope)])
+    before = world.look().object_pose
+    model.opt.gravity = 9.81 * down
+    world.advance(world.time + 1.0)
+    assert np.linalg.norm(world.look().object_pose[:2] - before[:2]) < 2e-3
 
 
 def test_a_hand_with_gains_of_its_own_sags_and_is_carried_by_what_is_told() -> None:
