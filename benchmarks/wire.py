@@ -28,7 +28,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.parameters import cell_twin
-from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_throughout, hold_sample
+from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_as_shown, held_throughout, hold_sample
 from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
 
@@ -155,6 +155,8 @@ class WireRun:
     """From the image, or the file of grasps, to the robot grasp [s]."""
     attempts: int = 0
     """Of the robot at the object; success is of the last."""
+    held_as_shown: bool = False
+    """Whether it was held where and how the person held it, in truth."""
 
 
 def run_over_the_wire(task: DeploymentTask, twin: int) -> WireRun:
@@ -192,10 +194,13 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
             raise FungraspError(f"twin {twin}: {error}") from error
         record = process.end()
     held = _held(result, record)
+    success = bool(held) and held_throughout(held, held[-1].time - held[0].time, LiftProtocol())
+    shown = held_as_shown(held, task.hand, task.obj, task.grasp)
     return WireRun(
         object=task.obj.name,
         twin=twin,
-        success=bool(held) and held_throughout(held, held[-1].time - held[0].time, LiftProtocol()),
+        success=success,
+        held_as_shown=success and shown is not None and bool(shown.holds[0]),
         height_m=min((s.height for s in held), default=-1.0),
         phase=str(result.phase),
         fault=result.fault,
@@ -309,7 +314,10 @@ class BenchWire:
         print(table(rows))
         lifted = sum(run.success for run in runs)
         home = sum(run.success and not run.fault for run in runs)
-        print(f"of {len(runs)} runs: {lifted} lifted and held, {home} of them put down and home again")
+        shown = sum(run.held_as_shown for run in runs)
+        print(
+            f"of {len(runs)} runs: {lifted} lifted and held, {shown} as shown, {home} put down and home again"
+        )
 
     def _known(self, header: dict[str, object]) -> list[WireRun]:
         """What a stopped series has done already."""

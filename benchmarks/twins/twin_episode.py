@@ -74,6 +74,8 @@ class TwinEpisode:
     """Placements of the object; of all but the last the robot said that it can't reach the grasp."""
     attempts: int = 0
     """Attempts of the robot at the object."""
+    held_as_shown: bool = False
+    """Whether it was held where and how the person held it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +232,7 @@ def _measured(outcome: DeploymentResult, placements: int) -> dict[str, np.ndarra
     values = {"height_m": outcome.height, "tracking_rad": outcome.tracking, "sag_rad": outcome.sag}
     return {
         "success": np.asarray(outcome.success),
+        "held_as_shown": np.asarray(bool(outcome.held_as_shown)),
         "fault": np.asarray(outcome.fault),
         "placements": np.asarray(placements),
         "attempts": np.asarray(outcome.attempts),

@@ -145,7 +145,8 @@ class TwinSeriesResult:
     def table(self) -> str:
         """By variant: episodes, those in which the motion began, rates of success, and medians of the hand's
         errors where it began (``TwinEpisode``), as text."""
-        rows = [("variant", "episodes", "begun", "lifted", "95 % interval", "tracking [rad]", "sag [deg]")]
+        head = "variant", "episodes", "begun", "lifted", "95 % interval", "as shown", "tracking [rad]"
+        rows = [(*head, "sag [deg]")]
         for name in self.spec.variants:
             mine = [e for e in self.episodes if e.variant == name]
             begun = [e for e in mine if e.tracking_rad >= 0]
@@ -164,6 +165,7 @@ class TwinSeriesResult:
                     str(len(begun)),
                     f"{lifted / len(mine):.0%}",
                     f"{low:.0%} to {high:.0%}",
+                    f"{sum(e.held_as_shown for e in mine) / len(mine):.0%}",
                     f"{tracking:.3f}",
                     f"{np.rad2deg(sag):.1f}",
                 )

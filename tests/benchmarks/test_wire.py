@@ -19,8 +19,10 @@ from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.world import HoldSample, held_throughout
 from fungrasp.task import LiftProtocol
+from fungrasp.task.outcome import HoldMiddle
 
-HELD = [HoldSample(0.1 * i, 0.12, True, True) for i in range(31)]
+HAND = HoldMiddle(np.zeros((1, 7)), np.zeros((1, 16)), np.ones((1, 17), dtype=bool))
+HELD = [HoldSample(0.1 * i, 0.12, True, True, HAND) for i in range(31)]
 
 
 def test_an_object_that_stays_up_in_the_hand_is_held() -> None:
@@ -32,9 +34,9 @@ def test_an_object_that_stays_up_in_the_hand_is_held() -> None:
     [
         ([], 3.0),
         (HELD, 2.0),
-        ([*HELD, HoldSample(3.1, 0.09, True, True)], 3.1),
-        ([*HELD, HoldSample(3.1, 0.12, False, True)], 3.1),
-        ([HoldSample(s.time, s.height, True, False) for s in HELD], 3.0),
+        ([*HELD, HoldSample(3.1, 0.09, True, True, HAND)], 3.1),
+        ([*HELD, HoldSample(3.1, 0.12, False, True, HAND)], 3.1),
+        ([HoldSample(s.time, s.height, True, False, HAND) for s in HELD], 3.0),
     ],
     ids=["nothing seen", "too short", "too low", "touches the table", "not in the hand"],
 )

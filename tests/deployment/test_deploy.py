@@ -44,6 +44,8 @@ def test_a_grasp_is_deployed_on_a_twin_and_logged(robot, objects, tmp_path):
     assert result.phase == "done" and result.spec == FAST
     assert phases[:3] == ["move to start", "grasp", "lift"]
     assert result.words().startswith("lifted and held at" if result.success else "not lifted")
+    assert result.as_shown is not None and len(result.as_shown) == 1
+    assert ("as shown" in result.words()) == result.success
     log = read_log(tmp_path / "lift.mcap")
     assert log.complete and log.about["policy"] == "reference" and log.about["robot"] == "ur5e-allegro"
 

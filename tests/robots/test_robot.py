@@ -16,8 +16,9 @@ from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.devices import TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import cell_twin, draw_twin
-from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_as_shown
 from fungrasp.task import Action
+from fungrasp.task.outcome import HoldMiddle
 
 pytest.importorskip("mink")
 
@@ -169,3 +170,23 @@ def test_gains_of_their_own_leave_other_twins_as_they_were() -> None:
     node = cell_twin(load_cell("ur5e-allegro-node"), hand, 3)
     np.testing.assert_allclose(node.stiffness, node.gain * drawn.stiffness)
     assert 0.25 <= node.gain <= 0.83
+
+
+def test_a_twins_hold_is_as_shown_where_the_fingers_touch_there_for_most_of_it() -> None:
+    grasp, obj = grasp_and_object()
+    hand = cell_and_hand()[1]
+    palm = relative(grasp.object_pose, grasp.wrist_pose)
+    away = palm + np.array([0.3, 0, 0, 0, 0, 0, 0])
+
+    def hold(palm: np.ndarray, touching: int, of: int) -> list[HoldSample]:
+        none = np.zeros_like(grasp.link_contacts)
+        hands = [grasp.link_contacts if i < touching else none for i in range(of)]
+        made = [HoldMiddle(palm, grasp.joint_positions, touches) for touches in hands]
+        return [HoldSample(0.02 * i, 0.12, True, True, one) for i, one in enumerate(made)]
+
+    def held(samples: list[HoldSample]) -> bool:
+        found = held_as_shown(samples, hand, obj, grasp)
+        return found is not None and bool(found.holds[0])
+
+    assert held(hold(palm, 6, 10))
+    assert not held(hold(palm, 4, 10)) and not held(hold(away, 10, 10)) and not held([])

@@ -96,6 +96,7 @@ class Deploy(Answering):
             "attempts": result.attempts,
             "success": result.success,
             "height": result.height,
+            "held_as_shown": result.held_as_shown,
             "times": result.times,
         }
         if result.fault:

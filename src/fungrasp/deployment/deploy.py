@@ -37,7 +37,7 @@ from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import RealTimeTwin, TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 from fungrasp.robots.twin.twin_model import TwinPhysics
-from fungrasp.robots.twin.world import TwinJudge, TwinWorld
+from fungrasp.robots.twin.world import TwinJudge, TwinWorld, held_as_shown
 from fungrasp.task import GraspPlan, Policy
 
 POWERING_OFF = 0.1
@@ -208,7 +208,7 @@ def deploy(
         result = deploy_on_twin(task, placement, truth, observers, switch=switch)
         if spec.until in ("plan", "approach", "grasp"):
             # It was not to be lifted.
-            return replace(result, success=None, height=np.nan)
+            return replace(result, success=None, height=np.nan, as_shown=None)
         return result
 
 
@@ -316,7 +316,14 @@ def deploy_on_twin(
         result = Deployment(robot, task.policy, task.preparer(advise), spec, everyone).run(task.grasp)
     sag, tracking = watch.open_hand_errors(result)
     judge = watch.judge
-    return replace(result, success=judge.success, height=float(judge.height), tracking=tracking, sag=sag)
+    return replace(
+        result,
+        success=judge.success,
+        height=float(judge.height),
+        as_shown=held_as_shown(judge.samples, hand, task.obj, task.grasp),
+        tracking=tracking,
+        sag=sag,
+    )
 
 
 class _TwinWatch(DeploymentObserver):

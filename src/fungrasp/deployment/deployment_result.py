@@ -8,6 +8,7 @@ import numpy as np
 
 from fungrasp.deployment.preparation import PreparedGrasp
 from fungrasp.deployment.spec import DeploymentSpec, Phase
+from fungrasp.grasps.as_shown import AsShown
 
 
 @dataclass
@@ -71,11 +72,22 @@ class DeploymentResult:
     """Whether the object was lifted and held, in truth: of a twin. Nobody knows it of a robot."""
     height: float = np.nan
     """Least height of the object's center of mass during the hold [m], of a twin; infinite without a hold."""
+    as_shown: AsShown | None = None
+    """How the hand held the object, of a twin: one row. None without a hold, or where the person's places are
+    not known."""
     tracking: float = np.nan
     """RMS error of a twin's hand from its setpoints before the fingers close [rad]; nan where the motion did
     not begin."""
     sag: float = np.nan
     """Largest mean error of a joint over the same time [rad]."""
+
+    @property
+    def held_as_shown(self) -> bool | None:
+        """Whether the object was lifted and held where and how the person held it, of a twin; None where
+        ``success`` is."""
+        if self.success is None:
+            return None
+        return self.success and self.as_shown is not None and bool(self.as_shown.holds[0])
 
     def __repr__(self) -> str:
         return f"<DeploymentResult: {self.words()}>"
@@ -91,4 +103,7 @@ class DeploymentResult:
         if not self.success:
             return f"not lifted{no_more}"
         by = f", by attempt {self.attempts}" if self.attempts > 1 else ""
-        return f"lifted and held at {100 * self.height:.1f} cm{by}"
+        shown = ""
+        if self.as_shown is not None:
+            shown = ", as shown" if self.held_as_shown else f", not as shown: {self.as_shown.reason[0]}"
+        return f"lifted and held at {100 * self.height:.1f} cm{by}{shown}"

@@ -12,14 +12,11 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge
 from fungrasp.simulation import Engine
 from fungrasp.task.actuation import Actuation
-from fungrasp.task.outcome import LiftMeasurements, Outcomes
+from fungrasp.task.outcome import PARKED, LiftMeasurements, Outcomes
 from fungrasp.task.policy import Action
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.setpoints import SetpointGenerator, SetpointSequence
 from fungrasp.task.start_pose import StartPoses, start_fingers
-
-PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
-"""Where the palm waits while objects settle, world frame."""
 
 
 class LiftTask:
@@ -85,6 +82,7 @@ class LiftTask:
         """
         engine, hand, p = self.engine, self.scene.hand, self.protocol
         fingers = start_fingers(hand, grasps, p.start_closing)
+        # The palm waits there while objects settle.
         parked = np.tile(PARKED, (len(engine), 1))
         engine.reset()
         engine.set_state(
@@ -250,11 +248,4 @@ class LiftTask:
 
     def as_shown(self) -> AsShown | None:
         """How the hands held in the middle of the hold, W rows; None if the person's places are not known."""
-        shown, middle = self.shown, self.measurements.middle
-        if shown is None:
-            return None
-        reached = np.isfinite(middle.palm_pose[:, :1])
-        palm = np.where(reached, middle.palm_pose, PARKED)
-        joints = np.where(reached, middle.joint_positions, 0.0)
-        touching = middle.touching[:, 1:] & reached
-        return self._judge(palm, joints, shown, touching)
+        return None if self.shown is None else self.measurements.middle.as_shown(self._judge, self.shown)

@@ -9,9 +9,12 @@ import numpy as np
 from fungrasp.core.records import BatchRecord
 from fungrasp.geometry.arrays import at_least, may_be_any, rows_like
 from fungrasp.geometry.poses import Array, array_namespace, compose, invert, relative, stack
-from fungrasp.grasps.as_shown import AsShown
+from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge
 from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
+
+PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
+"""A palm far from any object."""
 
 DIVERGED = "the simulation diverged"
 """Reason of an episode, or of a use test, whose physics has broken down."""
@@ -75,6 +78,14 @@ class HoldMiddle(BatchRecord):
     """Of all joints [rad], shape [W, M]."""
     touching: np.ndarray
     """Links that touched for more than half of the hold, palm first, shape [W, L] bool."""
+
+    def as_shown(self, judge: ShownJudge, shown: ShownContacts) -> AsShown:
+        """How the hands held; like ones far away where there was no hold. shown: where the person touched, W
+        rows."""
+        reached = np.isfinite(self.palm_pose[:, :1])
+        palm = np.where(reached, self.palm_pose, PARKED)
+        joints = np.where(reached, self.joint_positions, 0.0)
+        return judge(palm, joints, shown, self.touching[:, 1:] & reached)
 
 
 def lifted_and_held(

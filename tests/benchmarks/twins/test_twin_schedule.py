@@ -60,7 +60,8 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         seen.append((task.obj.name, truth.gain, task.dynamics, task.spec.gravity_compensation))
         if len(seen) == 2 or placement[0] < 0:
             raise UnreachableError("the grasp is not reachable: the arm would touch the table")
-        return SimpleNamespace(fault="", attempts=1, success=True, height=0.12, tracking=0.02, sag=np.nan)
+        held = {"success": True, "held_as_shown": True, "height": 0.12}
+        return SimpleNamespace(fault="", attempts=1, tracking=0.02, sag=np.nan, **held)
 
     monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
     return seen
@@ -100,7 +101,7 @@ def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
     assert [compensate for *_, compensate in deployed] == [True, True, False]
     # What was not begun has failed, and says why.
     assert not found[1].success and "not reachable" in found[1].fault and found[1].tracking_rad == -1
-    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", 0.02, -1.0, 0, 1, 1)
+    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", 0.02, -1.0, 0, 1, 1, True)
     assert deployed[0][2].servo_stiffness[0] == deployed[0][1]
 
 

@@ -65,7 +65,7 @@ def test_unknown_variants_are_named() -> None:
 
 def test_the_table_by_variant() -> None:
     def episode(variant: str, success: bool, tracking: float, sag: float) -> TwinEpisode:
-        return TwinEpisode(0, "mug", 0, variant, success, -1.0, "", tracking, sag)
+        return TwinEpisode(0, "mug", 0, variant, success, -1.0, "", tracking, sag, held_as_shown=success)
 
     episodes = (
         episode("full", True, 0.02, 0.1),
@@ -75,7 +75,7 @@ def test_the_table_by_variant() -> None:
     )
     result = TwinSeriesResult(SPEC, episodes)
     full, other = (line.split() for line in result.table().splitlines()[-2:])
-    assert full[1:4] == ["3", "2", "33%"] and full[-2:] == ["0.030", "11.5"]
+    assert full[1:4] == ["3", "2", "33%"] and full[-3:] == ["33%", "0.030", "11.5"]
     assert other[-1] == "nan"
 
 

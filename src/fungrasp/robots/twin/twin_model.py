@@ -68,8 +68,8 @@ def twin_model(
     spec = mount(hand, cell.arm.model, cell.mount)
     option = spec.option
     option.timestep, option.impratio = p.timestep, p.impratio
-    # As much friction in every direction: a pyramid has 0.57 along its diagonal where its coefficient is 0.8, and
-    # half of that under torsion.
+    # As much friction in every direction: a pyramid has 0.57 along its diagonal where its coefficient is
+    # 0.8, and half of that under torsion.
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.noslip_iterations, option.gravity = p.noslip_iterations, [0.0, 0.0, -GRAVITY]

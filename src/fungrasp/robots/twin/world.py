@@ -4,13 +4,15 @@ was lifted, by the lift test's definition of success (docs/evaluate.md)."""
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import RLock
 
 import mujoco
 import numpy as np
 
-from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, quaternion_multiply
+from fungrasp.geometry.poses import compose, quaternion_from_rotation_vector, quaternion_multiply, relative
+from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import PALM_SITE, arm_spec
 from fungrasp.objects import ObjectModel
@@ -20,7 +22,7 @@ from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
 from fungrasp.sim2real import random_stream
 from fungrasp.task import LiftProtocol
-from fungrasp.task.outcome import lifted_and_held
+from fungrasp.task.outcome import HoldMiddle, lifted_and_held
 from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 TORQUE_DELAY = 0.002
@@ -44,6 +46,10 @@ class TwinTruth:
     """Whether the object touches the table, the arm or its base."""
     in_hand: bool
     """Whether the object touches the hand."""
+    touching: np.ndarray
+    """Links of the hand that it touches, palm first, shape [L] bool."""
+    joint_positions: np.ndarray
+    """Of all joints of the hand [rad], shape [M]."""
 
 
 class TwinWorld:
@@ -83,6 +89,7 @@ class TwinWorld:
         self._object, self._table = model.body(OBJECT).id, model.geom(TABLE).id
         palm_body = model.site_bodyid[self._palm]
         self._is_hand = np.array([_within(model, body, palm_body) for body in range(model.nbody)])
+        self._links = [[model.body(name).id for name in members] for members in hand.links]
         torque = np.array([hand.actuators[name].force_limit for name in fingers])
         self._kp = np.array([hand.actuators[name].kp for name in fingers])
         self._static_friction = truth.friction * torque
@@ -198,6 +205,8 @@ class TwinWorld:
                 palm_pose=np.concatenate([d.site_xpos[self._palm], palm]),
                 on_table=any(not self._is_hand[body] for body in bodies),
                 in_hand=any(self._is_hand[body] for body in bodies),
+                touching=np.array([any(body in bodies for body in members) for members in self._links]),
+                joint_positions=d.qpos[self._all_qpos],
             )
 
     def center_of_mass(self) -> np.ndarray:
@@ -294,13 +303,17 @@ class HoldSample:
     """Whether the object touches neither table nor arm."""
     in_hand: bool
     """Whether it touches the hand."""
+    hand: HoldMiddle
+    """One row: the hand on the object, and the links that touch it now."""
 
 
 def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
     """The truth now. settled: height at which the center of mass settled [m]."""
     truth = world.look()
     height = float(world.center_of_mass()[2] - settled)
-    return HoldSample(world.time, height, not truth.on_table, truth.in_hand)
+    palm = relative(truth.object_pose, truth.palm_pose)
+    hand = HoldMiddle(palm[None], truth.joint_positions[None], truth.touching[None])
+    return HoldSample(world.time, height, not truth.on_table, truth.in_hand, hand)
 
 
 def held_throughout(samples: list[HoldSample], seconds: float, protocol: LiftProtocol) -> bool:
@@ -313,6 +326,27 @@ def held_throughout(samples: list[HoldSample], seconds: float, protocol: LiftPro
     return bool(held) and seconds >= 0.95 * protocol.hold_time
 
 
+def held_as_shown(
+    samples: list[HoldSample], hand: Hand, obj: ObjectModel, grasp: RobotGraspSet
+) -> AsShown | None:
+    """How a twin's hand held an object, as the lift test judges it: with the middle of the hold.
+
+    Args:
+        samples: of the hold.
+        obj: the object as it is believed.
+        grasp: one, which is followed.
+
+    Returns:
+        one row; None without a hold, or where the grasp does not know where the person touched.
+    """
+    shown = ShownContacts.of(grasp)
+    if shown is None or not samples:
+        return None
+    touched = np.mean([s.hand.touching for s in samples], axis=0) > 0.5
+    middle = replace(samples[len(samples) // 2].hand, touching=touched)
+    return middle.as_shown(ShownJudge(hand, {obj.name: obj}), shown)
+
+
 class TwinJudge:
     """Watches one deployment, at every setpoint."""
 
@@ -320,28 +354,29 @@ class TwinJudge:
         """protocol: with the height; the published one if None."""
         self._world, self._protocol = world, protocol or LiftProtocol()
         self._settled = float(world.center_of_mass()[2])
-        self._samples: list[HoldSample] = []
+        self.samples: list[HoldSample] = []
+        """Of the hold so far."""
 
     def begin_attempt(self) -> None:
         """Another attempt begins: what was seen of the one before is forgotten, and the object counts from
         where it lies now."""
         self._settled = float(self._world.center_of_mass()[2])
-        self._samples.clear()
+        self.samples.clear()
 
     def watch(self, holding: bool) -> None:
         """After each setpoint. holding: whether it belongs to the hold."""
         if holding:
-            self._samples.append(hold_sample(self._world, self._settled))
+            self.samples.append(hold_sample(self._world, self._settled))
 
     @property
     def height(self) -> float:
         """Least height of the center of mass above where it settled during the hold [m]; infinite before."""
-        return min((s.height for s in self._samples), default=np.inf)
+        return min((s.height for s in self.samples), default=np.inf)
 
     @property
     def success(self) -> bool:
         """``held_throughout``."""
-        return held_throughout(self._samples, SETPOINT_PERIOD * len(self._samples), self._protocol)
+        return held_throughout(self.samples, SETPOINT_PERIOD * len(self.samples), self._protocol)
 
 
 def _within(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
