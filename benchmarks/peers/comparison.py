@@ -22,6 +22,7 @@ from fungrasp.evaluation import LiftTestResult, evaluate
 from fungrasp.evaluation.grasp_quality import StaticQuality, static_quality
 from fungrasp.evaluation.result_files import write_result
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, load_human_grasps, load_objects
+from fungrasp.grasps.as_shown import with_shown_places
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionSettings, make_planner
@@ -90,6 +91,7 @@ def compare_method(
         robot, seconds = _own(name, human, objects, hand)
     else:
         robot, seconds = PEERS[name][1](PeerProblem.of(human, objects, hand))
+        robot = with_shown_places(robot, human, objects, hand)
     quality = static_quality(robot, human, objects, hand)
     if not lift:
         return MethodResult(robot, seconds, quality)
@@ -212,6 +214,7 @@ def _write(path: Path, results: Mapping[str, MethodResult], about: Mapping[str, 
             for key, test in tests.items():
                 if test is not None:
                     entry[f"{key}_success"] = bool(test.outcomes.success[row])
+                    entry[f"{key}_held_as_shown"] = bool(test.outcomes.held_as_shown[row])
                     entry[f"{key}_contact_ratio"] = round(float(test.outcomes.contact_ratio[row]), 4)
             rows.append(entry)
     speeds = {name: round(result.grasps_per_cpu_second, 1) for name, result in results.items()}
