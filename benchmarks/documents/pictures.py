@@ -1,8 +1,8 @@
 """Makes the pictures and the film of README and docs: ``python -m benchmarks.documents.pictures [NAME ...]``.
 
-``grasps`` is a sheet of built-in grasps, human and on every robot hand; ``film`` the demonstration's own, of
-several hands, encoded smaller; ``perception`` the demo's image and what was seen in it, after ``fungrasp
-setup perception``.
+``grasps`` is a sheet of built-in grasps, human and on every robot hand; ``hands`` the hands themselves;
+``film`` the demonstration's own, of several hands, encoded smaller; ``perception`` the demo's image and what
+was seen in it, after ``fungrasp setup perception``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from fungrasp.hands import load_hand
 from fungrasp.media import grasp_scene, look_at_grasp, render
 from fungrasp.media.demonstration import FILM, Shown, demonstrate
 from fungrasp.media.perception_pictures import CloseUp, grasp_from_four_sides
-from fungrasp.media.pictures import grid
+from fungrasp.media.pictures import draw_hand, grid
 from fungrasp.media.video import write_video
 from fungrasp.perception.io.scene_folders import BUILTIN
 from fungrasp.perception.pipeline import perceive_folder
@@ -74,6 +74,18 @@ def grasps() -> None:
     _save(grid(pictures, labels, columns=1 + len(HANDS), size=17), "grasps.jpg")
 
 
+def hands() -> None:
+    """``hands.jpg``: one view of each hand."""
+    pictures = []
+    with TemporaryDirectory() as folder:
+        for name in HANDS:
+            draw_hand(Path(folder) / f"{name}.png", load_hand(name))
+            four = Image.open(Path(folder) / f"{name}.png").convert("RGB")
+            first = four.crop((0, 0, four.width // 2, four.height // 2))
+            pictures.append(np.asarray(first.resize((320, 320 * first.height // first.width))))
+    _save(grid(pictures, HANDS, columns=len(HANDS), size=17), "hands.jpg")
+
+
 def film() -> None:
     """``demo.mp4``, and ``demo.jpg`` that stands for it."""
     everything, frames = builtin_grasps(), []
@@ -105,7 +117,12 @@ def _save(picture: np.ndarray, name: str) -> None:
     Image.fromarray(picture).save(IMAGES / name, quality=87, optimize=True)
 
 
-MAKERS: dict[str, Callable[[], None]] = {"grasps": grasps, "film": film, "perception": perception}
+MAKERS: dict[str, Callable[[], None]] = {
+    "grasps": grasps,
+    "hands": hands,
+    "film": film,
+    "perception": perception,
+}
 
 
 if __name__ == "__main__":

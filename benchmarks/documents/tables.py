@@ -133,53 +133,67 @@ def use_test() -> Table:
     return Table(("hand", "grasps", "held", "used", *motions), rows, [f"use-{hand}" for hand in USED])
 
 
+PACKAGES = {"ours": "fungrasp", "contact": "fungrasp"}
+"""Names of our method in results, and in tables."""
+
+
 def peers() -> Table:
     """Retargeting methods of this package and of others, by one judge."""
     result = read("peers")
-    speed = result.header["grasps_per_cpu_second"]
     rows = []
-    for name in speed:
+    for name, speed in result.header["grasps_per_cpu_second"].items():
         mine = [row for row in result.rows if row["method"] == name]
-
-        def mean(key: str, mine: list[dict[str, Any]] = mine) -> float:
-            return float(np.mean([row[key] for row in mine]))
-
-        depths = (f"{mean(f'{what}_penetration_mm'):.1f}" for what in ("object", "table", "self"))
+        depths = (_mean(mine, f"{what}_penetration_mm") for what in ("object", "table", "self"))
         rows.append(
             (
-                name,
-                f"{speed[name]:.0f}",
-                f"{mean('contact_error_mm'):.1f}, {mean('contact_gap_mm'):.1f}",
-                " / ".join(depths),
-                f"{mean('link_direction_error_deg'):.0f}",
-                *(
-                    percent(mean(f"{test}_success")) if f"{test}_success" in mine[0] else NONE
-                    for test in ("adapted", "as_given")
-                ),
+                PACKAGES.get(name, name),
+                percent(_mean(mine, "adapted_held_as_shown")),
+                percent(_mean(mine, "adapted_success")),
+                percent(_mean(mine, "as_given_success")),
+                f"{_mean(mine, 'contact_error_mm'):.1f}",
+                " / ".join(f"{depth:.1f}" for depth in depths),
+                f"{speed:.0f}",
             )
         )
-    head = ("method", "grasps per CPU second", "contact error, gap [mm]")
-    head += (
-        "object / table / self penetration [mm]",
-        "link direction [°]",
-        "success",
-        "success, not adapted",
-    )
+    head = ("method", "held as shown", "success", "success, not adapted", "contact error [mm]")
+    head += ("object / table / self penetration [mm]", "grasps per CPU second")
     return Table(head, rows, ["peers"])
 
 
+def summary() -> Table:
+    """The README's: this package with and without its planner, beside two others."""
+    result, planned = read("peers"), read("student").header
+    means = (percent(planned.get("held_as_shown")), percent(planned["success_rate"]), NONE)
+    rows = [("fungrasp, plans selected in rollouts (`student`)", *means)]
+    for name, speed in result.header["grasps_per_cpu_second"].items():
+        if name in (*PACKAGES, "mink", "dex-retargeting"):
+            mine = [row for row in result.rows if row["method"] == name]
+            means = tuple(percent(_mean(mine, f"adapted_{what}")) for what in ("held_as_shown", "success"))
+            title = f"{PACKAGES[name]}, retargeting alone" if name in PACKAGES else name
+            rows.append((title, *means, f"{speed:.0f}"))
+    head = ("Allegro, 125 grasps of 20 objects", "held as shown", "success", "retargeted per CPU second")
+    return Table(head, rows, ["peers", "student"])
+
+
+def _mean(rows: Sequence[dict[str, Any]], key: str) -> float | None:
+    """Of a column; None where the result has none."""
+    return float(np.mean([row[key] for row in rows])) if rows and key in rows[0] else None
+
+
 def hands_of_others() -> Table:
-    """Descriptions by other makers, as they are."""
+    """Descriptions by other makers, as they are; those that are made up are for tests."""
     rows = []
     for row in read("hands-of-others").rows:
+        if row["hand"].startswith("made up") or "our own" in row["hand"]:
+            continue
         if row["refused"]:
-            rows.append((row["hand"], *[NONE] * 4, f"refused: {one_line(row['refused'], 150)}"))
+            rows.append((row["hand"], *[NONE] * 3, f"rejected: {one_line(row['refused'], 60)}"))
             continue
         lifted = f"{row['lifted']} of {row['grasps']}"
         off = f"{row['contact_error_mm']:.1f}, {row['self_penetration_mm']:.1f}"
-        joints, said = f"{row['driven']} / {row['joints']}", f"{row['warnings']}, {row['notes']}"
-        rows.append((row["hand"], f"{row['fingers']}, {row['side']}", joints, said, off, lifted))
-    head = ("description", "fingers, side", "joints: driven / all", "warnings, notes")
+        joints = f"{row['driven']} / {row['joints']}"
+        rows.append((row["hand"], f"{row['fingers']}, {row['side']}", joints, off, lifted))
+    head = ("description", "fingers, side", "joints: driven / all")
     return Table((*head, "contact error, self-penetration [mm]", "lifted"), rows, ["hands-of-others"])
 
 
@@ -189,6 +203,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "policies": policies,
     "use_test": use_test,
     "peers": peers,
+    "summary": summary,
 }
 """By the name in a page."""
 
@@ -239,6 +254,9 @@ def _sources(names: Sequence[str], page: Path) -> Iterator[str]:
         yield f"Measured by `{_runnable(command)}`{more}."
     if not any(commands):
         yield "Recorded by hand; no command was kept."
+    if ROOT / "docs" in page.parents:  # The site does not hold the results.
+        yield f"Data: {', '.join(f'`lab/results/{name}.json`' for name in names)}."
+        return
     links = [f"[{name}]({os.path.relpath(RESULTS / name, page.parent)}.json)" for name in names]
     yield f"Data: {', '.join(links)}."
 

@@ -43,7 +43,7 @@ closed, whose lifts are paid for from the beginning."""
 
 FROM_NOTHING_WIDEN = (0, 300_000)
 """Control steps between which these starts give way to those of the lift test: closing is learned near the
-grasp within some 100,000 (lab/learning.md)."""
+grasp within some 100,000 (lab/measurements.md)."""
 
 
 def from_nothing() -> EnvironmentSettings:

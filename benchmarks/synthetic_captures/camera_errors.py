@@ -19,7 +19,7 @@ and the D400 data sheet (baseline, reach); Khoshelham and Elberink, Sensors 2012
 2012 (Kinect: baseline, steps of disparity, noise); Toelgyessy et al., Sensors 2021 (Azure Kinect: noise,
 reach); Wasenmueller and Stricker, ACCVW 2016 (second Kinect: 1 to 2 mm below 2 m, flying pixels); Luxonis'
 documentation of stereo depth (OAK-D: baseline, eighths of a pixel). What these don't say (how outlines melt,
-waves, how much is filled) was chosen to meet the statistics of measured images in ``lab/perception.md``.
+waves, how much is filled) was chosen to meet the statistics of measured images.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; and
 ``train`` makes policies. What one returns, the next one takes. Five nouns are what they are about:
-``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/architecture.md.
+``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/concepts.md.
 
 The names below are those of the subpackages (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A
 subpackage is imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type

@@ -237,13 +237,14 @@ def in_this_process(words: Sequence[str], keyboard: bool) -> tuple[int, list[str
     return status, said.getvalue().splitlines()
 
 
-PAGE = Path(__file__).parents[2] / "docs" / "robots" / "first-power-on.md"
+PAGE = Path(__file__).parents[2] / "docs" / "robots" / "setup.md"
 JOINTS = {"arm": "shoulder_pan_joint", "hand": next(iter(load_hand("inspire").actuators))}
 
 
 def commands_of_the_page() -> list[list[str]]:
-    """Command lines of fungrasp in the page, in its order, as words."""
-    found = re.findall(r"`(fungrasp[^`]*)`|^\$ (fungrasp .*)$", PAGE.read_text(), flags=re.M)
+    """Command lines of fungrasp in the page's checklist, in its order, as words."""
+    checklist = PAGE.read_text().partition("## Before the first power-on")[2]
+    found = re.findall(r"`(fungrasp[^`]*)`|^\$ (fungrasp .*)$", checklist, flags=re.M)
     return [(inline or block).split()[1:] for inline, block in found]
 
 

@@ -24,7 +24,7 @@ from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_emulators.emulator import PlantCommand
 from fungrasp_emulators.plants import ServoPlant
 
-PAGE = Path(__file__).parents[2] / "docs" / "robots" / "drivers.md"
+PAGE = Path(__file__).parents[2] / "docs" / "robots" / "devices.md"
 
 LAB = """
 import time

@@ -1,4 +1,4 @@
-"""Whether a robot hand holds an object where and how the person held it (docs/evaluate.md, "As shown").
+"""Whether a robot hand holds an object where and how the person held it (docs/evaluate.md, "Held as shown").
 
 The same fingers touch at the same places from the same side. Wanted are the finger links that stand for
 human links in contact; the palm is left out.

@@ -35,7 +35,7 @@ HAND_TOML: Schema = {
 
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
-"""Names of fingers, in the order of the human joints and links (docs/conventions.md)."""
+"""Names of fingers, in the order of the human joints and links (docs/concepts.md)."""
 
 
 @dataclass(frozen=True)

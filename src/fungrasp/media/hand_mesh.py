@@ -56,7 +56,7 @@ def human_hand_mesh(joints: np.ndarray, *, cell: float = 0.0022) -> HandMesh:
     """The skin of a right hand, with a stump of the forearm.
 
     Args:
-        joints: [m], world frame, in the order of docs/conventions.md, shape [21, 3].
+        joints: [m], world frame, in the order of docs/concepts.md, shape [21, 3].
         cell: size of the grid on which the surface is found [m].
 
     Raises:

@@ -50,7 +50,7 @@ class SceneSettings:
     """Largest number of Newton iterations per step."""
     noslip_iterations: int = 0
     """Iterations that take the creep out of friction after the solver: they slow physics down and change few
-    outcomes (docs/simulation.md); the GPU engine has none."""
+    outcomes (docs/how-it-works.md); the GPU engine has none."""
     wrist_stiffness: tuple[float, float] = (2000.0, 100.0)
     """Stiffness of the wrist servo for position [N/m] and rotation [N m/rad]. A robot arm is stiffer; this
     keeps collisions soft."""
@@ -59,7 +59,7 @@ class SceneSettings:
     wrist_force: tuple[float, float] = (100.0, 15.0)
     """Largest force [N] and torque [N m] of the wrist servo; a UR5e carries 5 kg."""
     device: Device = "cpu"
-    """Where the worlds are stepped (docs/gpu.md)."""
+    """Where the worlds are stepped (docs/train.md)."""
     buffers: BufferSizes | None = None
     """Room for contacts on a GPU; found by a probe if None."""
 

@@ -65,7 +65,7 @@ def read_hand_estimate(
 ) -> HandEstimate:
     """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
 
-    The file is JSON or ``.npz`` with named arrays; docs/estimator-files.md says which. Size and distance of
+    The file is JSON or ``.npz`` with named arrays; docs/your-estimator.md says which. Size and distance of
     the hand are not taken from it but fitted to the depth image, unless it says ``metric``.
 
     Args:
@@ -250,7 +250,7 @@ def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
     """All hands of a file.
 
     Args:
-        fields: of the file; docs/adapters.md has them.
+        fields: of the file; docs/your-estimator.md has them.
 
     Returns:
         Landmarks in the image; shapes as if the hand were in the middle of it, as of our own detector; scores
