@@ -52,6 +52,7 @@ tables: $(VENV)/.installed-dev
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check --output-format concise
 	$(BIN)/ruff format --check --output-format concise
+	$(BIN)/codespell README.md CONTRIBUTING.md CHANGELOG.md docs lab src emulators ros2 examples benchmarks
 
 types: $(VENV)/.installed-dev
 	$(BIN)/pyright --pythonpath $(BIN)/python

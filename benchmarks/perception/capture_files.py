@@ -31,7 +31,7 @@ HIDING = 0.025
 """What is farther in front of a joint than this [m] is not its own skin."""
 
 DEPTH_UNIT = 0.001
-"""Metres per unit of the written depth."""
+"""Meters per unit of the written depth."""
 
 
 def write_capture(synthetic: SyntheticCapture, folder: str | Path, model: ObjectModel | None = None) -> None:

@@ -242,8 +242,8 @@ def _matched(disparity: np.ndarray, camera: DepthCamera, size: float, rng: np.ra
     part = np.clip((mean - low) / np.maximum(apart, 1e-9), 1e-6, 1 - 1e-6)
     # One surface alone, bent or sloped, is only smoothed; two whose matches don't overlap compete.
     sharp = 1.0 + (apart / (camera.merge * size)) ** 2
-    favour = np.log(camera.fattening) * (1 - 1 / sharp)
-    logit = sharp * (np.log(part) - np.log1p(-part) + favour)
+    favor = np.log(camera.fattening) * (1 - 1 / sharp)
+    logit = sharp * (np.log(part) - np.log1p(-part) + favor)
     return low + apart / (1 + np.exp(-np.clip(logit, -60, 60)))
 
 

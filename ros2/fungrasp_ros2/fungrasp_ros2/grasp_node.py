@@ -231,7 +231,7 @@ class GraspNode:
         )
 
     def cancel(self, goal: Any) -> Any:
-        """Cancelling stops the arm as the service does; the action ends when the hold does."""
+        """Canceling stops the arm as the service does; the action ends when the hold does."""
         self._job.stop()
         return self._accept
 

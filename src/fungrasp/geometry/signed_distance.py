@@ -377,8 +377,8 @@ def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spaci
 
     flat = points.reshape(-1, 3)
     clear = distance > 0.55 * spacing
-    labelled: Any = ndimage.label(clear)
-    components, count = labelled
+    labeled: Any = ndimage.label(clear)
+    components, count = labeled
     inside = np.zeros(count + 1, dtype=bool)
     first = np.full(count + 1, -1)
     labels = components.ravel()

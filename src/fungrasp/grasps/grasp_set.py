@@ -20,7 +20,7 @@ FILE_VERSION = 1
 """Version of the file format; a file without the field ``version`` is of version 1."""
 
 QUATERNION_TOLERANCE = 1e-3
-"""How far the norm of a quaternion may be from 1: within, it is normalised; beyond, it is an error."""
+"""How far the norm of a quaternion may be from 1: within, it is normalized; beyond, it is an error."""
 
 UNIT_NORM_TOLERANCE = 1e-12
 """A quaternion this close to unit norm is kept as it is, so that reading what was written changes nothing."""

@@ -2,7 +2,7 @@
 object.
 
 From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much
-as they must to keep clear (the retargeter's optimiser with its collision terms only). Several directions are
+as they must to keep clear (the retargeter's optimizer with its collision terms only). Several directions are
 tried; the clearest wins.
 """
 

@@ -98,7 +98,7 @@ class Engine(Protocol):
 
     @property
     def positions(self) -> np.ndarray:
-        """Generalised positions of ``scene.model``, shape [W, nq]: for recordings and pictures."""
+        """Generalized positions of ``scene.model``, shape [W, nq]: for recordings and pictures."""
         ...
 
     @property

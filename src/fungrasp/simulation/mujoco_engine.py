@@ -148,7 +148,7 @@ class MujocoArrays:
 
     @property
     def positions(self) -> Array:
-        """Generalised positions of ``scene.model``, shape [W, nq]."""
+        """Generalized positions of ``scene.model``, shape [W, nq]."""
         return copied(self._qpos)
 
     @property

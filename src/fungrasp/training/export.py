@@ -32,8 +32,8 @@ HALVED_FROM = 256
 normalized by stay as they are: they decide more and take no room."""
 
 
-class Normalised(torch.nn.Module):
-    """A policy without memory for inference: normalises what it sees, and gives the mean action."""
+class Normalized(torch.nn.Module):
+    """A policy without memory for inference: normalizes what it sees, and gives the mean action."""
 
     def __init__(self, actor: MLPModel):
         super().__init__()
@@ -138,7 +138,7 @@ def policy_graph(actor: MLPModel, card: PolicyCard) -> bytes:
     """A policy as an ONNX model. A student's state is the window of what its encoder looks back on."""
     inputs = {"observation": torch.zeros(2, card.input_size)}
     if not isinstance(actor, StudentModel):
-        return graph(Normalised(actor), inputs, ("action",))
+        return graph(Normalized(actor), inputs, ("action",))
     inputs["state_history"] = torch.zeros(2, HISTORY, actor.encoder.input_size)
     outputs = ("action", "contacts", "forces", "next_state_history")
     return graph(StudentGraph(actor), inputs, outputs)

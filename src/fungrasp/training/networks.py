@@ -100,7 +100,7 @@ class StudentModel(MLPModel):
         return torch.where(among, known[torch.where(among, self.history_columns, 0)], other)
 
     def act(self, robot: torch.Tensor, contacts: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
-        """The network's input, normalised, with inferred contacts."""
+        """The network's input, normalized, with inferred contacts."""
         targets = robot[:, self.target_columns]
         return self.obs_normalizer(torch.cat([robot, contacts, targets - contacts, forces], dim=-1))
 

@@ -60,11 +60,11 @@ class Track:
     """What the labels of one camera say over time, in the world frame. F frames."""
 
     object_matrix: np.ndarray
-    """Grasped object, shape [F, 4, 4]; NaN where not labelled."""
+    """Grasped object, shape [F, 4, 4]; NaN where not labeled."""
     joints: np.ndarray
-    """[m], our order, shape [F, 21, 3]; NaN where not labelled."""
+    """[m], our order, shape [F, 21, 3]; NaN where not labeled."""
     mano: np.ndarray
-    """Rotation, 45 pose components, translation [m], camera frame, shape [F, 51]; NaN where not labelled."""
+    """Rotation, 45 pose components, translation [m], camera frame, shape [F, 51]; NaN where not labeled."""
     world_camera: np.ndarray
     """shape [4, 4]."""
 
@@ -268,13 +268,13 @@ def _grasp(sequence: Sequence, options: DexYCBOptions, hand: ManoHand | None) ->
         frame = grasp_frame(track, options.displacement)
         if frame is None:
             continue
-        labelled = np.flatnonzero(np.isfinite(track.object_matrix[:, 0, 0]))
+        labeled = np.flatnonzero(np.isfinite(track.object_matrix[:, 0, 0]))
         surface, rotations = _mano_surface(sequence, track, frame, hand)
         return _Found(
             name=YCB_NAMES[sequence.object_number],
             side=sequence.side,
             object_matrix=track.object_matrix[frame],
-            rest_matrix=track.object_matrix[labelled[0]],
+            rest_matrix=track.object_matrix[labeled[0]],
             joints=track.joints[frame],
             surface=surface,
             rotations=rotations,
@@ -283,13 +283,13 @@ def _grasp(sequence: Sequence, options: DexYCBOptions, hand: ManoHand | None) ->
 
 
 def grasp_frame(track: Track, displacement: float) -> int | None:
-    """First frame with a labelled hand and the object more than ``displacement`` [m] from where it was first
+    """First frame with a labeled hand and the object more than ``displacement`` [m] from where it was first
     seen; None if there is none."""
     positions = track.object_matrix[:, :3, 3]
-    labelled = np.flatnonzero(np.isfinite(positions[:, 0]))
-    if not len(labelled):
+    labeled = np.flatnonzero(np.isfinite(positions[:, 0]))
+    if not len(labeled):
         return None
-    moved = np.linalg.norm(positions - positions[labelled[0]], axis=1) > displacement
+    moved = np.linalg.norm(positions - positions[labeled[0]], axis=1) > displacement
     frames = np.flatnonzero(moved & np.isfinite(track.joints[:, 0, 0]))
     return int(frames[0]) if len(frames) else None
 

@@ -99,7 +99,7 @@ def import_grab(
 
 
 def import_ho3d(root: str | Path, objects: str | Path, tilt: float = 0.0) -> HumanGraspSet:
-    """One grasp of each sequence of HO-3D (Hampali et al., CVPR 2020), of its middle frame that is labelled.
+    """One grasp of each sequence of HO-3D (Hampali et al., CVPR 2020), of its middle frame that is labeled.
 
     Its files know neither a table nor which way is up: the camera looks level, or down by ``tilt``, and the
     hand is so high that it clears the table by 5 cm.

@@ -23,7 +23,7 @@ OFF_CENTRE = 0.3
 USUAL_OFF_CENTRE = 0.08
 FOCAL_RANGE = (0.25, 6.0)  # A camera's focal length, as a part of the image's longer side.
 
-MILLIMETRE = 0.001
+MILLIMETER = 0.001
 
 _MATRIX_NAMES = ("cam_K", "K", "k", "camera_matrix", "intrinsic_matrix")
 _DISTORTION_NAMES = ("coeffs", "D", "d", "distortion_coefficients", "dist_coeffs", "distCoeffs", "distortion")
@@ -39,7 +39,7 @@ class FileIntrinsics:
     intrinsics: Intrinsics
     """Image size, focal lengths and optical axis [pixels]."""
     depth_unit: float | None = None
-    """Metres per unit of the depth image, if the file says."""
+    """Meters per unit of the depth image, if the file says."""
     warnings: tuple[PerceptionWarning, ...] = ()
     """What looks wrong in it; logged, too."""
 
@@ -104,12 +104,12 @@ def intrinsics_from(
     for name in _MATRIX_NAMES:
         if name in content:
             lens = _from_matrix(content[name], size, where)
-            return _with_warnings(lens, _unit(content, MILLIMETRE, where), bool(distorted), where)
+            return _with_warnings(lens, _unit(content, MILLIMETER, where), bool(distorted), where)
     real_sense = "ppx" in content
     names = ("fx", "fy", "ppx", "ppy") if real_sense else ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = (_number(content, name, where) for name in names)
     lens = _checked(width, height, fx, fy, cx, cy, where)
-    unit = _unit(content, 1.0 if real_sense else MILLIMETRE, where)
+    unit = _unit(content, 1.0 if real_sense else MILLIMETER, where)
     return _with_warnings(lens, unit, bool(distorted), where)
 
 

@@ -16,7 +16,7 @@ from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.text_files import read_yaml
 from fungrasp.perception.io.capture import Box, Capture, Pixel
 from fungrasp.perception.io.image_files import read_capture, read_color
-from fungrasp.perception.io.intrinsics_files import MILLIMETRE, intrinsics_from
+from fungrasp.perception.io.intrinsics_files import MILLIMETER, intrinsics_from
 
 # Names of the files in a capture's own folder.
 COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
@@ -150,7 +150,7 @@ def read_foundationpose(
     own = folder / "masks" / color.with_suffix(".png").name
     if own.is_file() and hints.get("mask") is None:
         hints |= {"mask": own}
-    unit = MILLIMETRE if depth_unit is None else depth_unit
+    unit = MILLIMETER if depth_unit is None else depth_unit
     depth = folder / "depth" / color.with_suffix(".png").name
     return read_capture(color, depth, lens.intrinsics, depth_unit=unit, **hints)
 
@@ -177,7 +177,7 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None,
     calibration = camera.parents[2] / "calibration" / "intrinsics" / f"{camera.name}_{width}x{height}.yml"
     lens = intrinsics_from(read_yaml(calibration), (width, height), where=str(calibration))
     depth = camera / f"aligned_depth_to_color_{frame:06d}.png"
-    unit = MILLIMETRE if depth_unit is None else depth_unit
+    unit = MILLIMETER if depth_unit is None else depth_unit
     return read_capture(color, depth, lens.intrinsics, depth_unit=unit, **hints)
 
 

@@ -261,8 +261,8 @@ def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
         return 0.0
     # What is a pixel wide is noise.
     opened: Any = ndimage.binary_opening(shown, np.ones((2, 2)))
-    labelled: Any = ndimage.label(opened)
-    labels, count = labelled
+    labeled: Any = ndimage.label(opened)
+    labels, count = labeled
     sizes, farthest = np.bincount(labels[opened], minlength=count + 1), np.zeros(count + 1)
     np.maximum.at(farthest, labels[opened], away[opened])
     return float(sizes[farthest > RIM[1]].max(initial=0))

@@ -18,7 +18,7 @@ UNSEEN = 0.1  # Weight of a pixel of the mesh's silhouette that is hidden, in th
 # Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one
 # of the mask's: else a part of the object, or a gap between fingers, would do as well as all of it.
 LEFT_OUT = 0.2
-# Confidence that what seems to be a thing in front of the object is no unrecognised part of the arm.
+# Confidence that what seems to be a thing in front of the object is no unrecognized part of the arm.
 OCCLUDER = 0.25
 # A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real
 # images.

@@ -208,8 +208,8 @@ def _pieces(mask: np.ndarray, depth: np.ndarray) -> list[np.ndarray]:
         both = np.minimum(np.take(filled, range(1, mask.shape[axis]), axis), np.delete(filled, -1, axis)) > 0
         cut = both & (step > np.delete(jump, -1, axis))
         broken |= np.pad(cut, [(0, 1), (0, 0)] if axis == 0 else [(0, 0), (0, 1)])
-    labelled: Any = ndimage.label(mask & ~broken)
-    labels, count = labelled
+    labeled: Any = ndimage.label(mask & ~broken)
+    labels, count = labeled
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     least = max(60, int(0.02 * sizes.max(initial=0)))
     order = [int(i) for i in np.argsort(-sizes)[:8] if sizes[i] >= least]

@@ -363,7 +363,7 @@ class PolicyNetwork:
         """One step in W worlds.
 
         Args:
-            observation: the card's ``inputs`` in a row, not normalised, shape [W, O].
+            observation: the card's ``inputs`` in a row, not normalized, shape [W, O].
             state: from ``initial_state`` or the step before; only a policy without memory needs none.
 
         Returns:

@@ -81,7 +81,7 @@ ARRIVED = 1e-5
 
 
 class PalmFollower:
-    """Joints for one palm pose after another. Each step minimises ``|J dq - e|^2 + damping |dq|^2`` within
+    """Joints for one palm pose after another. Each step minimizes ``|J dq - e|^2 + damping |dq|^2`` within
     the limits of position and speed, e being the pose error; the damping keeps steps small near
     singularities."""
 
