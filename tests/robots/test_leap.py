@@ -14,9 +14,9 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from fungrasp.hands import load_hand
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands import leap as codec
-from fungrasp.robots.hands.leap import LeapLoop, LeapSettings, leap_driver
+from fungrasp.robots.hands.leap import LeapSettings, leap_driver
 from fungrasp_emulators.emulator import Fault
-from fungrasp_emulators.leap import DynamixelEmulator
+from fungrasp_emulators.leap import SYNC_READ, DynamixelEmulator, ServoPacket
 from fungrasp_emulators.plants import ServoPlant
 
 pytest.importorskip("dynamixel_sdk")
@@ -89,12 +89,25 @@ def test_a_hardware_error_is_a_fault():
 
 
 def test_a_late_answer_of_another_register_is_no_hardware_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop, none = LeapLoop(LeapSettings(build="full")), (0,) * 16
-    late, overload = (1, 4, *none[2:]), (*none[:5], 1 << 5, *none[6:])
-    answers = [late, none, none, overload, overload]
-    monkeypatch.setattr(loop, "_read_all", lambda address, size: answers.pop(0))
-    said = [loop._read_faults() for _ in range(3)]
-    assert said[:2] == ["", ""] and "overload" in said[2]
+    hot, read = 1 << 2, []
+
+    def answers(self: DynamixelEmulator, packet: ServoPacket) -> list[bytes]:
+        asked = packet.parameters[:1]
+        if packet.instruction == SYNC_READ and asked == bytes([codec.HARDWARE_ERROR]):
+            read.append(asked)
+            # Positions that were asked for before, with a current that looks like this error.
+            late = [self._status(servo, codec.PRESENT.pack(hot, 0, codec.CENTER)) for servo in SERVOS]
+            return [*late, *told(self, packet)]
+        return told(self, packet)
+
+    told = DynamixelEmulator._answers
+    monkeypatch.setattr(DynamixelEmulator, "_answers", answers)
+    with emulated() as device:
+        device.driver.connect()
+        assert wait_for(lambda: len(read) > 3)
+        assert device.driver.read().status is not DeviceStatus.FAULT, device.driver.read().message
+        device.emulator.report_error(5, hot)
+        assert wait_for(lambda: "servo 5: too hot" in device.driver.read().message)
 
 
 def test_power_off_and_open():

@@ -143,7 +143,6 @@ class LeapLoop(DeviceLoop):
         self._sdk: Any = None
         self._port: Any = None
         self._packets: Any = None
-        self._reader: Any = None
         self._writer: Any = None
         self._state: JointState | None = None
         self._setpoint: np.ndarray | None = None
@@ -218,7 +217,7 @@ class LeapLoop(DeviceLoop):
         self._state = None
         if self._read() is None:
             raise RobotError(f"{self.name}: no positions")
-        if self._powered and 0 in (self._read_all(*WRITTEN[TORQUE]) or ()):
+        if self._powered and b"\0" in (self._read_all(*WRITTEN[TORQUE]) or ()):
             self._put(TORQUE, 0, anew=True)
             self._setpoint, self._fault = None, "servos were switched off"
 
@@ -248,10 +247,8 @@ class LeapLoop(DeviceLoop):
             self._writes.put(name, tuple(side if n in SIDE_JOINTS else gain for n in self._servos), anew=True)
 
     def _make_packets(self) -> None:
-        self._reader = self._sdk.GroupSyncRead(self._port, self._packets, PRESENT_CURRENT, PRESENT.size)
+        self._packets = self._sdk.PacketHandler(2.0)
         self._writer = self._sdk.GroupSyncWrite(self._port, self._packets, GOAL_POSITION, 4)
-        for servo in self._servos:
-            self._reader.addParam(servo)
 
     def _open_port(self) -> None:
         self._sdk = import_client("dynamixel_sdk", "leap", "a LEAP hand")
@@ -265,7 +262,6 @@ class LeapLoop(DeviceLoop):
             raise RobotError(f"{self.name}: cannot open the port: {error}") from error
         # The library polls without a pause; a read that may wait a little leaves the processor to others.
         self._port.ser.timeout = 0.002
-        self._packets = self._sdk.PacketHandler(2.0)
 
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
         if goal.mode is LoopMode.POWER_OFF:
@@ -291,16 +287,8 @@ class LeapLoop(DeviceLoop):
         self._put(TORQUE, 1)
 
     def _read(self) -> JointState | None:
-        try:
-            result = self._reader.txRxPacket()
-        except (OSError, TypeError) as error:
-            # pyserial raises TypeError where its port was closed under it.
-            raise RobotError(f"{self.name}: the port is gone: {error}") from error
-        data = [bytes(self._reader.data_dict[servo]) for servo in self._servos]
-        # The library calls an answer of another length a success, too.
-        if result != self._sdk.COMM_SUCCESS or any(len(d) != PRESENT.size for d in data):
-            with contextlib.suppress(OSError):
-                self._port.clearPort()
+        data = self._read_all(PRESENT_CURRENT, PRESENT.size)
+        if data is None:
             return None
         rows = [PRESENT.unpack(d) for d in data]
         current, velocity, counts = np.array(rows, dtype=float).T
@@ -320,34 +308,35 @@ class LeapLoop(DeviceLoop):
 
     def _read_faults(self) -> str:
         """What is wrong with a servo, as a phrase; as before where they do not answer."""
-        errors = self._read_all(HARDWARE_ERROR, 1)
+        # Of a length that nothing else is read in.
+        errors = self._read_all(HARDWARE_ERROR, 4)
         if errors is None:
             return self._fault
-        # An answer does not say of which register it is: what came late of other ones is not there again.
-        again = self._read_all(HARDWARE_ERROR, 1) if any(errors) else errors
-        if again is None:
-            return self._fault
-        for servo, first, second in zip(self._servos, errors, again, strict=True):
+        for servo, error in zip(self._servos, errors, strict=True):
             for bit, what in HARDWARE_ERRORS.items():
-                if (first & second) >> bit & 1:
+                if error[0] >> bit & 1:
                     return f"servo {servo}: {what}; switch the hand off and on"
         return ""
 
-    def _read_all(self, address: int, size: int) -> tuple[int, ...] | None:
-        """A register of every servo; None where not all answer."""
-        reader = self._sdk.GroupSyncRead(self._port, self._packets, address, size)
-        for servo in self._servos:
-            reader.addParam(servo)
+    def _read_all(self, address: int, size: int) -> list[bytes] | None:
+        """Bytes of every servo; None where not all answer.
+
+        An answer says of which servo it is and how long, but not of which register: one that comes late is
+        told from others by its length, which the library does not compare.
+        """
+        found, packet = [], []
         try:
-            result = reader.txRxPacket()
+            self._packets.syncReadTx(self._port, address, size, self._servos, SERVOS, False)
+            for servo in self._servos:
+                while packet[4:7] != [servo, size + 4, 0]:
+                    packet, result = self._packets.rxPacket(self._port, False)
+                    if result != self._sdk.COMM_SUCCESS:
+                        return None
+                found.append(bytes(packet[9 : 9 + size]))
         except (OSError, TypeError) as error:
+            # pyserial raises TypeError where its port was closed under it.
             raise RobotError(f"{self.name}: the port is gone: {error}") from error
-        data = [bytes(reader.data_dict[servo]) for servo in self._servos]
-        if result != self._sdk.COMM_SUCCESS or any(len(d) != size for d in data):
-            with contextlib.suppress(OSError):
-                self._port.clearPort()
-            return None
-        return tuple(int.from_bytes(d, "little") for d in data)
+        return found
 
     def _write(self, what: str, values: tuple[int, ...]) -> bool:
         """Write a register of every servo; whether all show it."""
@@ -356,7 +345,7 @@ class LeapLoop(DeviceLoop):
         for servo, value in zip(self._servos, values, strict=True):
             writer.addParam(servo, value.to_bytes(size, "little"))
         self._send(writer.txPacket)
-        return self._read_all(address, size) == values
+        return self._read_all(address, size) == [value.to_bytes(size, "little") for value in values]
 
     def _send(self, send: Any) -> None:
         try:
