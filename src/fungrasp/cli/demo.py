@@ -30,20 +30,19 @@ Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
 
 @dataclass(frozen=True)
 class Demo(GraspsOption, Answering):
-    """Grasp a few objects as people do, and the one in an image where the hand models are there, and show it:
-    a film and a page."""
+    """Grasp a few built-in objects, and the object in the built-in image if the hand models are installed.
+    Write a film and a page."""
 
     hand: str = "allegro"
     """Name of a hand, or the path of a hand's TOML file."""
     grasp: tuple[str, ...] = ()
-    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a number; else a varied few, and
-    the one in the built-in image."""
+    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a row number. Default: a varied
+    few, and the one in the built-in image."""
     count: int = 3
     """How many to show if none are given, the one in the image among them."""
     from_image: Folder = None
-    """Show only the grasp in an image with depth of a person holding an object: the built-in one, or that of
-    a folder with rgb.png, depth.png and K.json. It takes the place of --grasps, --objects, --grasp and
-    --count."""
+    """Show only the grasp in an RGB-D image: the built-in one, or a folder with rgb.png, depth.png and
+    K.json. Replaces --grasps, --objects, --grasp and --count."""
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None

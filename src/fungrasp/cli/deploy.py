@@ -35,18 +35,18 @@ class Deploy(Answering):
     spec: DeploymentSpec = field(default_factory=DeploymentSpec)
     """What is asked."""
     hand: str = ""
-    """The hand that you expect on the robot; another one is refused. Empty: whatever the cell says."""
+    """The hand you expect on the robot; another one is refused. Empty: no check."""
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp."""
     picture: Path | None = None
-    """Before anything moves, rehearse the whole way there and back, so that the safety filter sees every
-    setpoint, and draw it to this file (.png)."""
+    """Before anything moves, rehearse the whole motion, check every setpoint with the safety filter, and draw
+    it to this file (.png)."""
     yes: bool = False
     """Do not ask before each phase of a real robot."""
     log: Path | None = None
     """MCAP file to write; it must not exist. By default deploy-<time>.mcap."""
     fast: bool = False
-    """For a twin: run as fast as the machine goes, not on the clock of the wall."""
+    """For a twin: run as fast as possible instead of in real time."""
 
     def run(self) -> CommandResult:
         from time import strftime

@@ -44,32 +44,32 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
     """Given in Python alone."""
 
     differs: WorldDifferences = field(default_factory=WorldDifferences)
-    """How worlds differ from what is believed, in the place of a protocol."""
+    """How worlds differ from the estimate, instead of a protocol."""
     hand: str | None = None
-    """Name of a hand, or the path of a hand's TOML file: that of robot grasps, and allegro for human ones, by
-    default."""
+    """Name of a hand, or the path of its TOML file. Default: the hand of robot grasps; allegro for human
+    grasps."""
     hand_dynamics: Path | None = None
     """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
     method: str = "contact"
     """How human grasps are retargeted: contact, angle-copy, dexgraspnet."""
     json: JsonOut = None
-    """Write every number here (.json); without a file, print them. Given again with its file after an
-    interruption, the command goes on."""
+    """Write all numbers to this file (.json); without a file, print them. If interrupted, run the same
+    command again to continue."""
     out: Path | None = None
-    """Write a compact result: this JSON file with settings and summary, and beside it a CSV file with one row
-    per episode."""
+    """Write a compact result: a JSON file with settings and summary, beside it a CSV file with one row per
+    episode."""
     record: Path | None = None
-    """Folder to which each episode is recorded (.npz)."""
+    """Record each episode to this folder (.npz)."""
     picture: Path | None = None
-    """Draw some of the grasps, and whether they held, to this PNG file."""
+    """Draw some of the grasps and their outcomes to this PNG file."""
     noslip: int = 0
-    """Iterations that take the creep out of the solver's friction; 5 make physics 1.6 times as slow."""
+    """Solver iterations that reduce creep in friction; 5 make physics 1.6 times as slow."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
-    """Where worlds and rollouts are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or
-    the processor. By default a GPU if there is one with the extra "gpu"."""
+    """Where to simulate: on an NVIDIA GPU, with the GPU code on the CPU (slow), or on the CPU. Default: a
+    GPU if one is found and the extra "gpu" is installed."""
     buffers: tuple[int, int] | None = None
-    """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
-    by default."""
+    """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: determined by a
+    probe."""
 
     def __post_init__(self) -> None:
         """Nothing: the request is checked where it is made of this, with an error of one line."""

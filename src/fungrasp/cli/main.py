@@ -22,22 +22,25 @@ from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
-    "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and show it: a film and a page"),
-    "perceive": ("fungrasp.cli.perceive", "turn an image with depth of a held object into a human grasp"),
+    "demo": ("fungrasp.cli.demo", "grasp a few built-in objects and write a film and a page"),
+    "perceive": ("fungrasp.cli.perceive", "turn an RGB-D image of a held object into a human grasp"),
     "retarget": ("fungrasp.cli.retarget", "turn human grasps into grasps of a robot hand"),
-    "evaluate": ("fungrasp.cli.evaluate", "try grasps in simulation and measure how many lift the object"),
-    "train": ("fungrasp.cli.train", "train a policy on grasps: a teacher that knows the contacts"),
-    "distill": ("fungrasp.cli.train:Distill", "train a student, that sees what a robot has, from a teacher"),
+    "evaluate": ("fungrasp.cli.evaluate", "test grasps in simulation: reach, grasp, lift, hold"),
+    "train": ("fungrasp.cli.train", "train a policy with PPO: a teacher that knows the contacts"),
+    "distill": (
+        "fungrasp.cli.train:Distill",
+        "distill a teacher into a student that needs no privileged input",
+    ),
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
-    "view": ("fungrasp.cli.view", "look at grasps, episodes, results, logs, captures and hands in a browser"),
+    "view": ("fungrasp.cli.view", "show grasps, episodes, results, logs, captures or hands in a browser"),
     "export": ("fungrasp.cli.export", "write recorded episodes for LeRobot or as MCAP files"),
     "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
-    "grasps": ("fungrasp.cli.grasps", "list, show, import and make human grasps"),
-    "setup": ("fungrasp.cli.doctor:SETUP", "fetch the hand models that perceiving images needs"),
-    "policies": ("fungrasp.cli.policies", "list and describe learned policies"),
-    "doctor": ("fungrasp.cli.doctor", "say what is installed and there: extras, devices, caches"),
+    "grasps": ("fungrasp.cli.grasps", "list, show, check, convert, import and make human grasps"),
+    "setup": ("fungrasp.cli.doctor:SETUP", "download the hand models that perceive needs"),
+    "policies": ("fungrasp.cli.policies", "list and describe trained policies"),
+    "doctor": ("fungrasp.cli.doctor", "list what is installed: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
 }
 """Where every command is (a module's ``COMMAND``, or "module:name") and its summary, in the order of the

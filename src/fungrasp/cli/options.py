@@ -42,8 +42,8 @@ class MirrorOption:
     """Grasps of right hands for a left hand."""
 
     mirror: bool = False
-    """Mirror human grasps and their objects first: those of right hands for a left hand, or the other way
-    round. Mirrored objects are named <name>_mirrored."""
+    """Mirror human grasps and their objects first, from right hands to left hands or the other way round.
+    Mirrored objects are named <name>_mirrored."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +59,8 @@ class ClusterOption:
     """Of many machines."""
 
     ray: tuple[str, ...] | None = None
-    """Work on a Ray cluster: on that of this address ("auto": the one that this machine is part of), or on
-    all processors of this machine where none is given. Same results. Every machine must see the files under
-    the same names."""
+    """Use a Ray cluster at this address ("auto": the one this machine belongs to); without an address, all
+    processors of this machine. The results are the same. Files must have the same paths on every machine."""
 
     @property
     def cluster(self) -> RayCluster | None:

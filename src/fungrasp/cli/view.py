@@ -19,27 +19,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View(ObjectsOption):
-    """Look at something in a browser: drag a grasp and a robot hand follows, play an episode, replay the
-    episodes of a result. Only this machine reaches the page, unless --host says otherwise."""
+    """Show grasps, episodes, results, logs, captures or hands in a browser. Drag a grasp and the robot hand
+    follows; play a lift; replay the episodes of a result. Only this machine can open the page, unless you
+    pass --host."""
 
     what: Annotated[str | None, tyro.conf.Positional] = None
-    """A file of grasps or of an episode (.npz), a result (.json), a deployment's log (.mcap), a hand (.toml,
-    or its name) or the folder of a capture; the built-in grasps if left out."""
+    """A grasp file or recorded episode (.npz), a result (.json), a deployment log (.mcap), a hand (.toml,
+    or its name), or the folder of a capture. Default: the built-in grasps."""
     hand: str = "allegro"
-    """Hand that imitates human grasps at first: its name, or the path of its TOML file."""
+    """Robot hand shown first for human grasps: its name, or the path of its TOML file."""
     mesh: str | None = None
     """The object in a capture: a mesh file [m], or the name of a built-in object."""
     grasps: Path | None = None
-    """Robot grasps of a result, where they are not where they were when it was made."""
+    """Robot grasps of a result, if their file has moved."""
     recordings: Path | None = None
-    """Folder of a result's recorded episodes, where it is not where it was."""
+    """Folder of a result's recorded episodes, if it has moved."""
     out: Path | None = None
-    """Write a page to this file in place of it, that needs no server."""
+    """Write a static page to this file instead; it needs no server."""
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets everyone in the network reach the page, and use this machine's
+    """Address to listen on; 0.0.0.0 lets everyone on the network open the page and use this machine's
     processors."""
     port: int | None = None
-    """Port to listen at; by default the first free one from 8080 on."""
+    """Port to listen on. Default: the first free one from 8080."""
     browser: bool = False
     """Open a browser."""
 

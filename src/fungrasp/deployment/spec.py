@@ -63,26 +63,27 @@ class DeploymentSpec:
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
     """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
     policy: str = "plan"
-    """What moves the hand: "plan", "reference" (planned motions, open loop), "student", or a policy file."""
+    """What moves the hand: "plan" or "reference" (planned motions, open loop), "student", or a policy
+    file."""
     attempts: int = 1
-    """Most attempts. A policy that watches (a student) sees that the object is not held: the hand withdraws,
-    looks where the object lies, plans anew and tries again. One attempt ends as it ends."""
+    """Maximum number of attempts. A policy with feedback (student) notices that the object is not held; the
+    hand withdraws, and the object is located, planned for and grasped again."""
     until: Until = "home"
     """Where to end: "plan" (nothing moves), "approach" (at the start of the grasp), "grasp" (fingers closed),
     "lift" (after the hold, with the object held), "put-down" or "home"."""
     speed: float = 1.0
-    """Share of a plan's own speed, 0.02 to 1: slow motion. A cell with low limits is slow by itself. The hold
-    takes its time. Not for policies that watch (a student)."""
+    """Slow motion: share of the plan's speed, 0.02 to 1. The hold keeps its duration. Not for policies with
+    feedback (student)."""
     dry_run: bool = False
-    """Read everything, decide everything, log everything, and send nothing."""
+    """Read, decide and log everything, but send nothing."""
     gravity_compensation: bool = True
-    """Carry the hand's weight; else it sags."""
+    """Compensate the weight of the hand's links."""
     hand_dynamics: str = ""
-    """File of the hand's identified dynamics (`fungrasp identify fit`); what the cell names if empty."""
+    """Identified dynamics of the hand (`fungrasp identify fit`). Empty: the file that the cell names."""
     seed: int = 0
     """Seed of the plan."""
     twin: int = 0
-    """For a twin: which one, 0, 1, 2 ... Its true parameters are hidden."""
+    """For a twin: its number, 0, 1, 2 ... It determines the hidden parameters."""
     real_time: Annotated[bool, tyro.conf.Suppress] = True
     """For a twin: run on the clock of the wall; else as fast as it goes, the same to the last bit."""
     look_time: Annotated[float, tyro.conf.Suppress] = 1.0
@@ -104,8 +105,8 @@ class GraspChoice:
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     image: str | None = None
-    """Take the grasp from an image with depth instead: a folder with rgb.png, depth.png and K.json, or
-    "builtin", the one of `fungrasp demo`."""
+    """Take the grasp from an RGB-D image instead: a folder with rgb.png, depth.png and K.json, or "builtin",
+    the image of `fungrasp demo`."""
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None

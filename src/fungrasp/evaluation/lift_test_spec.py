@@ -74,10 +74,10 @@ class LiftTestSpec:
     """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
     student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
     protocol: ProtocolName = "nominal"
-    """How worlds differ from what planner and policy believe: not at all; in everything at once, as a robot's
-    does, drawn anew for each episode; or in one thing at a time, which makes several conditions."""
+    """How worlds differ from the estimate: nominal, not at all; reality, in everything at once, drawn for
+    each episode; robustness, in one thing at a time, in several conditions."""
     seeds: tuple[int, ...] = (0,)
-    """Of all that is random; with several, each grasp is tried with each."""
+    """Random seeds; each grasp is tested once with each."""
     randomization: Randomization = NOMINAL
     """How worlds differ, in the place of a protocol that is not nominal."""
     lift: LiftProtocol = field(default_factory=LiftProtocol)
@@ -85,25 +85,24 @@ class LiftTestSpec:
     physics: SceneSettings = field(default_factory=SceneSettings)
     """Settings of the engine."""
     adapt: bool = True
-    """Whether the planner fits the grasps to the object as it has settled, a little optimization that also
-    repairs grasps that were retargeted badly; --no-adapt plays them unchanged."""
+    """Adapt each grasp to the object after it has settled. This also repairs badly retargeted grasps;
+    --no-adapt plays them unchanged."""
     rollouts: bool = True
-    """Policies that choose among candidate plans try them in simulated rollouts until one is held as shown,
-    in worlds that differ from the nominal one, and search further where none is: 3 to 104 episodes for each
-    grasp. Without, they play the one motion of each grasp."""
+    """Policies that select among candidate plans test them in randomized rollouts until one is held as shown:
+    3 to 104 episodes per grasp. Without rollouts, they play one motion for each grasp."""
     other_places: bool = False
-    """Where no candidate plan holds the object as the person showed it, play one that holds it otherwise."""
+    """If no candidate plan holds the object as shown, play one that holds it in another way."""
     selection: SelectionSettings | None = None
     """How plans are chosen among candidates; what suits protocol, rollouts and use if None."""
     attempts: int = 1
-    """Most attempts of an episode. A policy that watches (a student) sees that the object is not held, lets
-    go, withdraws, looks where the object lies, plans anew and tries again. The published protocol is one
-    attempt; with more, the result says how many objects the first one held."""
+    """Maximum number of attempts. A policy with feedback (student) notices that the object is not held,
+    withdraws, plans again and tries again. The published protocol is one attempt; with more, the result
+    also has the success rate of the first."""
     use: bool = False
-    """After the hold, play the motion that the grasp's task needs (tilt, strike, stroke, press, hand over),
-    and say how many objects stay in the hand and how many fingers lie where the person's did."""
+    """After the hold, play the motion of the grasp's task (tilt, strike, stroke, press, hand over), and
+    report how many objects stay in place in the hand, held as shown."""
     static: bool = False
-    """Measure the static quality too, where the human grasps are known."""
+    """Also measure the static quality, if the human grasps are known."""
 
     def __post_init__(self) -> None:
         """

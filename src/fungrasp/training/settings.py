@@ -203,11 +203,10 @@ class TrainSpec:
     threads: int = 0
     """Threads of the simulation; 0 means all processors. The result does not depend on it."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
-    """Where the worlds are simulated: a GPU of NVIDIA's, the GPU's code on the processor (slow), or the
-    processor. By default a GPU if there is one with the extra "gpu"."""
+    """Where the worlds are simulated: an NVIDIA GPU, the GPU code on the CPU (slow), or the CPU.
+    Default: a GPU if one is found and the extra "gpu" is installed."""
     buffers: tuple[int, int] | None = None
-    """Room on a GPU for contacts of a world (on average) and rows of constraints (at most); found by a probe
-    by default."""
+    """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: found by a probe."""
     licence: str = ""
     """Licence of the policy, for its card."""
     curve: CurveSettings = field(default_factory=CurveSettings)
