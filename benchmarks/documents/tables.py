@@ -135,49 +135,46 @@ def use_test() -> Table:
 
 PACKAGES = {"ours": "fungrasp", "contact": "fungrasp"}
 """Names of our method in results, and in tables."""
+LIFTED = {
+    "held as shown": "adapted_held_as_shown",
+    "success": "adapted_success",
+    "success, not adapted": "as_given_success",
+}
+"""Columns of shares, of those that the result has."""
 
 
 def peers() -> Table:
     """Retargeting methods of this package and of others, by one judge."""
     result = read("peers")
+    lifted = {title: key for title, key in LIFTED.items() if key in result.rows[0]}
     rows = []
     for name, speed in result.header["grasps_per_cpu_second"].items():
         mine = [row for row in result.rows if row["method"] == name]
-        depths = (_mean(mine, f"{what}_penetration_mm") for what in ("object", "table", "self"))
-        rows.append(
-            (
-                PACKAGES.get(name, name),
-                percent(_mean(mine, "adapted_held_as_shown")),
-                percent(_mean(mine, "adapted_success")),
-                percent(_mean(mine, "as_given_success")),
-                f"{_mean(mine, 'contact_error_mm'):.1f}",
-                " / ".join(f"{depth:.1f}" for depth in depths),
-                f"{speed:.0f}",
-            )
-        )
-    head = ("method", "held as shown", "success", "success, not adapted", "contact error [mm]")
-    head += ("object / table / self penetration [mm]", "grasps per CPU second")
-    return Table(head, rows, ["peers"])
+        depths = (f"{_mean(mine, f'{what}_penetration_mm'):.1f}" for what in ("object", "table", "self"))
+        shares = (percent(_mean(mine, key)) for key in lifted.values())
+        error = f"{_mean(mine, 'contact_error_mm'):.1f}"
+        rows.append((PACKAGES.get(name, name), *shares, error, " / ".join(depths), f"{speed:.0f}"))
+    head = ("method", *lifted, "contact error [mm]")
+    return Table((*head, "object / table / self penetration [mm]", "grasps per CPU second"), rows, ["peers"])
 
 
 def summary() -> Table:
-    """The README's: this package with and without its planner, beside two others."""
-    result, planned = read("peers"), read("student").header
-    means = (percent(planned.get("held_as_shown")), percent(planned["success_rate"]), NONE)
-    rows = [("fungrasp, plans selected in rollouts (`student`)", *means)]
+    """The README's: this package beside two others."""
+    result = read("peers")
+    lifted = {title: key for title, key in LIFTED.items() if key in result.rows[0]}
+    rows = []
     for name, speed in result.header["grasps_per_cpu_second"].items():
         if name in (*PACKAGES, "mink", "dex-retargeting"):
             mine = [row for row in result.rows if row["method"] == name]
-            means = tuple(percent(_mean(mine, f"adapted_{what}")) for what in ("held_as_shown", "success"))
-            title = f"{PACKAGES[name]}, retargeting alone" if name in PACKAGES else name
-            rows.append((title, *means, f"{speed:.0f}"))
-    head = ("Allegro, 125 grasps of 20 objects", "held as shown", "success", "retargeted per CPU second")
-    return Table(head, rows, ["peers", "student"])
+            shares = (percent(_mean(mine, key)) for key in lifted.values())
+            rows.append((PACKAGES.get(name, name), *shares, f"{speed:.0f}"))
+    head = (f"Allegro, {result.header['grasps']} grasps", *lifted, "grasps per CPU second")
+    return Table(head, rows, ["peers"])
 
 
-def _mean(rows: Sequence[dict[str, Any]], key: str) -> float | None:
-    """Of a column; None where the result has none."""
-    return float(np.mean([row[key] for row in rows])) if rows and key in rows[0] else None
+def _mean(rows: Sequence[dict[str, Any]], key: str) -> float:
+    """Of a column."""
+    return float(np.mean([row[key] for row in rows]))
 
 
 def hands_of_others() -> Table:
@@ -248,10 +245,13 @@ def _sources(names: Sequence[str], page: Path) -> Iterator[str]:
     """What made the numbers, and links to the files."""
     if not names:
         return
-    commands = dict.fromkeys(read(name).header["command"] for name in names)
+    headers = [read(name).header for name in names]
+    commands = dict.fromkeys(header["command"] for header in headers)
+    dates = sorted({header["date"][:10] for header in headers if "date" in header})
+    when = f", {' to '.join(dict.fromkeys((dates[0], dates[-1])))}" if dates else ""
     for command in [command for command in commands if command][:1]:
         more = " and its like, which the files name" if len(commands) > 1 else ""
-        yield f"Measured by `{_runnable(command)}`{more}."
+        yield f"Measured by `{_runnable(command)}`{more}{when}."
     if not any(commands):
         yield "Recorded by hand; no command was kept."
     if ROOT / "docs" in page.parents:  # The site does not hold the results.
