@@ -83,19 +83,6 @@ def test_contact_pays_target_links_and_their_force_up_to_the_cap(array):
     check(lighter, array, [1 / 2 + 0.5 / 4.905, 1 + 1, 1 + 1 / 4, 1 + 1 / 4, 0.0])
 
 
-def test_links_are_in_place_within_20_mm_of_the_reference(array):
-    targets = np.zeros((1, 3, 3))
-    keypoints = np.array([[[0.019, 0.0, 0.0], [0.0, 0.021, 0.0], [0.012, 0.012, 0.012]]])
-    result = reward.in_place(array(keypoints), array(targets))
-    assert np.asarray(result).tolist() == [[True, False, False]]
-
-
-def test_touching_share_counts_wanted_links_alone(array):
-    contacts = np.array([[True, False, True], [True, True, True], [True, True, True]])
-    targets = np.array([[True, True, False], [True, False, False], [False, False, False]])
-    check(reward.touching_share(array(contacts), array(targets), array([0.0])), array, [0.5, 1.0, 0.0])
-
-
 def test_safety_sums_undesired_forces_and_is_bounded(array):
     table = [[0.0, 0.0], [2.0, -1.0], [1e6, 1e6]]
     result = reward.safety_reward(array(table), array([0.0, 2.0, 0.0]))

@@ -16,7 +16,6 @@ from array_api_compat import array_namespace
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import Array
-from fungrasp.grasps.as_shown import NEAR
 from fungrasp.objects.object_model import GRAVITY
 
 
@@ -40,10 +39,8 @@ class RewardWeights:
     """Weight of ``stability_reward``, in [-1, 0]."""
     action: float = 0.02
     """Weight of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
-    success: float = 5.0
+    success: float = 10.0
     """Reward once, where the episode ends in success (term: 1 there, 0 elsewhere)."""
-    shown: float = 10.0
-    """Reward once, where the episode ends in success: share of the wanted links that touch in place."""
     drop: float = -3.0
     """Reward once, where the episode ends with the object lost (term: 1 there, 0 elsewhere)."""
 
@@ -141,37 +138,6 @@ def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) ->
     return xp.clip(ratio, 0.0, 2.0)
 
 
-def in_place(keypoints: Array, targets: Array, near: float = NEAR) -> Array:
-    """Which links are where the reference has them, on the object: as near as *as shown* asks for.
-
-    Args:
-        keypoints: a point on each link [m], object frame, shape [W, L, 3].
-        targets: those points in the reference [m], object frame, shape [W, L, 3].
-        near: largest distance [m].
-
-    Returns:
-        Shape [W, L] bool.
-    """
-    xp = array_namespace(keypoints, targets)
-    return xp.linalg.vector_norm(keypoints - targets, axis=-1) <= near
-
-
-def touching_share(contacts: Array, targets: Array, like: Array) -> Array:
-    """Share of the links that should touch that do: ``|c and c'| / |c'|``, 0 in a world without targets.
-
-    Args:
-        contacts: which links touch the object, shape [W, L] bool.
-        targets: which links should, shape [W, L] bool.
-        like: an array of the number type of the result.
-
-    Returns:
-        In [0, 1], shape [W].
-    """
-    xp = array_namespace(contacts, targets)
-    both, wanted = (xp.sum(xp.astype(x, like.dtype), axis=-1) for x in (contacts & targets, targets))
-    return both / xp.clip(wanted, 1.0, None)
-
-
 def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, cap: float = 5.0) -> Array:
     """The right links touch the object, and press (r_c of section IV.B.2, after D-Grasp).
 
@@ -191,8 +157,10 @@ def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, 
     """
     xp = array_namespace(contacts, targets, forces, mass)
     wanted = xp.astype(targets, forces.dtype)
+    touching = xp.astype(contacts & targets, forces.dtype)
+    number = xp.clip(xp.sum(wanted, axis=-1), 1.0, None)
     pressed = xp.sum(wanted * forces, axis=-1) / (cap * GRAVITY * mass)
-    return touching_share(contacts, targets, forces) + xp.clip(pressed, 0.0, 1.0)
+    return xp.sum(touching, axis=-1) / number + xp.clip(pressed, 0.0, 1.0)
 
 
 def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) -> Array:

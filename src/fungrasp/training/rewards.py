@@ -44,7 +44,7 @@ class LiftReward:
         self._link_ends = np.array(ends)
 
     def terms(self, state: TrackingState, privileged: Privileged, previous_action: Array) -> dict[str, Array]:
-        """Terms of the reward by name, each of shape [W]; "shown" counts where an episode ends in success.
+        """Terms of the reward by name, each of shape [W].
 
         Args:
             previous_action: the one before the state's, shape [W, A].
@@ -56,9 +56,7 @@ class LiftReward:
         lifting, where = target.since_lift >= 0, array_namespace(keypoints).where
         weights, ends = (constant(keypoints, values) for values in (self._weights, self._link_ends))
         weight = reward.dynamic_contact_weight(now.keypoints[:, ends], goal_in_palm[:, ends], target.contacts)
-        places = reward.in_place(keypoints[:, ends], target.keypoints[:, ends])
-        touching, pressed = p.contacts & places, where(places, p.forces, 0.0)
-        contact = reward.contact_reward(touching, target.contacts, pressed, target.mass)
+        contact = reward.contact_reward(p.contacts, target.contacts, p.forces, target.mass)
         slip, spin = self._relative_motion(state)
         drift = reward.stability_reward(p.object_velocity[:, :3], p.object_velocity[:, 3:])
         held = reward.stability_reward(slip, spin, velocity_unit=0.03, spin_unit=0.5)
@@ -72,7 +70,6 @@ class LiftReward:
             "lift": where(lifting, reward.lift_reward(p.lifted_height, self._goal), 0.0),
             "stability": where(lifting, held, drift),
             "action": reward.action_reward(state.action, previous_action),
-            "shown": reward.touching_share(touching, target.contacts, pressed),
         }
         if self._start_distance is not None:
             terms["approach"] = reward.approach_reward(keypoints, target.keypoints, self._start_distance)
