@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from benchmarks.fault_series.moments import Scene
     from benchmarks.fault_series.trial import Drawn, FaultTrial
 
-ATTEMPTS = 3
-"""Deployments over the wire that are begun for a fault, where the machine's pauses end them before it."""
+ATTEMPTS = 10
+"""Deployments over the wire that are begun for a fault until it comes: a busy machine's pauses end some of
+them before."""
 MOST_TWINS = 20
 """Twins that are tried at most."""
 

@@ -376,5 +376,6 @@ def private_cell(cell: RobotCell, patience: float) -> RobotCell:
             arm_silence=patience * dog.arm_silence,
             hand_silence=patience * dog.hand_silence,
             overrun=patience * dog.overrun,
+            pose_stale=patience * dog.pose_stale,
         ),
     )
