@@ -37,6 +37,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((RO
 MARKED = re.compile(r"(<!-- table: (?P<name>\w+) -->\n)(?P<text>.*?)(<!-- end of table -->)", re.DOTALL)
 RENAMED = {
     "fungrasp bench retarget --peers": "python -m benchmarks.peers",
+    "python -m benchmarks.peers follow": "python -m benchmarks.peers.following",
     "fungrasp reproduce": "python -m benchmarks.paper",
 }
 """Beginnings of commands in results, and of the same ones today."""
@@ -194,6 +195,20 @@ def hands_of_others() -> Table:
     return Table((*head, "contact error, self-penetration [mm]", "lifted"), rows, ["hands-of-others"])
 
 
+def followed() -> Table:
+    """A moving hand followed by this package and by others."""
+    files, rows = [f"follow-{hand}" for hand in ("allegro", "shadow")], []
+    for name in files:
+        header = read(name).header
+        for method, f in header["methods"].items():
+            tips = f"{f['fingertip_error_mm']:.1f}, {f['fingertip_error_p95_mm']:.1f}"
+            deep = f"{f['self_penetration_p95_mm']:.1f}, {percent(f['self_penetrating_share'])}"
+            pinch, jitter, time = (f"{f[key]:.1f}" for key in ("pinch_error_mm", "jitter_mrad", "median_ms"))
+            rows.append((HANDS[header["hand"]], method, tips, pinch, jitter, deep, time))
+    head = ("hand", "method", "fingertips, p95 [mm]", "thumb to fingers [mm]", "jitter [mrad]")
+    return Table((*head, "self-penetration p95 [mm], above 1 mm", "ms a frame"), rows, files)
+
+
 BUILDERS: dict[str, Callable[[], Table]] = {
     "hands": hands,
     "hands_of_others": hands_of_others,
@@ -201,6 +216,7 @@ BUILDERS: dict[str, Callable[[], Table]] = {
     "use_test": use_test,
     "peers": peers,
     "summary": summary,
+    "followed": followed,
 }
 """By the name in a page."""
 

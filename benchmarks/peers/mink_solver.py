@@ -43,15 +43,20 @@ def solve_mink(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
     return problem.solved(wrist, angles), clock.seconds
 
 
+def hand_on_free_joint(hand: Hand) -> mujoco.MjSpec:
+    """A hand's model without its actuators, its palm on the joint "free"."""
+    spec = hand.spec()
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    spec.body(hand.palm).add_freejoint(name="free")
+    return spec
+
+
 class _Scene:
     """The hand on a free joint, an object and a table."""
 
     def __init__(self, hand: Hand, model: ObjectModel):
-        spec = hand.spec()
-        for actuator in list(spec.actuators):
-            spec.delete(actuator)
-        palm = spec.body(hand.palm)
-        palm.add_freejoint(name="free")
+        spec = hand_on_free_joint(hand)
         table = spec.worldbody.add_body(name="table", mocap=True)
         table.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 0.05], pos=[0, 0, -0.05])
         obj = spec.worldbody.add_body(name="object", mocap=True)

@@ -34,8 +34,8 @@ def solve_dex_retargeting(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
     """By dex-retargeting (Qin et al., "AnyTeleop", 2023). Returns the grasps and processor seconds."""
     from dex_retargeting.retargeting_config import RetargetingConfig  # pyright: ignore[reportMissingImports]
 
-    with _UrdfFile(problem) as path:
-        config = RetargetingConfig.from_dict(_configuration(problem), {"urdf_path": path})
+    with HandUrdf(problem.hand) as path:
+        config = RetargetingConfig.from_dict(position_configuration(problem.hand), {"urdf_path": path})
         config.target_joint_names = list(problem.hand.actuators)
         solver = config.build()
     joints = _human(problem)
@@ -59,10 +59,10 @@ def solve_dexi(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
     """By dexi-rs, the same in Rust. Returns the grasps and processor seconds."""
     import dexi_rs  # pyright: ignore[reportMissingImports]
 
-    configuration: dict[str, Any] = _configuration(problem) | {
+    configuration: dict[str, Any] = position_configuration(problem.hand) | {
         "target_joint_names": list(problem.hand.actuators)
     }
-    with _UrdfFile(problem) as path:
+    with HandUrdf(problem.hand) as path:
         solver = dexi_rs.RetargetingConfig(urdf_path=path, **configuration).build()
     names, joints = list(solver.joint_names), _human(problem)
     start = np.zeros((len(joints), len(names)))
@@ -86,16 +86,24 @@ def solve_dexi(problem: PeerProblem) -> tuple[RobotGraspSet, float]:
     return _grasps(problem, found, names), clock.seconds
 
 
-def _configuration(problem: PeerProblem) -> dict[str, Any]:
-    """As published; the scale of 1.6 for gestures in the air is 1 here, and nothing is smoothed over time."""
-    fingers = problem.hand.fingers
+def human_indices(hand: Hand) -> list[int]:
+    """Human joints that a hand's fingertips and middle joints go to, in the order of MANO."""
+    fingers = hand.fingers
     names = [name for name in HUMAN_TIPS if name in fingers]
     middles = [name for name in names if len(fingers[name].joints) > 1]
+    return [HUMAN_TIPS[n] for n in names] + [HUMAN_MIDDLES[n] for n in middles]
+
+
+def position_configuration(hand: Hand) -> dict[str, Any]:
+    """As published; the scale of 1.6 for gestures in the air is 1 here, and nothing is smoothed over time."""
+    fingers = hand.fingers
+    names = [name for name in HUMAN_TIPS if name in fingers]
+    middles = [fingers[name].joints[1] for name in names if len(fingers[name].joints) > 1]
     return {
         "type": "position",
         "target_joint_names": None,
-        "target_link_names": [fingers[n].tip for n in names] + [fingers[n].joints[1] for n in middles],
-        "target_link_human_indices": [HUMAN_TIPS[n] for n in names] + [HUMAN_MIDDLES[n] for n in middles],
+        "target_link_names": [*(fingers[name].tip for name in names), *middles],
+        "target_link_human_indices": human_indices(hand),
         "add_dummy_free_joint": True,
         "low_pass_alpha": 1.0,
     }
@@ -119,11 +127,11 @@ def hand_urdf(hand: Hand) -> str:
     return ElementTree.tostring(model_urdf(hand.name, hand.model, None, frames=frames), encoding="unicode")
 
 
-class _UrdfFile:
+class HandUrdf:
     """The hand's URDF as a file, for as long as it is read."""
 
-    def __init__(self, problem: PeerProblem):
-        self._text = hand_urdf(problem.hand)
+    def __init__(self, hand: Hand):
+        self._text = hand_urdf(hand)
         self._folder = tempfile.TemporaryDirectory()
 
     def __enter__(self) -> str:

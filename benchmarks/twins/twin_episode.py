@@ -19,7 +19,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
-from fungrasp.planning.selection import Feasible
+from fungrasp.planning.selection.search import Feasible
 from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.twin.parameters import TwinParameters

@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import Any
 
 from fungrasp.core import __version__ as __version__
+from fungrasp.core.lazy_names import lazy_names
 
 _NAMES = {
     "deployment.deploy": "deploy",
@@ -33,7 +34,7 @@ _NAMES = {
     "perception.pipeline": "perceive",
     "planning": "MotionPlanner Planner make_planner plan",
     "policies": "make_policy",
-    "retargeting.retarget": "retarget",
+    "retargeting": "retarget",
     "retargeting.retargeter": "Retargeter",
     "sim2real": "Randomization",
     "simulation": "Engine build_scene",
@@ -45,20 +46,12 @@ _NAMES = {
 }
 """Names that are offered here, by the module that they come from."""
 
-_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
-
-__all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module 'fungrasp' has no attribute '{name}'")
-    value = globals()[name] = getattr(import_module(f"fungrasp.{_MODULES[name]}"), name)
-    return value
+__getattr__ = lazy_names(__name__, _NAMES)
+__all__ = sorted(name for names in _NAMES.values() for name in names.split())  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *_MODULES]
+    return [*globals(), *__all__]
 
 
 _SHOWN = {

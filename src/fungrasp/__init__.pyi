@@ -31,7 +31,7 @@ from fungrasp.planning import Planner as Planner
 from fungrasp.planning import make_planner as make_planner
 from fungrasp.planning import plan as plan
 from fungrasp.policies import make_policy as make_policy
-from fungrasp.retargeting.retarget import retarget as retarget
+from fungrasp.retargeting import retarget as retarget
 from fungrasp.retargeting.retargeter import Retargeter as Retargeter
 from fungrasp.sim2real import Randomization as Randomization
 from fungrasp.simulation import Engine as Engine

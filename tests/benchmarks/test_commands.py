@@ -11,7 +11,7 @@ from grasp_files import some_grasps
 
 from benchmarks import speed
 from fungrasp.grasps import save_human_grasps
-from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings
 
 
 @pytest.fixture(scope="module")

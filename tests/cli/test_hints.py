@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import fungrasp
-from fungrasp.cli.main import main
+from fungrasp.cli.main import main, parsed
 from fungrasp.viewer.choose_page import ChosenPage, choose_page
 
 ROW = 50
@@ -64,10 +65,26 @@ def test_a_lift_that_fails_on_a_twin_says_why(height, why, tmp_path: Path, monke
         attempts=1,
         success=False,
         height=height,
+        held_as_shown=None,
         times={},
         words=lambda: "not lifted",
     )
     monkeypatch.setattr("fungrasp.deployment.deploy.deploy", lambda *_, **__: result)
     with pytest.raises(SystemExit) as end:
         main(["deploy", "--log", str(tmp_path / "lift.mcap")])
-    assert end.value.code == 4 and f"not lifted: {why}" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert end.value.code == 4 and f"not lifted: {why}" in out
+    assert parsed(hint(out)).what == str(tmp_path / "lift.mcap")
+
+
+def test_a_hand_that_was_added_is_retargeted_to(tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["hands", "export", "inspire", "--out", "inspire.xml"]) == 0
+    assert main(["hands", "add", "inspire.xml", "--out", "my hands/mine"]) == 0
+    command = parsed(hint(capsys.readouterr().out))
+    assert Path(command.spec.hand) == Path("my hands/mine/hand.toml") and Path(command.out) == Path(
+        "mine.npz"
+    )
+    fungrasp.builtin_grasps()[ROW : ROW + 1].save("one.npz")
+    replace(command, grasps="one.npz").run()
+    assert Path(fungrasp.load_robot_grasps("mine.npz").hand_file).samefile("my hands/mine/hand.toml")

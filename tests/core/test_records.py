@@ -18,8 +18,8 @@ from fungrasp.core.records import BatchRecord, record_from_json, record_to_json
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.grasps.as_shown import AsShown, ShownContacts
 from fungrasp.planning.attempts import AttemptRecord
-from fungrasp.planning.selection import SelectionSettings
 from fungrasp.planning.selection.rollouts import RolloutResults
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.planning.withdrawal import Waypoints
 from fungrasp.sim2real import PRESETS, EpisodeSample, Randomization
 from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Privileged

@@ -13,7 +13,7 @@ from fungrasp.core import jobs
 from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import LiftTestResult, LiftTestSpec, evaluate
 from fungrasp.evaluation.lift_episodes import LiftTest
-from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.policies.checkpoint.card import SEARCH
 from fungrasp.sim2real import Randomization
 from fungrasp.task import LiftProtocol

@@ -9,8 +9,9 @@ import pytest
 import trimesh
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.geometry import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.geometry.signed_distance import (
+    SignedDistanceBank,
+    SignedDistanceGrid,
     crossing_number,
     mesh_signed_distance,
     nearest_on_mesh,

@@ -5,8 +5,8 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.grasps import BONES, HUMAN_LINKS, bone_lengths, builtin_grasps
 from fungrasp.grasps.anatomy import check_anatomy
 from fungrasp.hands import load_hand

@@ -122,7 +122,7 @@ def test_object_in_the_mirror():
     assert (image.name, mirrored_object(image).name) == ("can_mirrored", "can")
     np.testing.assert_allclose(image.center_of_mass, model.center_of_mass * FLIP, atol=1e-9)
     points = np.array([[0.01, 0.02, 0.03], [0.0, -0.05, 0.0], [0.03, 0.04, 0.1]])
-    from fungrasp.geometry import SignedDistanceBank
+    from fungrasp.geometry.signed_distance import SignedDistanceBank
 
     bank = SignedDistanceBank([model.signed_distance, image.signed_distance])
     here, _ = bank.query(np.array([0]), points[None])

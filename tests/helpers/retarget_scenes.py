@@ -10,8 +10,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from fungrasp.geometry import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.geometry.poses import compose, transform_points
+from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics

@@ -11,7 +11,7 @@ import trimesh
 from task_scenes import plain
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.objects import (
     ObjectModel,
     builtin_object,

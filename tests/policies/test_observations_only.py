@@ -68,7 +68,7 @@ def test_recorded_observations_drive_the_student_as_the_simulation_did(tmp_path)
     name = default_policy("allegro")
     if name == "reference":
         pytest.skip("no student comes with the package here")
-    from fungrasp.planning.selection import SelectionSettings
+    from fungrasp.planning.selection.settings import SelectionSettings
 
     grasps, objects = grasps_and_objects()
     belief = start().settle(grasps)

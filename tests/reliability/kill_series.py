@@ -39,8 +39,7 @@ from fungrasp.evaluation import LiftTestSpec, evaluate, result_json, write_resul
 from fungrasp.evaluation.result_files import read_result, split_rows
 from fungrasp.grasps import builtin_grasps, load_objects, save_robot_grasps
 from fungrasp.planning import make_planner
-from fungrasp.planning.selection import SelectionSettings
-from fungrasp.planning.selection.rollouts import RolloutSettings
+from fungrasp.planning.selection.settings import RolloutSettings, SelectionSettings
 from fungrasp.retargeting import retarget
 from fungrasp.task import LiftProtocol
 from fungrasp.training.distill import STUDENT

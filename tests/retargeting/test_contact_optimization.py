@@ -20,7 +20,8 @@ from fungrasp.optimization.link_contacts import contacts_of_links
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.wrench_resistance import NO_GRIP, torque_limits, unresisted_share
 from fungrasp.retargeting import RetargetSettings, retarget
-from fungrasp.retargeting.contact_optimization import STARTS, Start, moved
+from fungrasp.retargeting.contact_optimization import moved
+from fungrasp.retargeting.settings import STARTS, Start
 
 
 def test_turns_leave_the_mean_fingertip_where_it_is():

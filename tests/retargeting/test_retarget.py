@@ -25,7 +25,7 @@ needs_dexycb = pytest.mark.skipif(
 )
 
 
-MODULE = import_module("fungrasp.retargeting.retarget")
+MODULE = import_module("fungrasp.retargeting.human_to_robot")
 
 
 @cache
@@ -120,7 +120,7 @@ def test_moving_the_scene_about_the_vertical_moves_the_grasp(method: str):
 @pytest.mark.parametrize("method", ["angle-copy", "dexgraspnet"])
 def test_the_baselines_do_not_know_which_way_is_up(method: str, monkeypatch: pytest.MonkeyPatch):
     # A world whose table is tilted is refused before any method sees it.
-    verb = import_module("fungrasp.retargeting.retarget")
+    verb = import_module("fungrasp.retargeting.human_to_robot")
     monkeypatch.setattr(verb, "checked_grasps", lambda arrays, *_, **__: HumanGraspSet(**arrays))
     turn = Rotation.from_euler("xyz", [1.0, 0.6, -2.0]).as_quat(scalar_first=True)
     elsewhere = moved(held(), np.concatenate([[0.1, 0.2, 0.5], turn]))

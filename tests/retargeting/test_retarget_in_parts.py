@@ -17,7 +17,7 @@ from fungrasp.grasps import RobotGraspSet, load_robot_grasps, save_robot_grasps
 from fungrasp.hands import load_hand
 from fungrasp.retargeting import retarget
 
-MODULE = import_module("fungrasp.retargeting.retarget")
+MODULE = import_module("fungrasp.retargeting.human_to_robot")
 
 
 @pytest.fixture(autouse=True)

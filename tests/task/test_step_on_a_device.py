@@ -12,7 +12,7 @@ import pytest
 from measured_states import measured_state, plan_target, privileged
 from tensor_engine import TensorEngine, meta
 
-from fungrasp.geometry import SignedDistanceBank
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics
 from fungrasp.objects import builtin_object

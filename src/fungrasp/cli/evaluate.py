@@ -22,7 +22,7 @@ from fungrasp.cli.options import (
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.lift_test_spec import WorldDifferences
-from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.sim2real import NOMINAL, Randomization
 from fungrasp.simulation import SceneSettings
 from fungrasp.task import LiftProtocol

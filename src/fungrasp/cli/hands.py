@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from fungrasp.cli.console import Answering, CommandResult, table
+from fungrasp.cli.console import Answering, CommandResult, option, suggestion, table
 
 if TYPE_CHECKING:
     from fungrasp.hands.findings import Finding
@@ -125,12 +125,9 @@ class AddHand(Answering):
         path, findings = add_hand(self.path, self.out, self.name, answers, self.force)
         rows, text, status = _findings(path, findings)
         if not status:
-            mirror = "--mirror " if load_hand(path).side == "left" else ""
-            grasps = f"{path.parent.name}.npz"
-            text += (
-                f"\nnext: fungrasp retarget {mirror}--hand {path} --out {grasps}"
-                f"\nthen: fungrasp evaluate --grasps {grasps} --hand {path}"
-            )
+            mirror = "--mirror" if load_hand(path).side == "left" else ""
+            grasps = option("--out", f"{path.parent.name}.npz")
+            text = f"{text}\n{suggestion('retarget', mirror, option('--hand', path), grasps)}"
         return CommandResult({"hand": path, "findings": rows}, text, status=status)
 
 

@@ -11,7 +11,7 @@ import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, option, progress_bar, suggestion, write_json
 from fungrasp.cli.options import ClusterOption, GraspsOption, MirrorOption, ThreadsOption, print_use
-from fungrasp.retargeting.retarget import RetargetSpec
+from fungrasp.retargeting.settings import RetargetSpec
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner, make_planner
 from fungrasp.planning.attempts import check_attempts
 from fungrasp.planning.given_plans import GivenPlans
-from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, make_policy
 from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.robots.assembly import HandDynamics, identified_dynamics, is_twin, wired_robot

@@ -10,9 +10,8 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.text_table import table
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
-from fungrasp.geometry.signed_distance import nearest_on_mesh, project_to_surface
+from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mesh, project_to_surface
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.as_shown import ShownContacts, ShownJudge, shown_places
 from fungrasp.hands import Hand, as_hand

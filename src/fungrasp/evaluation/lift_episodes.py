@@ -21,7 +21,7 @@ from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning import MotionPlanner, MotionSettings, Planner, make_planner
 from fungrasp.planning.attempts import AttemptSetting, check_attempts, play_attempts
 from fungrasp.planning.given_plans import GivenPlans
-from fungrasp.planning.selection import SearchPlanner
+from fungrasp.planning.selection.search import SearchPlanner
 from fungrasp.policies import OpenLoopPolicy, StudentPolicy, make_policy, policy_source
 from fungrasp.policies.registry import PolicySource
 from fungrasp.sim2real import Randomization, draw_each, random_stream

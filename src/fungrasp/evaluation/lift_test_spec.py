@@ -10,8 +10,7 @@ from typing import Any, get_args
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.records import record_from_json
-from fungrasp.planning.attempts import check_attempts
-from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.sim2real import (
     NOMINAL,
     THREE_PUSHES,
@@ -119,6 +118,8 @@ class LiftTestSpec:
             raise FungraspError(
                 f"--protocol {self.protocol} says how worlds differ: give it or single options"
             )
+        from fungrasp.planning.attempts import check_attempts
+
         check_attempts(self.attempts, watches=True)
 
     @classmethod

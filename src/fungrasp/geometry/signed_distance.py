@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.numpy_files import read_npz
@@ -339,6 +338,8 @@ class _SurfaceSamples:
         self.points, self._owners = points_on_triangles(np.asarray(mesh.triangles), gap)
         self._triangles = mesh.triangles
         # Samples are even: splits in the middle are found in a third of the time.
+        from scipy.spatial import KDTree
+
         self._tree = KDTree(self.points, balanced_tree=False, compact_nodes=False)
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

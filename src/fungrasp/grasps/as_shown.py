@@ -13,9 +13,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from fungrasp.core.records import BatchRecord
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert
-from fungrasp.geometry.signed_distance import project_to_surface
+from fungrasp.geometry.signed_distance import SignedDistanceBank, project_to_surface
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
 from fungrasp.hands import Hand

@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.compiling import plain
 from fungrasp.geometry.distance_queries import gradient_derivatives
 from fungrasp.geometry.poses import invert, rotate, transform_points
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.grasps import HumanGraspSet
 from fungrasp.grasps.as_shown import shown_places
 from fungrasp.hands.correspondence import Correspondence

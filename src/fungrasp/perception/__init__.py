@@ -1,12 +1,10 @@
-"""From one RGB-D image of a person holding an object to a human grasp.
-
-The names are imported on use: the options of a command (``image_source``) need none of them.
-"""
+"""From one RGB-D image of a person holding an object to a human grasp."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from fungrasp.core.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from fungrasp.perception.io.capture import Capture, Intrinsics
@@ -16,17 +14,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Capture", "HandEstimate", "Intrinsics", "ObjectEstimate", "Perceived", "perceive"]
 
-_MODULES = {
-    "Capture": "io.capture",
-    "HandEstimate": "io.estimates",
-    "Intrinsics": "io.capture",
-    "ObjectEstimate": "io.estimates",
-    "Perceived": "perceived",
-    "perceive": "pipeline",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module 'fungrasp.perception' has no attribute '{name}'")
-    return getattr(import_module(f"fungrasp.perception.{_MODULES[name]}"), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "io.capture": "Capture Intrinsics",
+        "io.estimates": "HandEstimate ObjectEstimate",
+        "perceived": "Perceived",
+        "pipeline": "perceive",
+    },
+)

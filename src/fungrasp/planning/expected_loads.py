@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
     compose,
     quaternion_conjugate,
@@ -12,7 +11,7 @@ from fungrasp.geometry.poses import (
     rotate,
     transform_points,
 )
-from fungrasp.geometry.signed_distance import project_to_surface
+from fungrasp.geometry.signed_distance import SignedDistanceBank, project_to_surface
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel

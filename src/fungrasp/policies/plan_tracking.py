@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.arrays import copied, is_numpy, moved_to, rows_like
 from fungrasp.geometry.poses import (
     Array,
@@ -23,6 +22,7 @@ from fungrasp.geometry.poses import (
     rotation_vector,
     stack,
 )
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics
 from fungrasp.objects import ObjectModel

@@ -1,8 +1,15 @@
 """Human grasps to robot grasps (paper IV.A), and the baselines."""
 
-from fungrasp.retargeting.contact_optimization import RetargetSettings
-from fungrasp.retargeting.retarget import METHODS, RetargetSpec, method_name, retarget
-from fungrasp.retargeting.retargeter import FollowedPose, Retargeter, RetargeterSettings
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from fungrasp.core.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from fungrasp.retargeting.human_to_robot import retarget
+    from fungrasp.retargeting.retargeter import FollowedPose, Retargeter, RetargeterSettings
+    from fungrasp.retargeting.settings import METHODS, RetargetSettings, RetargetSpec, method_name
 
 __all__ = [
     "METHODS",
@@ -14,3 +21,12 @@ __all__ = [
     "method_name",
     "retarget",
 ]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "human_to_robot": "retarget",
+        "retargeter": "FollowedPose Retargeter RetargeterSettings",
+        "settings": "METHODS RetargetSettings RetargetSpec method_name",
+    },
+)

@@ -21,7 +21,8 @@ from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.problem import RetargetingProblem
-from fungrasp.retargeting.contact_optimization import RetargetSettings, palm_alignment
+from fungrasp.retargeting.contact_optimization import palm_alignment
+from fungrasp.retargeting.settings import RetargetSettings
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
 """Cosines of the angle to a finger's flexion axis within which a joint flexes, beyond which it spreads."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -25,6 +24,7 @@ from fungrasp.optimization.link_contacts import contacts_of_links
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
 from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, torque_limits, unresisted_share
+from fungrasp.retargeting.settings import RetargetSettings, Start
 
 TOLERATED_SHARE = 0.2
 """Unresisted share of the load below which a grasp counts as firm: of those below six of seven hold, however
@@ -43,60 +43,6 @@ number; and a meter between the person's places and the hand's."""
 
 GOOD = 0.5
 """Cost at which a grasp is left as it is."""
-
-
-@dataclass(frozen=True)
-class Start:
-    """How a start differs from the hand that is laid along the person's. Axes are those of a right hand's
-    palm: along the fingers, out of the palm, and across; those of a left hand are mirrored."""
-
-    turn: tuple[float, float, float]
-    """Rotation vector about the mean fingertip [rad]."""
-    shift: tuple[float, float, float]
-    """Of the wrist, afterwards [m]."""
-    contact_unit: float = 0.002
-    """Distance of where a link touches from where the person does [m]."""
-    closure_unit: float = 0.03
-    """Unbalanced part of contact forces that sum to one [-]."""
-
-
-STARTS = (
-    Start((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.003, 0.03),
-    Start((0.04, -0.22, 0.7), (0.01, -0.014, 0.0), 0.001, 0.1),
-    Start((0.07, 0.03, -0.21), (0.0, -0.024, -0.014), 0.002, 0.03),
-    Start((0.24, 0.0, 0.23), (0.017, -0.008, 0.002), 0.002, 0.1),
-)
-"""Of 69 near the person's hand those that, one after another, lowered the cost of five hands' grasps most."""
-
-
-@dataclass(frozen=True)
-class RetargetSettings:
-    """The size at which each term of the objective counts as one unit, and numbers of iterations."""
-
-    fingertip_unit: float = 0.01
-    """Distance of a fingertip from the human one, first stage [m]."""
-    direction_unit: float = 0.5
-    """Difference of the unit vectors along a link, first and second stage [-]."""
-    gap_unit: float = 0.001
-    """Gap between a link that should touch and the object [m]."""
-    soft_object_unit: float = 0.003
-    """Penetration of the object, second stage [m]: links on the wrong side of a wall can still pass it."""
-    object_unit: float = 0.0003
-    """Penetration of the object [m]."""
-    table_unit: float = 0.0002
-    """Penetration of the table [m]."""
-    table_margin: float = 0.001
-    """Distance to keep from the table [m]."""
-    self_unit: float = 0.0005
-    """Penetration of the hand by itself [m]."""
-    closure_friction: float = 0.2
-    """Friction coefficient that the balance may use; well below the nominal one [-]."""
-    posture_unit: float = 0.4
-    """Difference of the unit vectors along a link, third stage [-]."""
-    iterations: tuple[int, int, int] = (6, 5, 12)
-    """Solver iterations of the three stages."""
-    starts: tuple[Start, ...] = STARTS
-    """Grasps that are not firm or not as shown are solved again from the second on, until they are."""
 
 
 def retarget_by_contact_optimization(

@@ -28,7 +28,8 @@ from fungrasp.optimization.hand_state import HandPoints, HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.problem import RetargetingProblem, gradient_derivative
 from fungrasp.optimization.terms import Residual, Term
-from fungrasp.retargeting.contact_optimization import RetargetSettings, initial_pose
+from fungrasp.retargeting.contact_optimization import initial_pose
+from fungrasp.retargeting.settings import RetargetSettings
 
 DISTANCE_WEIGHT = 100.0
 """w_dis [1/m]."""

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.geometry import SignedDistanceBank, SignedDistanceGrid
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -20,7 +19,7 @@ from fungrasp.geometry.poses import (
     rotation_vector,
     transform_points,
 )
-from fungrasp.geometry.signed_distance import project_to_surface
+from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid, project_to_surface
 from fungrasp.grasps.human_hand import joint_order
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics

@@ -9,7 +9,8 @@ from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
-from fungrasp.retargeting.retarget import RetargetSpec, retarget
+from fungrasp.retargeting.human_to_robot import retarget
+from fungrasp.retargeting.settings import RetargetSpec
 
 
 class RobotGrasps(NamedTuple):

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.arrays import constant, is_numpy
 from fungrasp.geometry.poses import Array, array_namespace, inverse_transform_points, transform_points
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.hands import Hand
 from fungrasp.hands.collisions import collision_spheres
 from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics

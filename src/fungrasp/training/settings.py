@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.planning.selection.candidates import VariationSpread
+from fungrasp.planning.selection.settings import VariationSpread
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization
 from fungrasp.task.features import LayoutName

@@ -17,7 +17,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionSettings, make_planner
-from fungrasp.planning.selection import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.policies import StudentPolicy, default_policy, make_policy
 from fungrasp.policies.registry import PLAN, REFERENCE
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization

@@ -15,7 +15,7 @@ from fungrasp.grasps import HumanGrasp, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.hand_registry import hand_files
 from fungrasp.objects import ObjectModel
-from fungrasp.retargeting.retarget import METHODS
+from fungrasp.retargeting import METHODS
 from fungrasp.viewer.episode_tab import EpisodeTab, Trial
 from fungrasp.viewer.figures import HumanFigure, ObjectFigure, move, pose_of
 from fungrasp.viewer.page import BrowserPage, JointSliders, add_table, look_at, values_table

@@ -10,8 +10,10 @@ import pytest
 from retarget_scenes import held, plain_objects
 
 from benchmarks.peers.comparison import PEERS, compare_method, installed_peers
+from benchmarks.peers.following import FOLLOWERS, measure, moving_hand
 from benchmarks.peers.position_solvers import hand_urdf
 from benchmarks.peers.problem import PeerProblem
+from fungrasp.grasps.human_hand import bone_lengths
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 
@@ -61,3 +63,24 @@ def test_a_peer_brings_the_fingers_to_the_object(name: str):
 
 def test_what_is_installed_is_found():
     assert installed_peers() == [name for name, (module, _) in PEERS.items() if find_spec(module)]
+
+
+def test_a_track_goes_through_the_recorded_hands_and_keeps_the_bones():
+    hands = held().hand_joints[:3].astype(float)
+    track = moving_hand(hands, 8, 0.0, np.random.default_rng(0))
+    assert track.shape == (16, 21, 3)
+    np.testing.assert_allclose(bone_lengths(track), np.tile(bone_lengths(track[0]), (16, 1)), atol=1e-9)
+    noisy = moving_hand(hands, 8, 0.002, np.random.default_rng(0))
+    assert 0.0015 < np.std(noisy - track) < 0.0025
+
+
+@pytest.mark.parametrize("name", list(FOLLOWERS))
+def test_a_moving_hand_is_followed(name: str):
+    if name in PEERS and name not in installed_peers():
+        pytest.skip(f"{name} is not installed (extra 'bench')")
+    hand = load_hand("allegro")
+    track = moving_hand(held().hand_joints[:2].astype(float), 12, 0.0, np.random.default_rng(0))
+    figures = measure(hand, FOLLOWERS[name](hand), track, track).figures()
+    assert figures["fingertip_error_mm"] < 25
+    if name == "fungrasp":
+        assert figures["self_penetration_p95_mm"] < 1

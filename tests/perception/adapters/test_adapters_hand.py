@@ -1,4 +1,5 @@
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from recorded import (
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.adapters import read_hand_estimate
 from fungrasp.perception.adapters.hand_file import hands_of, read_fields
+from fungrasp.perception.io.image_source import as_capture
 
 JOINTS = true_hand()
 
@@ -187,3 +189,46 @@ def test_of_two_hands_in_a_file_a_click_tells_which(tmp_path, capture):
         u, v = CAMERA.project(hand).mean(axis=0)
         read = read_hand_estimate(path, capture.with_object(point=(float(u), float(v))))
         np.testing.assert_allclose(read.pixels.mean(axis=0), [u, v], atol=2)
+
+
+FOREIGN = Path(__file__).parents[4] / "shared" / "data" / "foreign" / "files"
+
+OTHERS: dict[str, float | str] = {
+    "hand_hamer_right": 0.9,
+    "hand_mediapipe_world": 0.9,
+    "hand_pixels_normalised": 0.9,
+    "hand_hamer_crop_camera": 0.2,
+    "hand_hamer_focal_mixed": 0.2,
+    "hand_root_relative_metric": 0.2,
+    "hand_hamer_focal_mixed2": "lies outside the image .*focal length",
+    "hand_hamer_mano_left_flag": "as a left hand its fingers are bent back",
+    "hand_interhand_order": "say 'order': 'interhand'",
+    "hand_joints_mm": "are the joints in millimeters",
+    "hand_mediapipe_normalised": "relative to the hand, .*'pixels'",
+    "hand_mediapipe_swapped_side": "as a left hand its fingers are bent back",
+    "hand_mediapipe_world_no_pixels": "relative to the hand, .*'pixels'",
+    "hand_pixels_vu": r"pixels are \(column, row\)",
+    "hand_y_flip_only": "fingers are bent back",
+    "hand_y_up": "joints have the camera's axes",
+}
+"""Hand files of others for the built-in image: the reason of the refusal; for right ones the score that they
+reach, and for others that which they stay below, so that nothing is sure."""
+
+
+@pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the files of others in ../shared/data/foreign")
+def test_hand_files_of_others_are_right_or_refused_or_doubted() -> None:
+    assert set(OTHERS) == {path.name for path in FOREIGN.glob("hand_*")}
+    capture = as_capture("builtin")
+    right = read_hand_estimate(FOREIGN / "hand_hamer_right" / "hand.json", capture).joints_camera
+    for name, expected in OTHERS.items():
+        path = FOREIGN / name / "hand.json"
+        if isinstance(expected, str):
+            with pytest.raises(FungraspError, match=expected):
+                read_hand_estimate(path, capture)
+            continue
+        found = read_hand_estimate(path, capture)
+        if expected < 0.5:
+            assert found.score < expected, name
+        else:
+            assert found.score > expected, name
+            np.testing.assert_allclose(found.joints_camera, right, atol=0.01)

@@ -11,7 +11,8 @@ from planned_grasps import plan as shown_plan
 
 import fungrasp.planning.selection.rollouts as rollouts
 from fungrasp.planning.selection.candidates import HOPE, HOPE_WEIGHT, Candidates, Tally
-from fungrasp.planning.selection.rollouts import RolloutSettings, RolloutTrials, roll_out
+from fungrasp.planning.selection.rollouts import RolloutTrials, roll_out
+from fungrasp.planning.selection.settings import RolloutSettings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation, play

@@ -12,10 +12,9 @@ from planned_grasps import plan as shown_plan
 import fungrasp.planning.selection.search as search
 from fungrasp.core.errors import FungraspError
 from fungrasp.planning import ConstrainedPlanner, MotionPlanner
-from fungrasp.planning.selection import SearchPlanner, SelectionSettings
 from fungrasp.planning.selection.candidates import Candidates, Tally
-from fungrasp.planning.selection.rollouts import RolloutSettings
-from fungrasp.planning.selection.search import RESOLUTION
+from fungrasp.planning.selection.search import RESOLUTION, SearchPlanner
+from fungrasp.planning.selection.settings import RolloutSettings, SelectionSettings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import NOMINAL
 from fungrasp.task import Belief, GraspPlan

@@ -243,6 +243,7 @@ def _content(path: Path) -> Mapping[str, Any]:
 SIZES = (0.4, 2.0)  # Smallest and largest hand as a part of an adult's; beyond, the unit is wrong.
 # Fingers bent back by more than this in the mean [rad] belong to a hand of the other side.
 BENT_BACK = np.radians(20.0)
+UNLIKE = 0.5  # Part of the landmarks' spread; perspective and a network's errors make a tenth of it.
 ASPECT = 0.02  # Part by which the shapes of two images that are the same one may differ.
 
 
@@ -326,16 +327,23 @@ def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tup
     scale, size = _image(fields, intrinsics)
     order = joint_order(fields.text("order", "openpose"))
     pixels = fields.numbers("pixels", (21, 2))[:, order] * scale if fields.has("pixels") else None
-    if fields.has("translation") or fields.source in ("hamer", "wilor"):
-        if not fields.has("translation") and pixels is not None:
-            return pixels, ahead
-        placed = joints + _each(fields, "translation", (3,), count)[:, None]
-    else:
-        placed = joints
+    if pixels is not None and ((pixels >= 0) & (pixels <= scale)).all():
+        # MediaPipe's are shares of the image's width and height.
+        pixels = pixels / scale * size
+    given = fields.has("translation")
+    relative = fields.source != "joints" or (joints[..., 2] <= 0).any()
+    if pixels is not None and relative and not given:
+        _check_alike(pixels, joints, fields.where)
+        return pixels, ahead
+    needed = given or fields.source != "joints"
+    placed = joints + _each(fields, "translation", (3,), count)[:, None] if needed else joints
     if (placed[..., 2] <= 0).any():
         raise FungraspError(
             f"{fields.where}: a joint is behind the camera; the translation must be in the camera frame "
             "with z forward"
+            if given
+            else f"{fields.where}: the joints are relative to the hand, and nothing says where it is: give "
+            "its 'pixels' in the image, or its 'translation' in the camera frame with z forward"
         )
     directions = placed.mean(axis=1)
     if pixels is None:
@@ -395,6 +403,24 @@ def _check_shape(joints: np.ndarray, side: str, where: str) -> None:
             "is the other hand, or its x was not turned round: networks see left hands mirrored (say "
             "'mirrored': true if the file has them so)"
         )
+
+
+def _check_alike(pixels: np.ndarray, joints: np.ndarray, where: str) -> None:
+    """Complain about landmarks that do not lie in the image as the joints do in space.
+
+    Args:
+        pixels: shape [hands, 21, 2].
+        joints: [m], axes of the camera, shape [hands, 21, 3].
+    """
+    for row, (seen, shape) in enumerate(zip(pixels, joints[..., :2], strict=True)):
+        seen, shape = seen - seen.mean(axis=0), shape - shape.mean(axis=0)
+        # As a camera far away would see them.
+        scale = np.sum(seen * shape) / np.sum(shape**2)
+        if scale <= 0 or np.linalg.norm(seen - scale * shape) > UNLIKE * np.linalg.norm(seen):
+            raise FungraspError(
+                f"{where}, hand {row}: its pixels do not lie as its joints do: pixels are (column, row), "
+                "joints have the camera's axes, x right, y down, z forward"
+            )
 
 
 def _check_pixels(pixels: np.ndarray, intrinsics: Intrinsics, where: str) -> None:

@@ -19,26 +19,8 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.planning.grasp_motion import MotionSettings
 from fungrasp.planning.planner import Planner
+from fungrasp.planning.selection.settings import VariationSpread
 from fungrasp.task import Belief, GraspPlan
-
-
-@dataclass(frozen=True)
-class VariationSpread:
-    """How much variations differ, one standard deviation unless said."""
-
-    position: float = 0.004
-    """Standard deviation of the wrist's shift along each axis [m]."""
-    rotation: float = 0.15
-    """Standard deviation of the wrist's turn about each axis through the middle of the wanted places
-    [rad]."""
-    joints: float = 0.03
-    """Standard deviation of each joint by itself [rad]."""
-    closing: float = 0.05
-    """Standard deviation of a change of all joints in proportion to their angle [fraction]."""
-    force: float = 0.4
-    """Standard deviation of the logarithm of the squeeze."""
-    press: float = 0.006
-    """Range of how far the wrist goes beyond its target [m]."""
 
 
 def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None) -> RobotGraspSet:

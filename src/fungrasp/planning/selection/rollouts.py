@@ -14,8 +14,8 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel, with_sizes
 from fungrasp.planning.approach_path import BLOCKED
 from fungrasp.planning.selection.candidates import Candidates
+from fungrasp.planning.selection.settings import RolloutSettings
 from fungrasp.sim2real import (
-    MODERATE,
     NOMINAL,
     EpisodeSample,
     MeasurementError,
@@ -23,7 +23,7 @@ from fungrasp.sim2real import (
     draw,
     random_stream,
 )
-from fungrasp.simulation import BufferSizes, Device, Scene, SceneSettings, build_scene
+from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import DIVERGED, Belief, GraspPlan, LiftEnvironment, LiftProtocol, Policy, play
 from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, motion_of, play_use
 
@@ -45,40 +45,6 @@ WHOLE = 10_000
 
 MOST = 2.0
 """Guessed masses are drawn within so many standard deviations: a box that is all lead is not planned for."""
-
-
-@dataclass(frozen=True)
-class RolloutSettings:
-    """How plans are tried."""
-
-    randomization: Randomization = MODERATE
-    """How the worlds of rollouts differ from the nominal ones; the policy sees none of it."""
-    timestep: float = 0.01
-    """Physics step [s]."""
-    hold_time: float = 1.0
-    """Time that the object has to be held [s]: a third of the test's finds the same plans in less time."""
-    rehearsal: int = 3
-    """Each so many-th rollout of a candidate is the whole motion in the believed world, with the physics and
-    the hold of the lift test: half of the plans that failed after short rollouts alone dropped their object
-    late, or touched it on the way."""
-    early: int = 2
-    """Control steps before the fingers close at which rollouts begin; where the approach is not free
-    (``BLOCKED``), they begin where it begins."""
-    share: float = 0.2
-    """Weight of the share of links that are as shown against success."""
-    contact: float = 0.1
-    """Weight of the contact ratio against success."""
-    slip: float = 0.01
-    """Weight of the slip against success [s/mm]."""
-    for_use: bool = False
-    """Whether a rollout goes on with the use motion of the grasp's task: what holds, but does not withstand
-    it, counts half, and up to ``NEARLY_WITHSTOOD`` where it comes near."""
-    chunk: int = 512
-    """Rollouts simulated together."""
-    device: Device = "cpu"
-    """Where they are simulated."""
-    buffers: BufferSizes | None = None
-    """Room for contacts on a GPU; found by a probe if None."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

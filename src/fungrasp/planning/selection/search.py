@@ -17,12 +17,11 @@ from fungrasp.planning.selection.candidates import (
     HOPE,
     HOPE_WEIGHT,
     Candidates,
-    VariationSpread,
     propose,
     with_settings,
 )
 from fungrasp.planning.selection.rollouts import WITHSTOOD, RolloutTrials
-from fungrasp.planning.selection.settings import SelectionSettings
+from fungrasp.planning.selection.settings import SelectionSettings, VariationSpread
 from fungrasp.planning.selection.use_strength import chance_of_use
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 

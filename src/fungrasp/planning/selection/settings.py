@@ -5,10 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.planning.selection.candidates import VariationSpread
-from fungrasp.planning.selection.rollouts import RolloutSettings
-from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName
+from fungrasp.sim2real import MODERATE, REALITY_ROLLOUTS, ProtocolName, Randomization
 from fungrasp.simulation import BufferSizes, Device
+
+
+@dataclass(frozen=True)
+class VariationSpread:
+    """How much variations differ, one standard deviation unless said."""
+
+    position: float = 0.004
+    """Standard deviation of the wrist's shift along each axis [m]."""
+    rotation: float = 0.15
+    """Standard deviation of the wrist's turn about each axis through the middle of the wanted places
+    [rad]."""
+    joints: float = 0.03
+    """Standard deviation of each joint by itself [rad]."""
+    closing: float = 0.05
+    """Standard deviation of a change of all joints in proportion to their angle [fraction]."""
+    force: float = 0.4
+    """Standard deviation of the logarithm of the squeeze."""
+    press: float = 0.006
+    """Range of how far the wrist goes beyond its target [m]."""
+
 
 WIDE_SPREAD = VariationSpread(position=0.008, rotation=0.35, joints=0.06, closing=0.1, force=0.5, press=0.01)
 
@@ -17,6 +35,40 @@ OTHER_PLACES = 0.3
 
 GPU_CHUNK = 8192
 """Rollouts that a GPU makes together: about 1 GB of its memory."""
+
+
+@dataclass(frozen=True)
+class RolloutSettings:
+    """How plans are tried."""
+
+    randomization: Randomization = MODERATE
+    """How the worlds of rollouts differ from the nominal ones; the policy sees none of it."""
+    timestep: float = 0.01
+    """Physics step [s]."""
+    hold_time: float = 1.0
+    """Time that the object has to be held [s]: a third of the test's finds the same plans in less time."""
+    rehearsal: int = 3
+    """Each so many-th rollout of a candidate is the whole motion in the believed world, with the physics and
+    the hold of the lift test: half of the plans that failed after short rollouts alone dropped their object
+    late, or touched it on the way."""
+    early: int = 2
+    """Control steps before the fingers close at which rollouts begin; where the approach is not free
+    (``approach_path.BLOCKED``), they begin where it begins."""
+    share: float = 0.2
+    """Weight of the share of links that are as shown against success."""
+    contact: float = 0.1
+    """Weight of the contact ratio against success."""
+    slip: float = 0.01
+    """Weight of the slip against success [s/mm]."""
+    for_use: bool = False
+    """Whether a rollout goes on with the use motion of the grasp's task: what holds, but does not withstand
+    it, counts half, and up to ``rollouts.NEARLY_WITHSTOOD`` where it comes near."""
+    chunk: int = 512
+    """Rollouts simulated together."""
+    device: Device = "cpu"
+    """Where they are simulated."""
+    buffers: BufferSizes | None = None
+    """Room for contacts on a GPU; found by a probe if None."""
 
 
 @dataclass(frozen=True)

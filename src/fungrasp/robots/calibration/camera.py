@@ -18,7 +18,6 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
@@ -284,6 +283,8 @@ def _refined(
 
     begin = np.zeros(12) if changes is None else changes
     # A centimeter and a hundredth of a radian move corners about as far.
+    from scipy.optimize import least_squares
+
     found = least_squares(missed, begin, loss="soft_l1", f_scale=OUTLIER, x_scale=0.01)
     return found.x, missed(found.x)
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fungrasp.core.records import BatchRecord
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import quaternion_conjugate, quaternion_multiply, relative, rotation_vector
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.hands import Hand
 from fungrasp.hands.collisions import collision_spheres
 from fungrasp.hands.kinematics import HandKinematics

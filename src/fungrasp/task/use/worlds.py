@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fungrasp.geometry import SignedDistanceBank
 from fungrasp.geometry.poses import (
     cross,
     quaternion_from_rotation_vector,
@@ -16,6 +15,7 @@ from fungrasp.geometry.poses import (
     rotate,
     transform_points,
 )
+from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.task.environment import LiftEnvironment
 from fungrasp.task.use.geometry import far_end, horizontal, turn_axis

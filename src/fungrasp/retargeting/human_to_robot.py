@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Self, overload
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError
 from fungrasp.core.jobs import Arrays, Job, PartStore, RayCluster, part_key, run_job
 from fungrasp.core.parallel import in_chunks
 from fungrasp.core.progress import ShowProgress, shown_progress
@@ -25,11 +25,12 @@ from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.retargeting.angle_copy import retarget_by_angle_copy
-from fungrasp.retargeting.contact_optimization import RetargetSettings, retarget_by_contact_optimization
+from fungrasp.retargeting.contact_optimization import retarget_by_contact_optimization
 from fungrasp.retargeting.dexgraspnet import retarget_by_dexgraspnet
+from fungrasp.retargeting.settings import RetargetSettings, RetargetSpec
 
 Solver = Callable[[HandPoints, RetargetingProblem, RetargetSettings], tuple[np.ndarray, np.ndarray]]
-METHODS: dict[str, Solver] = {
+SOLVERS: dict[str, Solver] = {
     "contact": retarget_by_contact_optimization,
     "angle-copy": retarget_by_angle_copy,
     "dexgraspnet": retarget_by_dexgraspnet,
@@ -43,36 +44,6 @@ BATCH = 8
 
 CHUNK = 64
 """Grasps that one thread solves together."""
-
-
-def method_name(name: str) -> str:
-    """The name of a retargeting method, checked.
-
-    Raises:
-        FungraspError: there is none of this name.
-    """
-    if name not in METHODS:
-        raise UnknownNameError("retargeting method", name, METHODS)
-    return name
-
-
-@dataclass(frozen=True)
-class RetargetSpec:
-    """How human grasps are retargeted."""
-
-    hand: str = "allegro"
-    """Name of the robot hand, or the path of its TOML file."""
-    method: str = "contact"
-    """Retargeting method: contact, angle-copy or dexgraspnet."""
-    settings: RetargetSettings = field(default_factory=RetargetSettings)
-    """Weights and iterations."""
-
-    def __post_init__(self) -> None:
-        """
-        Raises:
-            FungraspError: no such method.
-        """
-        object.__setattr__(self, "method", method_name(self.method))
 
 
 @overload
@@ -120,7 +91,7 @@ def retarget(
         objects: the objects of the grasps, by name, as models or as a folder of meshes; those that the
             grasps carry, or built-in ones, if None.
         hand: the robot hand, its name, or the path of its TOML file.
-        method: one of ``METHODS``.
+        method: one of ``settings.METHODS``.
         settings: weights and iterations; the defaults if None.
         threads: 0 means all processors. The result does not depend on it.
         store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
@@ -208,7 +179,7 @@ class Retargeting(Job[range]):
         """Wrist pose (world frame), joints, key points and contacts of each part's grasps, by the names of
         ``RobotGraspSet``."""
         human = self.human.select(np.concatenate([np.array(part) for part in parts]))
-        solve, settings = METHODS[self.spec.method], self.spec.settings
+        solve, settings = SOLVERS[self.spec.method], self.spec.settings
         shared = HandPoints(HandKinematics(self.hand, min(CHUNK, len(human))))
         _ = shared.dense  # once, not in each thread
         problem = RetargetingProblem.from_grasps(human, self.objects, shared.match)
