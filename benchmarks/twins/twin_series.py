@@ -146,7 +146,7 @@ class TwinSeriesResult:
         """By variant: episodes, those in which the motion began, rates of success, and medians of the hand's
         errors where it began (``TwinEpisode``), as text."""
         head = "variant", "episodes", "begun", "lifted", "95 % interval", "as shown", "tracking [rad]"
-        rows = [(*head, "sag [deg]")]
+        rows: list[tuple[str, ...]] = [(*head, "sag [deg]")]
         for name in self.spec.variants:
             mine = [e for e in self.episodes if e.variant == name]
             begun = [e for e in mine if e.tracking_rad >= 0]
