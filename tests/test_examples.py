@@ -41,3 +41,12 @@ def test_every_name_that_the_package_offers_exists() -> None:
 def test_a_name_that_it_does_not_offer_is_an_error() -> None:
     with pytest.raises(AttributeError, match="evaluat"):
         fungrasp.evaluat  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("name", "lines"), [("01_from_arrays", 6), ("02_plan_and_evaluate", 12), ("03_own_policy", 20)]
+)
+def test_first_examples_are_short(name: str, lines: int) -> None:
+    (path,) = (path for path in EXAMPLES if path.stem == name)
+    _, _, code = path.read_text().split('"""', 2)
+    assert len([line for line in code.splitlines() if line.strip()]) <= lines

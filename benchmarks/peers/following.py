@@ -86,7 +86,7 @@ def _upright(joints: np.ndarray) -> np.ndarray:
 def follow_fungrasp(hand: Hand) -> Follow:
     """By ``fungrasp.Retargeter``."""
     retargeter = Retargeter(hand)
-    return lambda joints: tuple(retargeter.follow(joints))
+    return retargeter.follow
 
 
 def follow_dex_retargeting(hand: Hand) -> Follow:
@@ -312,7 +312,7 @@ class FollowPeers:
                 print(f"{name} is installed, but can't be imported: {error}", file=sys.stderr)
         figures = {name: result.figures() for name, result in results.items()}
         head = ("method", "fingertips [mm]", "p95", "thumb to fingers [mm]", "jitter [mrad]")
-        rows = [(*head, "self-penetration p95 [mm]", "above 1 mm", "ms/frame")]
+        rows: list[tuple[str, ...]] = [(*head, "self-penetration p95 [mm]", "above 1 mm", "ms/frame")]
         for name, f in figures.items():
             values = (f"{f[key]:.1f}" for key in list(f)[:5])
             rows.append((name, *values, f"{f['self_penetrating_share']:.0%}", f"{f['median_ms']:.2f}"))
