@@ -158,15 +158,6 @@ def unresisted_load(
     return np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1) * grip.reach
 
 
-def resisted_share_of(grip: Grip, loads: np.ndarray) -> np.ndarray:
-    """Share of the worst load that a grip can take within friction cones and torque limits, from 0 to 1,
-    shape [N]. loads: forces [N] at the center of mass and torques [N m], object frame, shape [N, K, 6]."""
-    scaled = wrenches_over_reach(loads, grip.reach)
-    size = np.linalg.norm(scaled, axis=-1)
-    left = unresisted_wrenches(grip, scaled, size.max(axis=1))
-    return np.clip(1.0 - (np.linalg.norm(left, axis=-1) / size).max(axis=1), 0.0, 1.0)
-
-
 def unresisted_wrenches(
     grip: Grip,
     loads: np.ndarray,

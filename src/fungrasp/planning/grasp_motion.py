@@ -302,7 +302,7 @@ def squeeze_offsets(
             loads = np.concatenate([loads, np.array(of_use)], axis=1)
         points = HandPoints(HandKinematics(hand, len(rows)))
         grip = grip_of(points, around.rows(rows), [models[i] for i in rows], palm[rows], joints[rows])
-        # In use whatever lies at the object carries, as in ``selection.use_strength``.
+        # In use whatever lies at the object carries.
         wanted = grasps.link_contacts[rows] | (motion is not None)
         torques[rows] = squeeze_torques(grip, wanted, stiffness[rows], loads, least[rows])
     torques = _setting(grasps, "force_scale", 1.0) * torques

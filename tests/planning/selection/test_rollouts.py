@@ -36,7 +36,7 @@ def candidates(plans: GraspPlan, count: int = 2) -> Candidates:
     """Those of ``count`` grasps, one variation after the other."""
     grasps, _ = grasps_and_objects()
     rows = np.tile(np.arange(count), len(plans) // count)
-    return Candidates(grasps.select(rows), plans, Tally.untried(np.ones((len(plans) // count, count))))
+    return Candidates(grasps.select(rows), plans, Tally.untried((len(plans) // count, count)))
 
 
 def tried(
@@ -151,7 +151,7 @@ def test_slip_counts_against_a_plan():
 
 def counted(held: list[list[int]], shown: list[list[int]] | None = None) -> Tally:
     """Of one grasp, a list for each candidate of what its rollouts counted."""
-    tally, shown = Tally.untried(np.ones((len(held), 1))), held if shown is None else shown
+    tally, shown = Tally.untried((len(held), 1)), held if shown is None else shown
     for candidate, (values, kept) in enumerate(zip(held, shown, strict=True)):
         for value, other in zip(values, kept, strict=True):
             one = np.array([candidate]), np.array([0])
@@ -162,7 +162,7 @@ def counted(held: list[list[int]], shown: list[list[int]] | None = None) -> Tall
 def test_what_holds_is_tried_on_and_what_fails_falls_behind():
     order = np.argsort(-counted([[0], [1], [], [0, 1]]).hope(0.0, 0.0)[:, 0], kind="stable")
     assert order.tolist() == [1, 2, 3, 0]
-    impossible = replace(counted([[], []]), promise=np.array([[0.0], [1.0]]))
+    impossible = replace(counted([[], []]), possible=np.array([[False], [True]]))
     assert np.isneginf(impossible.hope(0.0, 0.2)[0, 0]) and impossible.expected(impossible.held)[0, 0] == 0
 
 

@@ -64,7 +64,7 @@ def made(monkeypatch) -> list[tuple[int, int]]:
         rows, number = rows_of(grasps.object_name.tolist()), np.arange(len(grasps)) // len(beliefs)
         holds = ((rows == 1) & (number == 1)) | (search == 2)
         plans = GraspPlan.join([opened, plan()]).select(rows + 2 * holds)
-        tally = Tally.untried(np.ones((len(rows) // len(beliefs), len(beliefs))))
+        tally = Tally.untried((len(rows) // len(beliefs), len(beliefs)))
         return Candidates(grasps, plans, tally)
 
     monkeypatch.setattr(search, "propose", propose)

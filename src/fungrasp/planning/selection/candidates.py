@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -100,9 +99,8 @@ one that fails at once comes after those not tried yet, one that holds comes fir
 class Tally:
     """How the rollouts of K candidates of each of G grasps went; all arrays have the shape [K, G]."""
 
-    promise: np.ndarray
-    """From 0 to 1: which of the candidates that were not tried comes first; 0 for what can't be carried out,
-    which is never tried."""
+    possible: np.ndarray
+    """Candidates that can be carried out, bool; others are never tried."""
     tried: np.ndarray
     """Number of rollouts of each candidate."""
     held: np.ndarray
@@ -113,9 +111,9 @@ class Tally:
     """Sum over the rollouts of the weighted shown share and contact ratio less the weighted slip."""
 
     @classmethod
-    def untried(cls, promise: np.ndarray) -> Tally:
+    def untried(cls, shape: tuple[int, int]) -> Tally:
         """Before any rollout."""
-        return cls(promise, *(np.zeros(promise.shape) for _ in range(4)))
+        return cls(np.ones(shape, dtype=bool), *(np.zeros(shape) for _ in range(4)))
 
     def hope(self, other_places: float, share: float) -> np.ndarray:
         """The larger, the sooner a candidate is tried: success as shown if ``HOPE`` was expected, and the
@@ -125,8 +123,8 @@ class Tally:
             other_places: what success otherwise than shown counts.
             share: bonus of a rollout that is expected before the first.
         """
-        bonus = (self.bonus + HOPE_WEIGHT * share * self.promise) / (self.tried + HOPE_WEIGHT)
-        return np.where(self.promise > 0, self.hoped(other_places) + bonus, -np.inf)
+        bonus = (self.bonus + HOPE_WEIGHT * share) / (self.tried + HOPE_WEIGHT)
+        return np.where(self.possible, self.hoped(other_places) + bonus, -np.inf)
 
     def hoped(self, other_places: float) -> np.ndarray:
         """Success as shown after the rollouts if ``HOPE`` was expected before."""
@@ -138,13 +136,13 @@ class Tally:
         candidates of the grasp, so that luck counts less where little holds."""
         common = (counted.sum(axis=0) + HOPE_WEIGHT * HOPE) / (self.tried.sum(axis=0) + HOPE_WEIGHT)
         mean = (counted + HOPE_WEIGHT * common) / (self.tried + HOPE_WEIGHT)
-        return np.where(self.promise > 0, mean, 0.0)
+        return np.where(self.possible, mean, 0.0)
 
     def best(self, other_places: float) -> np.ndarray:
         """Candidates of each grasp, the best first; those that were tried before the others."""
         shown, held = self.expected(self.shown), self.expected(self.held)
         value = shown + other_places * np.maximum(held - shown, 0.0) + self.bonus / np.maximum(self.tried, 1)
-        return np.lexsort((-self.promise, -value, self.tried == 0), axis=0)
+        return np.lexsort((~self.possible, -value, self.tried == 0), axis=0)
 
     def add(
         self,
@@ -219,7 +217,6 @@ def propose(
     seed: int,
     search: int,
     chunk: int,
-    promise: Callable[[GraspPlan, np.ndarray], np.ndarray] | None = None,
 ) -> Candidates:
     """Plan variations of grasps.
 
@@ -228,19 +225,13 @@ def propose(
         grasps: to vary, G after G, K G of them.
         attempts: number of each variation, shape [K G].
         search: another number of the variations.
-        promise: of plans for tasks (``use_strength.chance_of_use``); one if None, and for grasps without a
-            task.
     """
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))
     varied = vary(grasps, hand, np.full(len(grasps), search), attempts, seed, spread)
-    plans, promised = [], []
+    plans = []
     for first in range(0, len(grasps), chunk):
         rows = slice(first, first + chunk)
         plans.append(planner.plan(varied.select(rows), beliefs.select(where[rows])))
-        if promise is None or varied.task is None:
-            promised.append(np.ones(len(plans[-1])))
-        else:
-            promised.append(promise(plans[-1], varied.task[rows]))
-    made = np.concatenate(promised).reshape(-1, count)
-    return Candidates(varied, GraspPlan.join(plans), Tally.untried(made))
+    tally = Tally.untried((len(grasps) // count, count))
+    return Candidates(varied, GraspPlan.join(plans), tally)

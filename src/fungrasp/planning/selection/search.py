@@ -22,7 +22,6 @@ from fungrasp.planning.selection.candidates import (
 )
 from fungrasp.planning.selection.rollouts import WITHSTOOD, RolloutTrials
 from fungrasp.planning.selection.settings import SelectionSettings, VariationSpread
-from fungrasp.planning.selection.use_strength import chance_of_use
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
 Feasible = Callable[[GraspPlan], np.ndarray]
@@ -132,7 +131,6 @@ class SearchPlanner:
             self._hand,
             seed=seed,
             chunk=s.chunk,
-            promise=partial(chance_of_use, hand=self._hand, objects=self._objects) if s.for_use else None,
         )
         # Where few plans can be carried out, there must be some to choose from.
         number = s.candidates if feasible is None else max(s.candidates, s.more)
@@ -141,7 +139,7 @@ class SearchPlanner:
         first = with_settings(grasps).select(np.tile(everyone, number))
         numbers = np.repeat(np.arange(number), len(grasps))
         pool = _only(make(beliefs, first, numbers, VariationSpread(), search=0), feasible)
-        hopeless = feasible is not None and not pool.tally.promise.any()
+        hopeless = feasible is not None and not pool.tally.possible.any()
         if s.rollouts is None or hopeless:
             return pool.best(s.other_places)
         most = s.rollouts_per_grasp[1]
@@ -233,10 +231,10 @@ class SearchPlanner:
 
 
 def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
-    """The candidates, where those that can't be carried out promise nothing."""
+    """The candidates, where those that can't be carried out are marked."""
     if feasible is not None:
-        tally = candidates.tally
-        tally.promise[~feasible(candidates.plans).reshape(tally.promise.shape)] = 0.0
+        possible = candidates.tally.possible
+        possible &= feasible(candidates.plans).reshape(possible.shape)
     return candidates
 
 

@@ -94,8 +94,7 @@ class SelectionSettings:
     spread: VariationSpread = WIDE_SPREAD
     """Of the further searches."""
     for_use: bool = False
-    """Whether the use motions of the grasps' tasks count: candidates whose contacts can take more of their
-    loads are tried first, and rollouts go on with them."""
+    """Whether rollouts go on with the use motions of the grasps' tasks."""
     other_places: float = 0.0
     """What a plan that holds the object otherwise than shown counts, where one that is as shown counts one;
     ``OTHER_PLACES`` where such plans are allowed."""
