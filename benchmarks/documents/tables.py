@@ -137,39 +137,40 @@ def use_test() -> Table:
 PACKAGES = {"ours": "fungrasp", "contact": "fungrasp"}
 """Names of our method in results, and in tables."""
 LIFTED = {
-    "held as shown": "adapted_held_as_shown",
-    "success": "adapted_success",
-    "success, not adapted": "as_given_success",
+    "grasp as shown": "held_as_shown",
+    "held as shown": "as_given_held_as_shown",
+    "success": "as_given_success",
+    "adapted: held as shown": "adapted_held_as_shown",
+    "adapted: success": "adapted_success",
 }
-"""Columns of shares, of those that the result has."""
+"""Columns of shares: of the grasps before any physics, of a motion to the grasps as they are, and as adapted
+by this package's planner."""
 
 
 def peers() -> Table:
     """Retargeting methods of this package and of others, by one judge."""
     result = read("peers")
-    lifted = {title: key for title, key in LIFTED.items() if key in result.rows[0]}
     rows = []
     for name, speed in result.header["grasps_per_cpu_second"].items():
         mine = [row for row in result.rows if row["method"] == name]
         depths = (f"{_mean(mine, f'{what}_penetration_mm'):.1f}" for what in ("object", "table", "self"))
-        shares = (percent(_mean(mine, key)) for key in lifted.values())
+        shares = (percent(_mean(mine, key)) for key in LIFTED.values())
         error = f"{_mean(mine, 'contact_error_mm'):.1f}"
         rows.append((PACKAGES.get(name, name), *shares, error, " / ".join(depths), f"{speed:.0f}"))
-    head = ("method", *lifted, "contact error [mm]")
+    head = ("method", *LIFTED, "contact error [mm]")
     return Table((*head, "object / table / self penetration [mm]", "grasps per CPU second"), rows, ["peers"])
 
 
 def summary() -> Table:
     """The README's: this package beside two others."""
     result = read("peers")
-    lifted = {title: key for title, key in LIFTED.items() if key in result.rows[0]}
-    rows = []
+    rows, columns = [], list(LIFTED.items())[:3]
     for name, speed in result.header["grasps_per_cpu_second"].items():
         if name in (*PACKAGES, "mink", "dex-retargeting"):
             mine = [row for row in result.rows if row["method"] == name]
-            shares = (percent(_mean(mine, key)) for key in lifted.values())
+            shares = (percent(_mean(mine, key)) for _, key in columns)
             rows.append((PACKAGES.get(name, name), *shares, f"{speed:.0f}"))
-    head = (f"Allegro, {result.header['grasps']} grasps", *lifted, "grasps per CPU second")
+    head = (f"Allegro, {result.header['grasps']} grasps", *dict(columns), "grasps per CPU second")
     return Table(head, rows, ["peers"])
 
 
