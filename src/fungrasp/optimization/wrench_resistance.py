@@ -162,21 +162,20 @@ def unresisted_wrenches(
     grip: Grip,
     loads: np.ndarray,
     unit: np.ndarray,
-    iterations: int = LOAD_ITERATIONS,
-    worst: tuple[float, np.ndarray | None] | None = None,
+    iterations: int,
+    worst: tuple[float, np.ndarray | None],
 ) -> np.ndarray:
-    """What a grip cannot take of each load, a wrench over its reach, shape [N, K, 6]. The contact forces
-    minimize what ``unresisted_load`` says.
+    """What a grip cannot take of the loads, wrenches over its reach, shape [N, K, 6]; right for the worst
+    load alone. The contact forces minimize what ``unresisted_load`` says.
 
     Args:
         grip: of N hands.
         loads: wrenches over its reach, shape [N, K, 6].
         unit: force against which a torque beyond its limit counts [N], shape [N].
-        worst: ``lower`` and ``upper`` of ``unresisted_load``, shares of ``unit``; what is left is then
-            right for the worst load alone. For each if None.
+        worst: ``lower`` and ``upper`` of ``unresisted_load``, shares of ``unit``.
     """
     left = np.zeros(loads.shape)
-    lower, upper = (-1.0, None) if worst is None else worst
+    lower, upper = worst
     flat = Grip(
         LinkContacts(*(plain(x) for x in grip.contacts)),
         plain(grip.used, bool),
@@ -213,7 +212,7 @@ def _descend(
     Args:
         grip: with what a torque of each joint weighs [1/(N m)], shape [N, U], in place of its limit.
         loads: in units of force, shape [N, K, 6].
-        lower, upper: as there; where lower is negative, each load counts.
+        lower, upper: as there.
         left: shape [N, K, 6].
     """
     contacts, used, torque_weight = grip.contacts, grip.used, grip.torque_limit
@@ -265,8 +264,6 @@ def _descend(
         for load in range(loads.shape[1]):
             found = left[i, load]
             _resist(made, total, loads[i, load], step, steps, bound, found)
-            if lower < 0.0:
-                continue
             # Only a load of which more is left than of those before matters.
             size = 0.0
             for part in range(6):
