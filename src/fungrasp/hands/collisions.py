@@ -73,9 +73,10 @@ def self_collision_depth(model: mujoco.MjModel, joint_positions: np.ndarray) -> 
     depths = np.zeros(len(joint_positions))
     for row, qpos in enumerate(joint_positions):
         data.qpos[:] = qpos
-        mujoco.mj_fwdPosition(model, data)
-        depths[row] = max((-contact.dist for contact in data.contact), default=0.0)
-    return np.maximum(depths, 0.0)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        depths[row] = -data.contact.dist.min(initial=0.0)
+    return depths
 
 
 def _cover(model: mujoco.MjModel, geom: int, spacing: float) -> tuple[np.ndarray, float]:
