@@ -284,7 +284,8 @@ def look_at_grasp(
     states = np.atleast_2d(model.qpos0 if qpos is None else np.asarray(qpos, dtype=float))
     small = (48 * width // max(width, height) + 1, 48 * height // max(width, height) + 1)
     views = [(e, a) for e in elevations for a in np.arange(azimuths) * 360.0 / azimuths]
-    cameras = [frame_geoms(model, states, a, e, width=small[0], height=small[1]) for e, a in views]
+    corners = _drawn_corners(model, states)
+    cameras = [fit_camera(corners, a, e, width=small[0], height=small[1]) for e, a in views]
     renderer = Renderer(model, antialias=1, shadows=False)
     seen = renderer.views(states[-1:].repeat(len(views), 0), cameras)
     of_object = [g for g in range(model.ngeom) if model.body(int(model.geom_bodyid[g])).name == OBJECT_BODY]
@@ -294,7 +295,7 @@ def look_at_grasp(
     score += 0.8 * _shares(_touching(model, seen) & ~np.isin(seen.segmentation, of_object))
     score -= 0.004 * np.abs(np.array([e for e, _ in views]) - BEST_ELEVATION)
     elevation, azimuth = views[int(np.argmax(score))]
-    return frame_geoms(model, states, azimuth, elevation, width=width, height=height, margin=margin)
+    return fit_camera(corners, azimuth, elevation, width=width, height=height, margin=margin)
 
 
 def frame_geoms(
@@ -318,6 +319,12 @@ def frame_geoms(
     Raises:
         FungraspError: there is no such geom.
     """
+    corners = _drawn_corners(model, qpos)
+    return fit_camera(corners, azimuth, elevation, width=width, height=height, margin=margin)
+
+
+def _drawn_corners(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """Corners of the boxes about what ``frame_geoms`` frames, in up to 25 states [m], shape [P, 3]."""
     chosen = (
         np.isin(model.geom_group, VISIBLE_GROUPS) & (model.geom_rbound > 0) & (model.geom_rbound < FRAMED)
     )
@@ -336,8 +343,7 @@ def frame_geoms(
         mujoco.mj_kinematics(model, data)
         rotation = data.geom_xmat[chosen].reshape(-1, 3, 3)
         points.append(data.geom_xpos[chosen][:, None] + np.einsum("gij,gpj->gpi", rotation, local))
-    everything = np.concatenate(points).reshape(-1, 3)
-    return fit_camera(everything, azimuth, elevation, width=width, height=height, margin=margin)
+    return np.concatenate(points).reshape(-1, 3)
 
 
 def view_angles(camera: Camera) -> tuple[float, float]:

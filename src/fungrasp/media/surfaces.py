@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -81,6 +82,12 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals.reshape(-1, 3, 3).astype(np.float32)
 
 
+@lru_cache(256)
+def _kept_normals(vertices: bytes, faces: bytes) -> np.ndarray:
+    """``corner_normals``, computed once for meshes that several pictures show."""
+    return corner_normals(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, int).reshape(-1, 3))
+
+
 def sample_image(image: np.ndarray, texture: np.ndarray) -> np.ndarray:
     """Bilinear look-up that repeats the image. image: shape [H, W, C]; texture: (u, v), v up, shape [P, 2].
     Returns [P, C].
@@ -148,7 +155,7 @@ def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> Surf
     return SurfaceMesh(
         vertices,
         faces,
-        corner_normals(vertices, faces),
+        _kept_normals(vertices.tobytes(), faces.astype(int).tobytes()),
         linear(materials.colors[geom, :3]),
         float(materials.specular[geom]),
         float(materials.shininess[geom]),
