@@ -1,29 +1,31 @@
 """Makes the pictures and the film of README and docs: ``python -m benchmarks.documents.pictures [NAME ...]``.
 
 ``grasps`` is a sheet of built-in grasps, human and on every robot hand; ``hands`` the hands themselves;
-``film`` the demonstration's own, of several hands, encoded smaller; ``perception`` the demo's image and what
-was seen in it, after ``fungrasp setup perception``.
+``film`` grasps by a person and by two robot hands side by side, lifted and used; ``perception`` the demo's
+image and what was seen in it, after ``fungrasp setup perception``.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import av
 import numpy as np
 from PIL import Image
 
-from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.evaluation import LiftTestSpec, evaluate, replay
+from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_objects
 from fungrasp.grasps.grasp_arguments import picked_rows
-from fungrasp.hands import load_hand
+from fungrasp.hands import Hand, load_hand
 from fungrasp.media import grasp_scene, look_at_grasp, render
-from fungrasp.media.demonstration import FILM, Shown, demonstrate
+from fungrasp.media.episode_film import FilmSettings, episode_film
+from fungrasp.media.grasp_pages import grasp_title
 from fungrasp.media.perception_pictures import CloseUp, grasp_from_four_sides
-from fungrasp.media.pictures import draw_hand, grid
+from fungrasp.media.pictures import captioned, draw_hand, grid
 from fungrasp.media.video import write_video
+from fungrasp.objects import ObjectModel
 from fungrasp.perception.io.scene_folders import BUILTIN
 from fungrasp.perception.pipeline import perceive_folder
 from fungrasp.policies import default_policy
@@ -43,12 +45,14 @@ CHOICE = (
 
 HANDS = ("allegro", "shadow", "faive", "inspire", "leap")
 
-SHOWN = (
-    ("allegro", ("mug:hand over", "drill:drill")),
-    ("shadow", ("spray_bottle:spray",)),
-    ("leap", ("bottle:pour",)),
-)
-"""Hands and what they grasp in the film."""
+FILMED = (0, 71, 102, 20, 76)
+"""Rows of the built-in grasps in the film: mug, spray bottle, scissors, teapot, hammer."""
+
+BESIDE = ("allegro", "shadow")
+"""Hands in the film."""
+
+PANEL = FilmSettings(fps=8.0, speed=2.5, width=384, height=324)
+"""Each hand's part of the film's picture."""
 
 QUALITY = 30.0
 """Constant rate factor: a film in a repository is to be small."""
@@ -88,16 +92,38 @@ def hands() -> None:
 
 def film() -> None:
     """``demo.mp4``, and ``demo.jpg`` that stands for it."""
-    everything, frames = builtin_grasps(), []
-    for name, picks in SHOWN:
-        human = everything.select(picked_rows(everything, picks))
-        shown = Shown(human, load_objects(human), {})
-        with TemporaryDirectory() as folder:
-            made = demonstrate(shown, load_hand(name), default_policy(name), Path(folder))
-            with av.open(str(made.film)) as container:
-                frames += [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
-    write_video(IMAGES / "demo.mp4", frames, FILM.fps, quality=QUALITY)
-    _save(frames[len(frames) // 5], "demo.jpg")
+    human = builtin_grasps().select(np.array(FILMED))
+    objects = load_objects(human)
+    sides = [_filmed(human, objects, load_hand(name)) for name in BESIDE]
+    frames = []
+    for row, clips in enumerate(zip(*sides, strict=True)):
+        grasp = human[row]
+        model, qpos = grasp_scene(grasp, objects[grasp.object_name])
+        camera = look_at_grasp(model, width=PANEL.width, height=PANEL.height, margin=1.3)
+        person = captioned(render(model, qpos, camera)[0], grasp_title(grasp))
+        for at in range(max(map(len, clips))):
+            frames.append(np.hstack([person, *(clip[min(at, len(clip) - 1)] for clip in clips)]))
+        if row == 0:
+            _save(frames[len(frames) * 2 // 5], "demo.jpg")
+    write_video(IMAGES / "demo.mp4", frames, PANEL.fps, quality=QUALITY)
+
+
+def _filmed(human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand) -> list[list[np.ndarray]]:
+    """Frames of the lift and the use of each grasp by a hand, and how it ended."""
+    clips: list[list[np.ndarray]] = [[] for _ in human]
+    with TemporaryDirectory() as folder:
+        spec = LiftTestSpec(use=True)
+        result = evaluate(human, objects, default_policy(hand.name), spec=spec, hand=hand, record=folder)
+        episodes = sorted(map(replay, Path(folder).glob("*.npz")), key=lambda e: (e.index, e.is_use_test))
+        for each in episodes:
+            clip = clips[each.index]
+            clip.extend(episode_film(each, hand, objects[each.object_name], PANEL, title=hand.title))
+    for row, clip in enumerate(clips):
+        held, shown = result.outcomes.success[row], result.outcomes.held_as_shown[row]
+        print(hand.name, human.object_name[row], held, shown, result.use and bool(result.use.success[row]))
+        words = "held as shown" if shown else "held, but not as shown" if held else "not held"
+        clip += [captioned(clip[-1], f"{hand.title} · {words}")] * round(PANEL.fps)
+    return clips
 
 
 def perception() -> None:

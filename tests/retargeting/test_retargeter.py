@@ -18,7 +18,8 @@ from fungrasp.hands.collisions import self_collision_depth
 from fungrasp.hands.correspondence import correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.retargeting import FollowedPose, Retargeter
+from fungrasp.retargeting import FollowedPose, Retargeter, RetargeterSettings
+from fungrasp.retargeting.retargeter import OneEuroFilter
 
 FRAMES = 40
 ROW = 2
@@ -135,6 +136,25 @@ def test_a_free_hand_is_followed_at_more_than_100_frames_a_second(name: str):
     wanted = seen[2:][:, match.human_far[match.is_last]]
     assert np.linalg.norm(tips - wanted, axis=-1).mean() < 0.008
     assert self_collision_depth(hand.model, joints).max() < 0.004
+
+
+def test_a_hand_at_rest_is_followed_without_the_noise_of_the_tracker():
+    rng, rest = np.random.default_rng(0), gestures(1)[0]
+    seen = rest + 0.002 * rng.normal(size=(40, *rest.shape))
+    jitter = []
+    for rate in (30.0, None):
+        retargeter = Retargeter("allegro", settings=RetargeterSettings(rate=rate))
+        joints = np.array([retargeter.follow(frame).joint_positions for frame in seen])
+        jitter.append(np.diff(joints[10:], n=2, axis=0).std())
+    assert jitter[0] < 0.4 * jitter[1]
+
+
+def test_smoothing_lags_by_no_more_than_its_distance():
+    smooth, lag = OneEuroFilter(rate=30.0, cutoff=1.0, lag=0.004), 0.0
+    for frame in range(60):
+        point = np.array([[0.5 * frame / 30.0, 0.0, 0.0]])  # 0.5 m/s
+        lag = float(np.linalg.norm(point - smooth(point)))
+    assert 0.001 < lag < 0.004
 
 
 def test_a_free_hand_may_be_anywhere_and_in_any_order():

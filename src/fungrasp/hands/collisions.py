@@ -75,7 +75,7 @@ def self_collision_depth(model: mujoco.MjModel, joint_positions: np.ndarray) -> 
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        depths[row] = -data.contact.dist.min(initial=0.0)
+        depths[row] = max(0.0, -data.contact.dist.min(initial=0.0))
     return depths
 
 

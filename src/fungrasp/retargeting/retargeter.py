@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -70,6 +71,13 @@ class RetargeterSettings:
     """Change of the wrist's position in the object in one frame while the person stands still [m]."""
     wrist_gain: float = 2.0
     """More of it for each meter that the person moved [-]."""
+    rate: float | None = 30.0
+    """Frames per second, which the smoothing of the human joints needs; None for no smoothing."""
+    cutoff: float = 1.0
+    """Cutoff frequency of the smoothing while a joint is still [Hz], as in the paper of the filter."""
+    lag: float = 0.004
+    """Distance by which the smoothing lets a joint lag at most, however fast it moves [m]: about the noise of
+    a tracker."""
     iterations: int = 8
     """Solver iterations of a frame."""
     first_iterations: int = 40
@@ -85,13 +93,45 @@ class FollowedPose(NamedTuple):
     """Every joint of the hand's model [rad], shape [M]."""
 
 
+class OneEuroFilter:
+    """Smooths moving points: strongly while they are still, little while they move.
+
+    A first-order low-pass with the cutoff frequency f = cutoff + |v| / (2 pi lag), v the smoothed velocity
+    (Casiez, Roussel and Vogel, "1 Euro Filter", CHI 2012): a point at speed |v| lags by |v| / (2 pi f) < lag.
+    """
+
+    def __init__(self, rate: float, cutoff: float, lag: float):
+        """Args: as in ``RetargeterSettings``."""
+        self._rate, self._cutoff, self._lag = rate, cutoff, lag
+        self._seen: np.ndarray | None = None
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """The next frame's points, smoothed [m]. points: shape [P, 3]."""
+        if self._seen is None:
+            self._smooth, self._velocity = points, np.zeros_like(points)
+        else:
+            velocity = (points - self._seen) * self._rate
+            self._velocity = self._velocity + self._share(self._cutoff) * (velocity - self._velocity)
+            speed = np.linalg.norm(self._velocity, axis=-1, keepdims=True)
+            share = self._share(self._cutoff + speed / (2 * np.pi * self._lag))
+            self._smooth = self._smooth + share * (points - self._smooth)
+        self._seen = points
+        return self._smooth
+
+    def _share(self, frequency: float | np.ndarray) -> Any:
+        """How much of a change passes in one frame."""
+        turn = 2 * np.pi * frequency / self._rate
+        return turn / (1 + turn)
+
+
 class Retargeter:
     """Follows a human hand, which may be near one object; the object may move as well.
 
-    Each frame starts from the last one's result and stays near it, and the change is bounded, so that a
-    small motion of the person is a small motion of the robot. Fingertips and joints go where the human's
-    are, within the limits of the joints and without the hand touching itself; near the object, onto the
-    surface where the human's touch it. ``fungrasp.retarget`` takes more time over a single grasp, with
+    The human joints are smoothed first, in the object's frame if there is one. Each frame starts from the
+    last one's result and stays near it, and the change is bounded, so that a small motion of the person is a
+    small motion of the robot. Fingertips and joints go where the human's are, within the limits of the joints
+    and without the hand touching itself; near the object, onto the surface where the human's touch it.
+    ``fungrasp.retarget`` takes more time over a single grasp, with
     wanted contacts and the balance of forces.
     """
 
@@ -123,10 +163,15 @@ class Retargeter:
             self._scene = CollisionScene.settled([model.name], origin, {model.name: model})
         self._last: tuple[np.ndarray, np.ndarray] | None = None
         self._joints = np.zeros((1, 21, 3))
+        self._smooth = self._filter()
 
     def reset(self) -> None:
         """Forget the last frame: the next one is solved anew."""
-        self._last = None
+        self._last, self._smooth = None, self._filter()
+
+    def _filter(self) -> Callable[[np.ndarray], np.ndarray]:
+        s = self._settings
+        return OneEuroFilter(s.rate, s.cutoff, s.lag) if s.rate else lambda points: points
 
     def follow(self, hand_joints: np.ndarray, object_pose: np.ndarray | None = None) -> FollowedPose:
         """The robot hand at the next frame.
@@ -149,9 +194,14 @@ class Retargeter:
             if np.shape(array) != shape or not np.all(np.isfinite(array)):
                 raise FungraspError(f"{name} must be finite numbers of shape {shape}")
         world = np.asarray(hand_joints, dtype=float)[self._order]
-        # What moves with the person's palm does not hold a free hand back.
-        pose = _palm_frame(world) if object_pose is None else np.asarray(object_pose, dtype=float)
-        joints = transform_points(invert(pose), world)[None]
+        if object_pose is None:
+            # What moves with the person's palm does not hold a free hand back.
+            world = self._smooth(world)
+            pose = _palm_frame(world)
+            joints = transform_points(invert(pose), world)[None]
+        else:
+            pose = np.asarray(object_pose, dtype=float)
+            joints = self._smooth(transform_points(invert(pose), world))[None]
         problem = self._problem(joints, pose)
         first = self._last is None
         start = initial_pose(self._points, problem) if self._last is None else self._last

@@ -25,7 +25,7 @@ from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, contacts_of_links
 from fungrasp.optimization.problem import CollisionScene
 from fungrasp.retargeting import retarget
-from fungrasp.retargeting.retargeter import Retargeter
+from fungrasp.retargeting.retargeter import Retargeter, RetargeterSettings
 from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
 from fungrasp.viewer.page import BrowserPage
 
@@ -127,7 +127,8 @@ class RobotView:
             return
         one = _one_sided(human, self.hand)[0]
         if self._follower is None:
-            self._follower = Retargeter(self.hand, self.model)
+            # The mouse has no noise, and stops without a last frame.
+            self._follower = Retargeter(self.hand, self.model, RetargeterSettings(rate=None))
         pose = self._follower.follow(one.hand_joints, one.object_pose)
         self.grasp = replace(
             self.grasp,
