@@ -16,12 +16,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+from loop_thread import LoopThread
 
 from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands import allegro_bus as codec
-from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings, allegro_driver
+from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings
 from fungrasp_emulators.allegro import AllegroEmulator
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.plants import TorquePlant
@@ -37,7 +38,7 @@ def emulated(
     plant = TorquePlant(np.full(16, 0.5), inertia=0.01, damping=0.2, friction=friction, load=load)
     emulator = AllegroEmulator(plant, "virtual", channel, generation)
     settings = {"stale_after": 1.0, "generation": generation} | settings
-    driver = allegro_driver(AllegroSettings("virtual", channel, **settings), process=False)
+    driver = LoopDriver(AllegroLoop(AllegroSettings("virtual", channel, **settings)), LoopThread)
     with emulator:
         yield DeviceUnderTest(driver, emulator, plant, np.full(16, 0.4), 0.02)
         driver.close()
@@ -99,12 +100,12 @@ def test_another_generation_is_refused(generation: int):
         other = device.driver._loop.settings
         wrong = AllegroSettings(other.interface, other.channel, generation=9 - generation)
         with pytest.raises(RobotError, match=f"V{generation}"):
-            allegro_driver(wrong, process=False).connect()
+            LoopDriver(AllegroLoop(wrong), LoopThread).connect()
 
 
 def test_a_left_hand_with_the_model_of_a_right_one_is_refused():
     with pytest.raises(RobotError, match="model of a right hand"):
-        allegro_driver(AllegroSettings("virtual", "none", side="left"))
+        LoopDriver(AllegroLoop(AllegroSettings("virtual", "none", side="left")))
 
 
 @pytest.mark.parametrize("generation", [4, 5])
@@ -166,7 +167,7 @@ def test_a_hand_that_another_program_drives_keeps_its_torques():
         device.driver.connect()
         reach(device, device.near)
         held = device.emulator.torques.copy()
-        second = allegro_driver(settings, process=False)
+        second = LoopDriver(AllegroLoop(settings), LoopThread)
         second.connect()
         with pytest.raises(RobotError, match="moved by another program on this computer"):
             second.take_control()
@@ -270,7 +271,7 @@ def over_the_loopback(
     # With a stop: joints without torque fall, further than is believed while a busy machine starts a driver.
     plant = TorquePlant(np.full(16, 0.5), inertia=0.01, damping=0.2, friction=0.01, load=load, lower=0.3)
     with AllegroEmulator(plant, "loopback", channel) as emulator:
-        with allegro_driver(AllegroSettings("loopback", channel, stale_after=0.5)) as driver:
+        with LoopDriver(AllegroLoop(AllegroSettings("loopback", channel, stale_after=0.5))) as driver:
             driver.command(np.full(16, 0.4))
             assert wait_for(lambda: emulator.servos_on and emulator.torques.any())
             end = time.monotonic() + 1.0
@@ -374,8 +375,9 @@ def test_servos_that_did_not_hear_are_told_again():
 def test_the_hand_loses_its_torque_when_the_process_of_the_policy_dies():
     code = """
 import sys, time, numpy as np
-from fungrasp.robots.hands.allegro import AllegroSettings, allegro_driver
-driver = allegro_driver(AllegroSettings("loopback", sys.argv[1], stale_after=1.0))
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.hands.allegro import AllegroLoop, AllegroSettings
+driver = LoopDriver(AllegroLoop(AllegroSettings("loopback", sys.argv[1], stale_after=1.0)))
 driver.connect()
 driver.command(np.full(16, 0.4))
 print("moving", flush=True)

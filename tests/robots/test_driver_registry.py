@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loop_thread import LoopThread
 
 from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
@@ -215,7 +216,7 @@ def test_the_package_of_the_manual_drives_a_hand(lab, monkeypatch: pytest.Monkey
     cell = replace(cell, hand_device=device)
     driver = hand_driver(cell, load_hand(cell.hand))
     # In this process: the package is on its path alone.
-    monkeypatch.setattr(driver, "_process", False)
+    monkeypatch.setattr(driver, "_make_host", LoopThread)
     monkeypatch.setattr("fungrasp.robots.single_devices.hand_driver", lambda cell, hand: driver)
     with guarded_driver("hand", cell, load_hand(cell.hand)) as hand:
         assert hand.read().status is DeviceStatus.READY

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 from driver_contract import wait_for
+from loop_thread import LoopThread
 
 from fungrasp.hands import load_hand
-from fungrasp.robots.arms.ur import URSettings, ur_driver
+from fungrasp.robots.arms.ur import URLoop, URSettings
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.hands import inspire_link as inspire
 from fungrasp.robots.hands import leap as dynamixel
-from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+from fungrasp.robots.hands.leap import LeapLoop, LeapSettings
 from fungrasp_emulators import leap as wire
 from fungrasp_emulators import modbus, rtde
 from fungrasp_emulators.leap import DynamixelEmulator
@@ -110,7 +112,7 @@ def test_a_leap_hand_is_left_with_the_registers_of_the_makers_program():
         assert wait_for(lambda: theirs.register(15, dynamixel.GOAL_POSITION) == 2048)
         port.closePort()
         settings = LeapSettings(ours.address, build="lite", stale_after=2.0)
-        with leap_driver(settings, process=False) as driver:
+        with LoopDriver(LeapLoop(settings), LoopThread) as driver:
             driver.command(np.zeros(16))
             assert wait_for(lambda: ours.torque_on)
         for servo, (address, *_) in itertools.product(range(16), LEAP_API):
@@ -208,7 +210,7 @@ def test_our_driver_writes_the_registers_of_ur_rtdes_example():
     goal = HOME + np.array([0.04, 0.04, 0.0, 0.0, 0.0, 0.0])
     with RecordingController(plants[1], addresses[1]) as ours:
         # 1 mrad in 2 ms, as the example.
-        driver = ur_driver(URSettings(addresses[1], stale_after=2.0, velocity=0.5))
+        driver = LoopDriver(URLoop(URSettings(addresses[1], stale_after=2.0, velocity=0.5)))
         with driver:
             driver.command(goal)
             assert wait_for(lambda: np.abs(driver.command(goal) - driver.read().positions).max() < 1e-3)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot_adapter import LeRobotRobot
 from robot_cells import cell_and_hand, placed
 from twin_robots import twin_robot
 
@@ -18,7 +19,6 @@ from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import Obstacle, RobotCell, load_cell
 from fungrasp.robots.device import DeviceStatus, RobotError, SafetyStop
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
-from fungrasp.robots.lerobot_adapter import LeRobotRobot
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.single_devices import GuardedDriver, guarded_driver
 from fungrasp.robots.twin.devices import TwinHand

@@ -14,10 +14,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+from loop_thread import LoopThread
 
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands import inspire_link as codec
-from fungrasp.robots.hands.inspire import InspireLoop, InspireSettings, inspire_driver
+from fungrasp.robots.hands.inspire import InspireLoop, InspireSettings
 from fungrasp.robots.hands.inspire_link import open_link
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.inspire import InspireEmulator
@@ -31,7 +33,9 @@ def emulated(protocol: str = "tcp", **settings) -> Iterator[DeviceUnderTest]:
     plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
     with InspireEmulator(plant, port=0, protocol=protocol) as emulator:
         options = {"stale_after": 1.0, "answer_timeout": 0.5, "protocol": protocol} | settings
-        driver = inspire_driver(InspireSettings(emulator.address, emulator.port, **options), process=False)
+        driver = LoopDriver(
+            InspireLoop(InspireSettings(emulator.address, emulator.port, **options)), LoopThread
+        )
         yield DeviceUnderTest(driver, emulator, plant, np.full(6, 0.4), 0.01)
         driver.close()
 
@@ -329,7 +333,7 @@ def test_a_hand_whose_process_has_died_is_led_by_another_one():
     plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
     with InspireEmulator(plant, port=0) as emulator:
         settings = InspireSettings(emulator.address, emulator.port, stale_after=1.0)
-        with inspire_driver(settings) as driver:
+        with LoopDriver(InspireLoop(settings)) as driver:
             device = DeviceUnderTest(driver, emulator, plant, np.full(6, 0.4), 0.01)
             for number, end in enumerate((signal.SIGKILL, signal.SIGSTOP)):
                 reach(device, device.near)

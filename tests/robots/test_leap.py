@@ -10,11 +10,13 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+from loop_thread import LoopThread
 
 from fungrasp.hands import load_hand
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError, StopKind
 from fungrasp.robots.hands import leap as codec
-from fungrasp.robots.hands.leap import LeapSettings, leap_driver
+from fungrasp.robots.hands.leap import LeapLoop, LeapSettings
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.leap import SYNC_READ, DynamixelEmulator, ServoPacket
 from fungrasp_emulators.plants import ServoPlant
@@ -27,10 +29,8 @@ SERVOS = tuple(int(name) for name in load_hand("leap").actuators)
 def emulated(**settings) -> Iterator[DeviceUnderTest]:
     plant = ServoPlant(np.full(16, 0.1), time_constant=0.02, velocity=8.0)
     with DynamixelEmulator(plant, SERVOS) as emulator:
-        driver = leap_driver(
-            LeapSettings(emulator.address, **({"stale_after": 1.0, "build": "full"} | settings)),
-            process=False,
-        )
+        options = {"stale_after": 1.0, "build": "full"} | settings
+        driver = LoopDriver(LeapLoop(LeapSettings(emulator.address, **options)), LoopThread)
         yield DeviceUnderTest(driver, emulator, plant, np.full(16, 0.3), 0.01)
         driver.close()
 
@@ -77,7 +77,7 @@ def test_a_missing_servo_is_named():
         with pytest.raises(RobotError, match=f"servo {SERVOS[-1]} "):
             device.driver.connect()
     with pytest.raises(RobotError, match="cannot open the port"):
-        leap_driver(LeapSettings("/dev/no-such-port", build="full"), process=False).connect()
+        LoopDriver(LeapLoop(LeapSettings("/dev/no-such-port", build="full")), LoopThread).connect()
 
 
 def test_a_hardware_error_is_a_fault():
@@ -217,7 +217,7 @@ def test_the_other_fingers_open_where_a_servo_has_a_fault():
 
 def test_torques_of_the_lite_hand_are_its_motors():
     # XL330-M288 at 5 V, data sheet: 0.52 N m at 1.47 A.
-    lite = leap_driver(LeapSettings(build="lite"), process=False).limits.torque
+    lite = LeapLoop(LeapSettings(build="lite")).limits.torque
     np.testing.assert_allclose(lite, 0.35 * 0.52 / 1.47, rtol=0.02)
 
 

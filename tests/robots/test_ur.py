@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 
-from fungrasp.robots.arms.ur import URSettings, arm_flange, ur_driver
+from fungrasp.robots.arms.ur import URLoop, URSettings, arm_flange
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, RobotError
 from fungrasp_emulators import rtde as codec
 from fungrasp_emulators.emulator import Fault
@@ -39,7 +40,7 @@ def emulated(
 ) -> Iterator[DeviceUnderTest]:
     address = next(ADDRESSES)
     plant = ServoPlant(HOME, time_constant=0.02)
-    driver = ur_driver(URSettings(address, **({"stale_after": 1.0} | settings)))
+    driver = LoopDriver(URLoop(URSettings(address, **({"stale_after": 1.0} | settings))))
     with URControllerEmulator(plant, address, version, release_time=0.0, tool=tool) as emulator:
         yield DeviceUnderTest(driver, emulator, plant, HOME + 0.1, 0.005)
         driver.close()
@@ -157,8 +158,9 @@ def test_the_controller_stops_when_its_client_dies():
 def test_the_arm_brakes_when_the_process_of_the_policy_dies():
     code = """
 import sys, time, numpy as np
-from fungrasp.robots.arms.ur import URSettings, arm_flange, ur_driver
-driver = ur_driver(URSettings(sys.argv[1], stale_after=1.0))
+from fungrasp.robots.arms.ur import URLoop, URSettings
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
+driver = LoopDriver(URLoop(URSettings(sys.argv[1], stale_after=1.0)))
 driver.connect()
 driver.command(np.full(6, 3.0))
 print("moving", flush=True)
@@ -234,7 +236,7 @@ def test_a_second_program_is_refused_and_the_first_goes_on(tmp_path, monkeypatch
     with emulated() as device:
         device.driver.connect()
         reach(device, device.near)
-        second = ur_driver(device.driver._loop.settings)
+        second = LoopDriver(URLoop(device.driver._loop.settings))
         # A program on another computer finds no lock; there the controller refuses its registers.
         for elsewhere, said in ((False, "moved by another program on this"), (True, "registers are in use")):
             if elsewhere:

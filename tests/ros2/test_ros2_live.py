@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
+from loop_thread import LoopThread
 from robot_cells import Told
 
 from fungrasp.deployment.deploy import deploy_on_robot, deployment_task
@@ -59,7 +60,7 @@ def emulated(**settings: Any) -> Iterator[DeviceUnderTest]:
     options = {"stale_after": 1.0, "timeout": 5.0} | WATCHED | settings
     limits = JointLimits(*MODEL.jnt_range.T.copy(), np.full(6, 1.0), np.full(6, np.inf))
     loop = JointTopicLoop("fungrasp_arm", TopicSettings(**options), JOINTS, limits)
-    driver = LoopDriver(loop, process=False)
+    driver = LoopDriver(loop, LoopThread)
     try:
         yield DeviceUnderTest(driver, emulator, plant, HOME + 0.1, 0.005)
     finally:

@@ -7,7 +7,7 @@ from lerobot.robots import Robot, RobotConfig
 from fungrasp.hands import load_hand
 from fungrasp.robots.assembly import wired_robot
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.lerobot_adapter import LeRobotRobot
+from lerobot_robot_fungrasp.lerobot_adapter import LeRobotRobot
 
 
 @RobotConfig.register_subclass("fungrasp")

@@ -16,6 +16,7 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.records import record_from_json
 from fungrasp.hands import Hand
 from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
+from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import JointDriver, PoseSource, WallClock
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
@@ -272,20 +273,20 @@ def wired_robot(
     )
 
 
-def _own(module: str, settings: str, driver: str, part: str, address: str = "address") -> Callable[..., Any]:
+def _own(module: str, name: str, part: str, address: str = "address") -> Callable[..., Any]:
     """A driver of this package, whose module is imported when it is made.
 
     Args:
-        module: of ``fungrasp.robots``, with a dataclass of ``settings`` and a function ``driver`` of it.
+        module: of ``fungrasp.robots``, with the classes ``nameSettings`` and ``nameLoop``.
         part: of the cell, which has address and options: "arm" or "hand_device".
         address: what the settings call the address.
     """
 
-    def make(cell: RobotCell) -> Any:
+    def make(cell: RobotCell) -> LoopDriver:
         found, device = import_module(f"fungrasp.robots.{module}"), getattr(cell, part)
         model = {"arm": cell.arm.model} if part == "arm" else {"hand": cell.hand}
-        given = {address: device.address, **model}
-        return getattr(found, driver)(_options(getattr(found, settings), device, given))
+        settings = _options(getattr(found, f"{name}Settings"), device, {address: device.address, **model})
+        return LoopDriver(getattr(found, f"{name}Loop")(settings))
 
     return make
 
@@ -349,7 +350,7 @@ def _options(kind: type, device: DeviceSettings, given: Mapping[str, Any] | None
 ARM_DRIVERS = DriverRegistry(
     "arm",
     "fungrasp.arm_drivers",
-    {"ur-rtde": _own("arms.ur", "URSettings", "ur_driver", "arm")},
+    {"ur-rtde": _own("arms.ur", "UR", "arm")},
     TWIN,
     JointDriver,
 )
@@ -359,9 +360,9 @@ HAND_DRIVERS = DriverRegistry(
     "hand_device",
     "fungrasp.hand_drivers",
     {
-        "allegro-can": _own("hands.allegro", "AllegroSettings", "allegro_driver", "hand_device", "channel"),
-        "inspire": _own("hands.inspire", "InspireSettings", "inspire_driver", "hand_device"),
-        "leap-dynamixel": _own("hands.leap", "LeapSettings", "leap_driver", "hand_device", "port"),
+        "allegro-can": _own("hands.allegro", "Allegro", "hand_device", "channel"),
+        "inspire": _own("hands.inspire", "Inspire", "hand_device"),
+        "leap-dynamixel": _own("hands.leap", "Leap", "hand_device", "port"),
     },
     TWIN,
     JointDriver,

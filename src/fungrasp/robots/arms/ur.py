@@ -24,7 +24,6 @@ import numpy as np
 from fungrasp.core.formats.checks import one_line
 from fungrasp.geometry.poses import compose, invert, quaternion_from_rotation_vector
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
 
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits"]
@@ -103,12 +102,6 @@ class URSettings:
             raise RobotError("servoj takes a lookahead of 0.03 to 0.2 s and a gain of 100 to 2000")
         if not 0 < self.velocity <= 3.14 or not 0 < self.acceleration <= 40 or self.jerk <= 0:
             raise RobotError("a UR joint takes up to 3.14 rad/s and 40 rad/s^2, and a jerk above 0")
-
-
-def ur_driver(settings: URSettings) -> LoopDriver:
-    """Driver of a UR arm. Always in a process of its own: ur_rtde's calls may wait for seconds, and
-    connecting keeps Python's other threads waiting."""
-    return LoopDriver(URLoop(settings))
 
 
 class URLoop(DeviceLoop):

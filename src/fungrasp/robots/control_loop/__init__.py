@@ -1,1 +1,1 @@
-"""Runs a device at its own rate in a process or thread of its own, and makes a driver of it."""
+"""Runs a device at its own rate in a process of its own, and makes a driver of it."""

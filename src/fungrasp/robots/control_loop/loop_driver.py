@@ -1,5 +1,4 @@
-"""A driver made of a device's loop: it tells goals and reads states; the loop runs beside it, in a process or
-a thread."""
+"""A driver made of a device's loop, which runs in a process beside it: it tells goals and reads states."""
 
 from __future__ import annotations
 
@@ -12,11 +11,13 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
-from fungrasp.robots.control_loop.loop_worker import FOLLOWING, LENGTH, LoopTask, run_device_loop
+from fungrasp.robots.control_loop.loop_worker import FOLLOWING, LENGTH, LoopTask
 from fungrasp.robots.control_loop.mailbox import (
     ENDED,
     MESSAGE_BYTES,
@@ -44,42 +45,6 @@ def worker_environment() -> dict[str, str]:
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
     }
-
-
-class LoopThread:
-    """A device's loop in a thread of this process."""
-
-    def __init__(self, task: LoopTask, goal: np.ndarray):
-        """goal: the first, a record of ``goal_kind``."""
-        count = len(task.loop.limits.lower)
-        self.goals = Mailbox(memoryview(bytearray(mailbox_size(goal_kind(count)))), goal_kind(count))
-        self.states = Mailbox(memoryview(bytearray(mailbox_size(state_kind(count)))), state_kind(count))
-        self.goals.write(goal)
-        # A copy, as a process would get one: a loop is opened once.
-        arguments = (pickle.loads(pickle.dumps(task)), self.goals, self.states)
-        self._thread = threading.Thread(
-            target=run_device_loop, args=arguments, daemon=True, name=task.loop.name
-        )
-        self._thread.start()
-
-    def alive(self) -> bool:
-        """Whether it runs."""
-        return self._thread.is_alive()
-
-    def last_words(self) -> str:
-        """Nothing: a thread's errors are in its last state."""
-        return ""
-
-    def begun(self) -> None:
-        """See ``LoopProcess.begun``: memory of this process has no name."""
-
-    def end(self, patience: float) -> bool:
-        """Wait for its end, after it was told to. patience: for so long [s]. Returns: whether it ended."""
-        self._thread.join(patience)
-        return not self._thread.is_alive()
-
-    def kill(self) -> None:
-        """A thread can't be ended: it ends once it reads ``LoopMode.ABANDON``."""
 
 
 class LoopProcess:
@@ -160,8 +125,6 @@ STOP_MODES = {
     StopKind.OPEN: LoopMode.OPEN,
     StopKind.POWER_OFF: LoopMode.POWER_OFF,
 }
-DRIVER_TIMEOUT = 0.5
-"""A device holds its position when its driver was not asked for anything for so long [s]."""
 CONNECT_TIMEOUT = 15.0
 """A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
@@ -173,31 +136,26 @@ FROZEN = 2.0
 
 
 class LoopDriver(JointDriver):
-    """``JointDriver`` of a ``DeviceLoop``, in a process of its own or, for buses that live in one process
-    and for tests, in a thread.
-
-    The process halts the device when this one dies, however it dies; a thread can't. Where the process dies
-    or hangs itself, another one takes its place if the loop knows how to (``resume``), and the device holds.
+    """``JointDriver`` of a ``DeviceLoop`` in a process of its own, which halts the device when this one dies,
+    however it dies. Where the process dies or hangs itself, another one takes its place if the loop knows how
+    to (``resume``), and the device holds.
     """
 
-    def __init__(self, loop: DeviceLoop, process: bool = True, driver_timeout: float = DRIVER_TIMEOUT):
+    def __init__(self, loop: DeviceLoop, host: Callable[[LoopTask, np.ndarray], Any] = LoopProcess):
         """
         Args:
             loop: the device, not opened.
-            process: run it in a process of its own.
-            driver_timeout: the device holds its position when neither ``command`` nor ``read`` was called
-                for so long [s].
+            host: runs it: a class like ``LoopProcess``.
         """
         self.name = loop.name
         self.takes_feedforward = loop.takes_feedforward
         self.lets_go = loop.lets_go
         self.limits: JointLimits = loop.limits
         self._loop = loop
-        self._process = process
-        self._driver_timeout = driver_timeout
+        self._make_host = host
         self._count = len(loop.limits.lower)
         self._lock = threading.Lock()
-        self._host: LoopProcess | LoopThread | None = None
+        self._host: Any = None
         self._goal = np.zeros((), dtype=goal_kind(self._count))
         self._waiting = np.zeros((), dtype=state_kind(self._count))
         self._stopped: str | None = None
@@ -274,8 +232,8 @@ class LoopDriver(JointDriver):
 
     @property
     def process_id(self) -> int | None:
-        """Of the device's process; None where it runs in a thread or is not connected."""
-        return self._host.process_id if isinstance(self._host, LoopProcess) else None
+        """Of the device's process; None where it is not connected."""
+        return getattr(self._host, "process_id", None)
 
     def _check_ready(self) -> None:
         state = self._read()
@@ -292,10 +250,9 @@ class LoopDriver(JointDriver):
             self._controls = True
 
     def _start(self) -> None:
-        host = LoopProcess if self._process else LoopThread
         self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
         self._was_taken, self._replaces = False, ""
-        self._host = host(LoopTask(self._loop, self._driver_timeout), self._goal)
+        self._host = self._make_host(LoopTask(self._loop), self._goal)
         deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
             record = self._host.states.read()
@@ -331,7 +288,6 @@ class LoopDriver(JointDriver):
         return -1 if record is None else int(record["order"])
 
     def _tell(self, mode: LoopMode) -> None:
-        assert self._host is not None
         self._goal["mode"] = mode
         self._goal["order"] += 1
         self._goal["sent"] = time.monotonic()
@@ -370,14 +326,13 @@ class LoopDriver(JointDriver):
 
     def _replaced(self, state: JointState, why: str) -> JointState:
         """Another process leads the device from now on, where the loop knows how; what is said meanwhile."""
-        assert self._host is not None
         if self._was_taken and hasattr(self._loop, "resume") and not self._replaces:
             self._host.end(0.0)
             self._host.kill()
             if self._goal["mode"] in FOLLOWING:
                 self._goal["mode"] = LoopMode.HOLD
             self._replaces, self._heard = f"{why}; another one leads the device", 0.0
-            self._host = LoopProcess(LoopTask(self._loop, self._driver_timeout, self._replaces), self._goal)
+            self._host = LoopProcess(LoopTask(self._loop, self._replaces), self._goal)
             # Until it says something itself.
             put_state(self._waiting, state)
             self._waiting["status"] = list(DeviceStatus).index(DeviceStatus.DISCONNECTED)
@@ -386,7 +341,6 @@ class LoopDriver(JointDriver):
         return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces or why)
 
     def _ended(self) -> bool:
-        assert self._host is not None
         record = self._host.states.read()
         return not self._host.alive() or (record is not None and bool(record["phase"] == ENDED))
 

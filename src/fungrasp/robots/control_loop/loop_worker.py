@@ -86,18 +86,18 @@ BEYOND = 0.5
 less."""
 HALTING = 10.0
 """A device that does not show that it has halted is told so again and again, for so long [s]."""
+DRIVER_TIMEOUT = 0.5
+"""A device holds its position when its driver was not asked for anything for so long [s]."""
 RETRY = 0.05
 """Between two attempts at a device that is lost [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LoopTask:
-    """What a process or a thread is to run."""
+    """What a process is to run."""
 
     loop: DeviceLoop
     """The device, not opened."""
-    driver_timeout: float
-    """The device holds its position when the driver was not heard of for so long [s]."""
     resume: str = ""
     """Why this loop takes the place of another one, which led the device; "" for a first one."""
 
@@ -182,7 +182,7 @@ class _Run:
                 self._latched = None
             if self._latched is not None and goal.mode in FOLLOWING:
                 goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
-            late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > self._task.driver_timeout
+            late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > DRIVER_TIMEOUT
             if late:
                 goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
             if goal.mode is LoopMode.IDLE:
@@ -261,8 +261,7 @@ class _Run:
                 words = f"{words}; {state.message}"
             return dataclasses.replace(state, status=latched.status, message=words)
         if mode not in FOLLOWING:
-            seconds = self._task.driver_timeout
-            words = f"no command for {seconds} s" if late else f"told to stop: {mode.name.lower()}"
+            words = f"no command for {DRIVER_TIMEOUT} s" if late else f"told to stop: {mode.name.lower()}"
             return dataclasses.replace(state, status=DeviceStatus.STOPPED, message=words)
         return state
 

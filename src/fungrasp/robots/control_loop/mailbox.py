@@ -1,5 +1,5 @@
-"""The newest record of a fixed size, passed between two processes or threads, and the records of a device's
-loop: goals and states. Nobody waits."""
+"""The newest record of a fixed size, passed between two processes, and the records of a device's loop: goals
+and states. Nobody waits."""
 
 from __future__ import annotations
 

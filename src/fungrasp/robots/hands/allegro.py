@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
 from fungrasp.robots.hands import allegro_bus as codec
 from fungrasp.robots.hands import hand_joint_limits
@@ -89,11 +88,6 @@ class AllegroSettings:
             raise RobotError(f'the side of a hand is "right" or "left", not "{self.side}"')
         if not 0 < self.torque_share <= 1:
             raise RobotError(f"torque_share is above 0 and at most 1, not {self.torque_share}")
-
-
-def allegro_driver(settings: AllegroSettings, process: bool = True) -> LoopDriver:
-    """Driver of an Allegro Hand; process: control it in a process of its own, not on a "virtual" bus."""
-    return LoopDriver(AllegroLoop(settings), process=process)
 
 
 class AllegroLoop(DeviceLoop):

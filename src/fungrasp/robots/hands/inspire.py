@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 from fungrasp.robots.hands import hand_joint_limits
 from fungrasp.robots.hands import inspire_link as codec
@@ -81,11 +80,6 @@ class InspireSettings:
                 f"'protocol' {given}: an Inspire hand at '{self.address}' speaks "
                 + ('"serial" (frames EB 90) or "rtu" (Modbus)' if serial else '"tcp"')
             )
-
-
-def inspire_driver(settings: InspireSettings, process: bool = True) -> LoopDriver:
-    """Driver of an Inspire hand; process: talk to it from a process of its own."""
-    return LoopDriver(InspireLoop(settings), process=process)
 
 
 class InspireLoop(DeviceLoop):

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
 from fungrasp.robots.hands import hand_joint_limits
 
@@ -111,11 +110,6 @@ class LeapSettings:
     def current(self) -> int:
         """Highest current of a servo [mA]."""
         return self.current_limit or CURRENT_LIMITS[self.build]
-
-
-def leap_driver(settings: LeapSettings, process: bool = True) -> LoopDriver:
-    """Driver of a LEAP hand; process: talk to it from a process of its own."""
-    return LoopDriver(LeapLoop(settings), process=process)
 
 
 class LeapLoop(DeviceLoop):

@@ -1,8 +1,4 @@
-"""A robot in the shape of LeRobot's ``Robot``; LeRobot itself is not needed.
-
-LeRobot finds robots in packages whose names begin with ``lerobot_robot_``: such a one, whose class derives
-from both, is in ``examples/lerobot_robot_fungrasp``.
-"""
+"""A robot in the shape of LeRobot's ``Robot``; this file does not need LeRobot."""
 
 from __future__ import annotations
 
