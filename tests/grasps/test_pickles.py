@@ -133,6 +133,21 @@ def test_forged_array_states_are_refused(tmp_path):
             load_arrays_pickle(path)
 
 
+def test_tensors_are_read_without_torch(tmp_path):
+    torch = pytest.importorskip("torch")
+    whole = torch.arange(24.0).reshape(2, 3, 4)
+    tensors = {"view": whole.permute(2, 0, 1)[1:], "whole": torch.tensor([1, 2]), "none": torch.zeros(0, 3)}
+    found = load_arrays_pickle(dump(tmp_path / "x.pkl", tensors))
+    for name, tensor in tensors.items():
+        np.testing.assert_array_equal(found[name], tensor.numpy())
+        assert found[name].dtype == tensor.numpy().dtype
+    # A shape that reaches beyond the 24 numbers.
+    data = pickle.dumps(torch.arange(24.0), protocol=2)
+    (tmp_path / "x.pkl").write_bytes(data.replace(b"K\x18\x85", b"K\x19\x85"))
+    with pytest.raises(FungraspError, match="reaches beyond its numbers"):
+        load_arrays_pickle(tmp_path / "x.pkl")
+
+
 @pytest.mark.parametrize(
     "content", [b"", b"nonsense", pickle.dumps(CONTENT)[:200], JOBLIB[:-30], b"x\x9c12", b"\x80\x05."]
 )

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.objects import load_object
+from fungrasp.objects.mesh_file import _doubts
 
 FOREIGN = Path(__file__).parents[3] / "shared" / "data" / "foreign" / "files"
 
@@ -35,14 +38,13 @@ MESHES: dict[str, tuple[float, float, float] | str] = {
     "mug_cm": "113 mm if it is in cm",
     "mug_inch": "113 mm if it is in inches",
     "mug_mm": "113 mm if it is in mm",
-    "mug_cm_after_hint": (0.0113, 0.0082, 0.0095),
-    "mug_inch_after_hint": (0.0045, 0.0032, 0.0037),
+    "mug_cm_after_hint": "11.3 mm long, and a hand holds things of 20 to 600 mm",
+    "mug_inch_after_hint": "4.47 mm long, and a hand holds things of 20 to 600 mm",
     "mesh_two_things": "separate bodies with 73 mm between them",
-    "mesh_table_included": (0.4, 0.4, 0.105),
-    "mesh_unit": (0.421, 0.243, 1.0),
+    "mesh_table_included": "a flat piece of 400 x 400 mm",
+    "mesh_unit": "1e+03 mm long, and a hand holds things of 20 to 600 mm",
 }
-"""Size [m], or what is said: a refusal or a warning. Nothing tells a bottle of 1 m, or a mug on a plate of
-40 cm, from a right one before an image is seen."""
+"""Size [m], or what is said: a refusal or a warning."""
 
 
 @pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the files of others in ../shared/data/foreign")
@@ -60,3 +62,24 @@ def test_meshes_of_others_are_right_or_refused(name: str, caplog: pytest.LogCapt
     except FungraspError as error:
         said = str(error)
     assert expected in said
+
+
+def test_the_table_is_told_in_any_position() -> None:
+    """A cup on a piece of the table that is 8 mm thick; without it, and on a foot, nothing is said."""
+    cup = trimesh.creation.cylinder(0.04, 0.1)
+    for size, told in ((0.35, True), (0.1, False)):
+        plate = trimesh.creation.box((size, size, 0.008))
+        whole = trimesh.util.concatenate([cup, plate.apply_translation([0.05, 0.02, -0.053])])
+        turn = trimesh.transformations.rotation_matrix(1.0, [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+        for place in (np.eye(4), turn):
+            mesh = whole.copy().apply_transform(place)
+            said = list(_doubts(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+            assert bool(said) == told
+            if told:
+                terms, least = re.search(r"all with (.*) < (-?[\d.]+) m", said[0]).groups()  # type: ignore[union-attr]
+                factors = dict(reversed(term.split()) for term in terms.split(" + "))
+                normal = np.array([float(factors.get(axis, 0.0)) for axis in "xyz"])
+                kept = mesh.vertices @ normal >= float(least)
+                # What is left is the cup.
+                np.testing.assert_array_equal(kept[: len(cup.vertices)], cup.vertices[:, 2] > -0.049)
+                assert not kept[len(cup.vertices) :].any()

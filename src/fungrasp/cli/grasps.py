@@ -14,7 +14,6 @@ from fungrasp.cli.console import Answering, CommandResult, progress_bar, table, 
 from fungrasp.cli.options import ClusterOption, ObjectsOption, print_use
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.conversion import Convention
-from fungrasp.grasps.importers.dexycb import DexYCBOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -87,88 +86,116 @@ class ShowGrasp(ObjectsOption, Answering):
 
 
 @dataclass(frozen=True)
-class ImportDexYCB(Answering):
-    """Import DexYCB from its own folders: one grasp per sequence, where the object starts to move."""
-
+class _Import(Answering):
     source: SourcePath
-    """DexYCB's folder, which holds the subjects, calibration and models."""
+    """The data set's folder or file."""
     out: Path
     """Grasp file to write (.npz)."""
-    options: Annotated[DexYCBOptions, tyro.conf.arg(name="")] = field(default_factory=DexYCBOptions)
-    """Which grasps are taken, and how."""
-    mirrored_objects: Path | None = None
-    """Folder for the meshes of mirrored objects; needed to use mirrored grasps."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.dexycb import import_dexycb, write_mirrored_meshes
+        return write_human_grasps(self.out, self.grasps())
 
-        grasps = import_dexycb(self.source, self.options)
-        answer = write_human_grasps(self.out, grasps)
-        if self.mirrored_objects is None:
-            return answer
-        meshes = list(write_mirrored_meshes(self.source, self.options, grasps, self.mirrored_objects))
-        lines = [answer.text, *(f"mirrored mesh: {path}" for path in meshes)]
-        return CommandResult({**answer.value, "mirrored_meshes": meshes}, "\n".join(lines))
+    def grasps(self) -> HumanGraspSet:
+        """Those of the data set."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class ImportDGrasp(Answering):
-    """Import a label pickle of D-Grasp; nothing in the pickle is run."""
-
-    source: SourcePath
-    """The .pkl file."""
-    out: Path
-    """Grasp file to write (.npz)."""
-    table_height: float = 0.5
-    """Height of the labels' table top [m]; it becomes z = 0."""
-
-    def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.dgrasp import import_dgrasp
-
-        return write_human_grasps(self.out, import_dgrasp(self.source, self.table_height))
-
-
-@dataclass(frozen=True)
-class ImportGrab(Answering):
-    """Import GRAB: the right hand's grasp of each sequence, where the object starts to move."""
-
-    source: SourcePath
-    """Folder with the subjects' folders of sequences (.npz)."""
-    out: Path
-    """Grasp file to write (.npz)."""
+class _ImportMano(_Import):
     mano: Path
     """Folder of your MANO model."""
     objects: Path
-    """Folder of the object meshes (mug.ply)."""
-    subjects: Path | None = None
-    """Folder to which the files' paths of the subjects' hands (vtemp) are relative; else the mean hand."""
-
-    def run(self) -> CommandResult:
-        from fungrasp.grasps.importers.motions import import_grab
-
-        return write_human_grasps(self.out, import_grab(self.source, self.mano, self.objects, self.subjects))
+    """Folder of the data set's object meshes."""
 
 
 @dataclass(frozen=True)
-class ImportHO3D(Answering):
-    """Import HO-3D: one grasp of each sequence. Its files don't say which way is up: see --camera-tilt."""
+class ImportDexYCB(_Import):
+    """Import DexYCB, the folder of subjects, calibration and models: one grasp per sequence."""
 
-    source: SourcePath
-    """Folder with the sequences' folders (<sequence>/meta/0000.pkl)."""
-    out: Path
-    """Grasp file to write (.npz)."""
+    mano: Path | None = None
+    """Folder of your MANO model: adds joint rotations and takes contacts from the hand's surface."""
+    objects: Path | None = None
+    """Folder of object meshes; by default DexYCB's own models."""
+    left_hands: Literal["skip", "mirror"] = "skip"
+    """Leave left hands out, or mirror them with their objects, whose names then end in "_mirrored"."""
+
+    def grasps(self) -> HumanGraspSet:
+        from fungrasp.grasps.importers.dexycb import import_dexycb
+
+        return import_dexycb(self.source, mano=self.mano, objects=self.objects, left_hands=self.left_hands)
+
+
+@dataclass(frozen=True)
+class ImportDGrasp(_Import):
+    """Import a label pickle of D-Grasp (.pkl); nothing in the pickle is run."""
+
+    table_height: float = 0.5
+    """Height of the labels' table top [m]; it becomes z = 0."""
+
+    def grasps(self) -> HumanGraspSet:
+        from fungrasp.grasps.importers.dgrasp import import_dgrasp
+
+        return import_dgrasp(self.source, self.table_height)
+
+
+@dataclass(frozen=True)
+class ImportGrab(_ImportMano):
+    """Import GRAB, a folder with the subjects' folders (s1/*.npz): one grasp per sequence."""
+
+    subjects: Path | None = None
+    """Folder to which the files' paths of the subjects' hands (vtemp) are relative; else the mean hand."""
+
+    def grasps(self) -> HumanGraspSet:
+        from fungrasp.grasps.importers.grab import import_grab
+
+        return import_grab(self.source, self.mano, self.objects, self.subjects)
+
+
+@dataclass(frozen=True)
+class ImportOakInk2(_ImportMano):
+    """Import OakInk2, the folder anno_preview: one grasp per sequence and object that the hand moves."""
+
+    def grasps(self) -> HumanGraspSet:
+        from fungrasp.grasps.importers.oakink2 import import_oakink2
+
+        return import_oakink2(self.source, self.mano, self.objects)
+
+
+@dataclass(frozen=True)
+class ImportHOT3D(_ImportMano):
+    """Import HOT3D, a folder of sequences: one grasp per sequence and object that the hand moves."""
+
+    def grasps(self) -> HumanGraspSet:
+        from fungrasp.grasps.importers.hot3d import import_hot3d
+
+        return import_hot3d(self.source, self.mano, self.objects)
+
+
+@dataclass(frozen=True)
+class ImportGigaHands(_Import):
+    """Import GigaHands, the folder of hand_poses, object_poses and object_meta: one grasp per sequence."""
+
+    def grasps(self) -> HumanGraspSet:
+        from fungrasp.grasps.importers.gigahands import import_gigahands
+
+        return import_gigahands(self.source)
+
+
+@dataclass(frozen=True)
+class ImportHO3D(_Import):
+    """Import HO-3D, a folder of sequences: one grasp each. Its files don't say which way is up."""
+
     objects: Path
     """Folder of the YCB models."""
     camera_tilt: float = 0.0
     """By how much the camera looks down from level [degrees]."""
 
-    def run(self) -> CommandResult:
-        import math
+    def grasps(self) -> HumanGraspSet:
+        from math import radians
 
-        from fungrasp.grasps.importers.motions import import_ho3d
+        from fungrasp.grasps.importers.ho3d import import_ho3d
 
-        grasps = import_ho3d(self.source, self.objects, math.radians(self.camera_tilt))
-        return write_human_grasps(self.out, grasps)
+        return import_ho3d(self.source, self.objects, radians(self.camera_tilt))
 
 
 @dataclass(frozen=True)
@@ -195,8 +222,11 @@ class ImportGrasps:
     data: (
         Annotated[ImportDexYCB, tyro.conf.subcommand("dexycb")]
         | Annotated[ImportDGrasp, tyro.conf.subcommand("dgrasp")]
+        | Annotated[ImportGigaHands, tyro.conf.subcommand("gigahands")]
         | Annotated[ImportGrab, tyro.conf.subcommand("grab")]
         | Annotated[ImportHO3D, tyro.conf.subcommand("ho3d")]
+        | Annotated[ImportHOT3D, tyro.conf.subcommand("hot3d")]
+        | Annotated[ImportOakInk2, tyro.conf.subcommand("oakink2")]
         | Annotated[ImportOther, tyro.conf.subcommand("other")]
     )
     """The kind of data set."""

@@ -15,7 +15,7 @@ from fungrasp.grasps.contacts import link_points
 from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.human_grasp import HumanGrasp
 from fungrasp.grasps.human_hand import HUMAN_LINKS, LINK_RADII, joint_order
-from fungrasp.objects import ObjectModel, resolve_object
+from fungrasp.objects import ObjectModel, ResolvedObject, resolve_object
 
 if TYPE_CHECKING:
     import trimesh
@@ -32,7 +32,7 @@ LANDMARK_ERROR = 0.005
 
 def human_grasp(
     joints: ArrayLike,
-    mesh: ObjectModel | trimesh.Trimesh | str | Path,
+    mesh: ObjectModel | ResolvedObject | trimesh.Trimesh | str | Path,
     *,
     order: str = "fungrasp",
     object_pose: ArrayLike | None = None,

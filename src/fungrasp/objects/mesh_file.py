@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,6 +36,15 @@ SHORTEST_OBJECT = 1e-3
 
 HELD = (0.02, 0.6)
 """Lengths of most objects that a hand holds [m]."""
+
+TABLE_THICKNESS = 0.015
+"""A piece of the table in a scan is no thicker [m]."""
+
+TABLE_PIECE = 0.2
+"""Smallest width of such a piece [m]."""
+
+TABLE_LARGER = 3.0
+"""It covers at least so many times the area of what is on it."""
 
 UNITS = {"inches": 0.0254, "cm": 0.01, "mm": 0.001}
 """Meters per unit in which meshes are made."""
@@ -87,7 +97,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         _kept,
         lambda kept: _keep(kept, *_surface(path, *read_mesh(path), repair)),
     )
-    for phrase in repairs:
+    for phrase in (*repairs, *_doubts(vertices, faces)):
         _log.warning("%s: %s", path, phrase)
     return vertices, faces, repairs
 
@@ -115,7 +125,7 @@ def mend_mesh(
         _kept,
         lambda kept: _keep(kept, *_surface(name, vertices, faces, True)),
     )
-    for phrase in repairs:
+    for phrase in (*repairs, *_doubts(vertices, faces)):
         _log.warning("%s: %s", name, phrase)
     return vertices, faces, repairs
 
@@ -188,10 +198,38 @@ def _check_size(path: Path | str, length: float) -> None:
             f"{path}: {length:.4g} m long, larger than the table ({TABLE_SIDE:g} m)"
             + (f"; it would be {', or '.join(fitting)}" if fitting else "")
         )
-    if SHORTEST_OBJECT <= length < HELD[0]:
-        _log.warning("%s: only %.3g mm long: is it in meters?", path, 1e3 * length)
     if length < SHORTEST_OBJECT:
         raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in meters")
+
+
+def _doubts(vertices: np.ndarray, faces: np.ndarray) -> Iterator[str]:
+    """What a surface has that things in a hand seldom have."""
+    length = float(np.ptp(vertices, axis=0).max())
+    if not HELD[0] <= length <= HELD[1]:
+        yield (
+            f"it is {1e3 * length:.3g} mm long, and a hand holds things of {1e3 * HELD[0]:.0f} to "
+            f"{1e3 * HELD[1]:.0f} mm: if that is not its size, scale it by its true length [m] / {length:.3g}"
+        )
+    normals = np.cross(*(np.diff(vertices[faces], axis=1).transpose(1, 0, 2)))
+    areas = np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.linalg.eigh((normals / np.maximum(areas, 1e-12)).T @ normals)[1][:, 2]
+    for normal in (up, -up):
+        across = np.linalg.svd(normal[None])[2][1:]
+        height, flat = vertices @ normal, vertices @ across.T
+        height = height - height.min()
+        plate, rest = flat[height < TABLE_THICKNESS], flat[height >= TABLE_THICKNESS]
+        if not len(rest) or height.max() < 2 * TABLE_THICKNESS:
+            continue
+        sides = np.ptp(plate, axis=0)
+        if sides.min() < TABLE_PIECE or np.prod(sides) < TABLE_LARGER * np.prod(np.ptp(rest, axis=0)):
+            continue
+        outside = ((flat < rest.min(axis=0)) | (flat > rest.max(axis=0))).any(axis=1)
+        top = height[outside & (height < TABLE_THICKNESS)].max() + 1e-3 + (vertices @ normal).min()
+        plane = " + ".join(f"{c:.3g} {axis}" for c, axis in zip(normal, "xyz", strict=True) if abs(c) > 1e-3)
+        yield (
+            f"a flat piece of {1e3 * sides[0]:.0f} x {1e3 * sides[1]:.0f} mm is much wider than the rest: if "
+            f"it is the table, cut off all with {plane} < {top:.4f} m"
+        )
 
 
 def _gap(mesh: trimesh.Trimesh) -> float:

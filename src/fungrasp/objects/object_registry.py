@@ -15,6 +15,9 @@ from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
 from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_variants import MIRRORED, mirrored_object
 
+YCB_MESH = "textured_simple.obj"
+"""The one of several meshes in an object's folder that is taken."""
+
 
 def object_names() -> tuple[str, ...]:
     """Names of the built-in objects."""
@@ -64,11 +67,12 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
     path = known[name]
     if path is None:
         return builtin_object(name, mass)
-    return object_from_file(path, mass)
+    return object_from_file(path, mass, name)
 
 
 def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
-    """Mesh file of every object that is one, by name: other packages' and, before those, the folder's.
+    """Mesh file of every object that is one, by name: other packages' and, before those, the folder's. An
+    object may also have a folder of its own there, with one mesh in it or ``textured_simple.obj`` (YCB).
 
     Raises:
         FungraspError: the folder does not exist.
@@ -77,8 +81,8 @@ def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
     return packaged | (_meshes_in(Path(folder)) if folder is not None else {})
 
 
-def object_from_file(path: str | Path, mass: float | None) -> ObjectModel:
-    """An object from a mesh file; its name is the file's without suffix.
+def object_from_file(path: str | Path, mass: float | None, name: str = "") -> ObjectModel:
+    """An object from a mesh file; its name is the file's without suffix unless it is given.
 
     Raises:
         FungraspError: a bad mesh, or a missing or bad mass.
@@ -87,13 +91,13 @@ def object_from_file(path: str | Path, mass: float | None) -> ObjectModel:
     if mass is None:
         raise FungraspError(f"object '{path.stem}': a mesh needs a mass [kg]")
     stamp = path.stat().st_mtime_ns if path.is_file() else 0
-    return _from_file(path.absolute(), float(mass), stamp)
+    return _from_file(path.absolute(), float(mass), stamp, name or path.stem)
 
 
 @lru_cache(maxsize=256)
-def _from_file(path: Path, mass: float, stamp: int) -> ObjectModel:
+def _from_file(path: Path, mass: float, stamp: int, name: str) -> ObjectModel:
     vertices, faces, repairs = _mesh(path, stamp)
-    return ObjectModel(path.stem, mass, vertices, faces, repairs=repairs, source=str(path))
+    return ObjectModel(name, mass, vertices, faces, repairs=repairs, source=str(path))
 
 
 @lru_cache(maxsize=256)
@@ -105,12 +109,15 @@ def _meshes_in(folder: Path) -> dict[str, Path]:
     if not folder.is_dir():
         problem = "is a file: give the folder it lies in" if folder.exists() else "does not exist"
         raise FungraspError(f"the folder of objects {folder} {problem}")
-    return {
-        path.stem: path
-        for suffix in reversed(MESH_SUFFIXES)
-        for path in sorted(folder.iterdir())
-        if path.suffix.lower() == suffix
-    }
+    paths = sorted(folder.iterdir())
+    found: dict[str, Path] = {}
+    for path in paths:
+        inside = {mesh.name: mesh for mesh in path.glob("*") if mesh.suffix.lower() in MESH_SUFFIXES}
+        if len(inside) == 1 or YCB_MESH in inside:
+            found[path.name] = inside.get(YCB_MESH) or next(iter(inside.values()))
+    for suffix in reversed(MESH_SUFFIXES):
+        found |= {path.stem: path for path in paths if path.suffix.lower() == suffix}
+    return found
 
 
 @cache

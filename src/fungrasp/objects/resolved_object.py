@@ -61,7 +61,7 @@ class ResolvedObject:
 
 
 def resolve_object(
-    obj: ObjectModel | trimesh.Trimesh | str | Path, mass: float | None = None
+    obj: ObjectModel | ResolvedObject | trimesh.Trimesh | str | Path, mass: float | None = None
 ) -> ResolvedObject:
     """The object by its mesh file or its name.
 
@@ -74,6 +74,8 @@ def resolve_object(
         FungraspError: there is no such file or object, the mesh is bad, or the mass, or nothing is so dense;
             or an object that has its mass is given another.
     """
+    if isinstance(obj, ResolvedObject):
+        return obj
     if isinstance(obj, ObjectModel):
         if mass is not None:
             raise FungraspError(f"'{obj.name}' has its mass, {obj.mass:.4g} kg: give a mass with a mesh only")

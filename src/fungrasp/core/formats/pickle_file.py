@@ -1,4 +1,4 @@
-"""Reading pickles that hold nothing but arrays, numbers, text and containers of them.
+"""Reading pickles that hold nothing but arrays, tensors, numbers, text and containers of them.
 
 A pickle is a program. Here it can call nothing: the names by which NumPy (and joblib, which D-Grasp wrote its
 labels with) rebuild arrays stand for the small classes below, every other name is refused. It is run in a
@@ -147,6 +147,51 @@ class _Chumpy:
             self.value = found.reshape(fields.get("preferred_shape", found.shape))
 
 
+class _Storage(pickle.Unpickler):
+    """The numbers of a PyTorch tensor, as pickles of tensors hold them: pickles of a magic number, a version,
+    the system, a reference and its key; then the count and the numbers themselves."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module != "torch" or name not in _STORAGES:
+            raise FungraspError(f"it asks for {module}.{name} in a tensor")
+        return np.dtype(_STORAGES[name])
+
+    def persistent_load(self, pid: Any) -> Any:
+        return pid[1]
+
+
+_STORAGES = {
+    "FloatStorage": "f4",
+    "DoubleStorage": "f8",
+    "HalfStorage": "f2",
+    "LongStorage": "i8",
+    "IntStorage": "i4",
+    "BoolStorage": "?",
+    "ByteStorage": "u1",
+}
+"""NumPy's types by PyTorch's."""
+
+
+def _storage(data: bytes) -> np.ndarray:
+    stream = io.BytesIO(data)
+    dtype = [_Storage(stream).load() for _ in range(5)][3]
+    return np.frombuffer(stream.read()[8:], dtype)
+
+
+def _tensor(
+    storage: np.ndarray, start: int, shape: tuple[int, ...], strides: tuple[int, ...], *_: Any
+) -> Any:
+    array = _Array()
+    last = start + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
+    if start < 0 or min((*shape, *strides), default=0) < 0 or (last >= len(storage) and 0 not in shape):
+        raise FungraspError("it holds a tensor that reaches beyond its numbers")
+    if np.prod(shape, dtype=object) > LARGEST // 8:
+        raise FungraspError("it holds a tensor that is too large")
+    steps = [stride * storage.itemsize for stride in strides]
+    array.value = np.lib.stride_tricks.as_strided(storage[start:], shape, steps).copy()
+    return array
+
+
 def _rebuilt(kind: Any, *_: Any) -> Any:
     """How pickles of protocols before 2 make an object without its ``__init__``."""
     return kind() if kind in (_Chumpy, _Sparse, _SparseByRows) else None
@@ -210,6 +255,8 @@ class _ArraysUnpickler(pickle.Unpickler):
             ("collections", "OrderedDict"): OrderedDict,
             ("chumpy.ch", "Ch"): _Chumpy,
             ("chumpy.reordering", "Select"): _Chumpy,
+            ("torch.storage", "_load_from_bytes"): _storage,
+            ("torch._utils", "_rebuild_tensor_v2"): _tensor,
             ("copy_reg", "_reconstructor"): _rebuilt,
             ("copyreg", "_reconstructor"): _rebuilt,
             ("__builtin__", "object"): object,

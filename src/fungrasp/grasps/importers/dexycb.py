@@ -1,5 +1,5 @@
-"""Human grasps from DexYCB (Chao et al., CVPR 2021; dex-ycb.github.io) as it is downloaded, one for each
-sequence: the first frame in which the object has moved by more than a threshold; the hand then carries it.
+"""Grasps from DexYCB (Chao et al., CVPR 2021; dex-ycb.github.io) as it is downloaded, one for each sequence:
+the first frame in which the object has moved; the hand then carries it.
 
 Layout: ``<root>/<subject>/<sequence>/meta.yml`` (serials, num_frames, ycb_ids, ycb_grasp_ind, mano_sides);
 ``<sequence>/<serial>/labels_000000.npz`` (pose_y, pose_m, joint_3d; camera frame);
@@ -12,145 +12,139 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
-from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.core.formats.text_files import read_yaml
-from fungrasp.grasps.contacts import TRACKED_CONTACT_GAP, link_contacts, surface_contacts
-from fungrasp.grasps.human_grasp import HumanGraspSet
+from fungrasp.grasps.contacts import link_contacts, surface_contacts
+from fungrasp.grasps.from_arrays import as_pose
+from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.human_hand import OPENPOSE, mirror_points, mirror_pose
+from fungrasp.grasps.importers.motions import MOVED, data_object, each, moved_frames, numbers
 from fungrasp.grasps.importers.ycb import YCB_MASSES, YCB_NAMES
 from fungrasp.grasps.mano import ManoHand
-from fungrasp.objects import MIRRORED
+from fungrasp.objects import mirrored_name
 
 TAG = "apriltag"
 
+MISFIT = 0.005
+"""Largest distance between the wrist of the labels and that of the MANO model [m]."""
 
-@dataclass(frozen=True)
-class Sequence:
-    """One recording of one grasp."""
-
-    folder: Path
-    """Folder of the recording."""
-    frames: int
-    """Number of frames, F."""
-    serials: tuple[str, ...]
-    """Cameras that have labels."""
-    object_number: int
-    """Number of the grasped object, a key of ``YCB_NAMES``."""
-    grasped: int
-    """Row of the grasped object in ``pose_y``."""
-    side: str
-    """"right" or "left"."""
-    world_camera: Mapping[str, np.ndarray]
-    """Camera frame to world frame by serial, shape [4, 4]."""
-    betas: np.ndarray
-    """Shape of the subject's hand, MANO coefficients, shape [10]."""
+_log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Track:
-    """What the labels of one camera say over time, in the world frame. F frames."""
+def import_dexycb(
+    root: str | Path,
+    *,
+    mano: str | Path | None = None,
+    objects: str | Path | None = None,
+    left_hands: Literal["skip", "mirror"] = "skip",
+) -> HumanGraspSet:
+    """Take one grasp from each sequence. Sequences that can't be used are named in warnings.
 
-    object_matrix: np.ndarray
-    """Grasped object, shape [F, 4, 4]; NaN where not labeled."""
-    joints: np.ndarray
-    """[m], our order, shape [F, 21, 3]; NaN where not labeled."""
-    mano: np.ndarray
-    """Rotation, 45 pose components, translation [m], camera frame, shape [F, 51]; NaN where not labeled."""
-    world_camera: np.ndarray
-    """shape [4, 4]."""
-
-
-def sequence_folders(root: Path) -> list[Path]:
-    """Folders with a ``meta.yml`` under ``<root>/<subject>``, sorted.
+    Args:
+        root: folder with the subjects, ``calibration`` and ``models``.
+        mano: folder of your MANO model: adds joint rotations and takes contacts from the hand's surface.
+        objects: folder of meshes; by default DexYCB's own models.
+        left_hands: leave left hands out, or reflect the whole scene: the object's name then ends in
+            "_mirrored".
 
     Raises:
-        FungraspError: no such folder, or none in it.
+        FungraspError: the folder is no DexYCB, or no sequence of it can be used.
     """
-    if not root.is_dir():
-        raise FungraspError(f"the DexYCB folder {root} does not exist")
+    root = Path(root)
+    hands: dict[str, ManoHand] = {}
+
+    def grasps(folder: Path) -> list[HumanGrasp]:
+        path = folder / "meta.yml"
+        meta = read_yaml(path)
+        side = str(_field(path, meta, "mano_sides")[0])
+        if side == "left" and left_hands == "skip":
+            _log.info("%s: a left hand, skipped", folder)
+            return []
+        if mano is not None and side not in hands:
+            hands[side] = ManoHand(mano, side)
+        return [_grasp(root, path, meta, root / "models" if objects is None else objects, hands.get(side))]
+
     folders = sorted(path.parent for path in root.glob("*/*/meta.yml"))
+    none = "no right hand; left hands can be mirrored"
     if not folders:
-        raise FungraspError(f"{root} holds no DexYCB sequence (<subject>/<sequence>/meta.yml)")
-    return folders
+        none = "no DexYCB sequence (<subject>/<sequence>/meta.yml)"
+    return HumanGraspSet.of(each(folders, grasps, f"{root} holds {none}"))
 
 
-def read_sequence(root: Path, folder: Path) -> Sequence:
-    """Read a sequence's description and calibration.
-
-    Raises:
-        FungraspError: a file is missing or lacks a field.
-    """
-    path = folder / "meta.yml"
-    meta = read_yaml(path)
+def _grasp(
+    root: Path, path: Path, meta: Mapping[str, Any], objects: str | Path, hand: ManoHand | None
+) -> HumanGrasp:
+    """The grasp of one sequence, described by the file ``path``, which says ``meta``."""
     fields = ("serials", "num_frames", "ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
     serials, frames, ids, grasped, sides, shapes, extrinsics = (_field(path, meta, name) for name in fields)
-    if not 0 <= int(grasped) < len(ids):
+    grasped = int(grasped)
+    if not 0 <= grasped < len(ids):
         raise FungraspError(f"{path}: ycb_grasp_ind is {grasped}, but there are {len(ids)} objects")
-    present = tuple(str(serial) for serial in serials if (folder / str(serial)).is_dir())
+    if int(ids[grasped]) not in YCB_NAMES:
+        raise FungraspError(f"{path}: unknown object number {ids[grasped]}")
+    name, left = YCB_NAMES[int(ids[grasped])], sides[0] == "left"
+    present = [str(serial) for serial in serials if (path.parent / str(serial)).is_dir()]
     if not present:
-        raise FungraspError(f"{folder} has no folder of any of its cameras {', '.join(map(str, serials))}")
+        raise FungraspError(
+            f"{path.parent} has no folder of any of its cameras {', '.join(map(str, serials))}"
+        )
     calibration = root / "calibration"
     mano_path = calibration / f"mano_{shapes[0]}" / "mano.yml"
-    return Sequence(
-        folder=folder,
-        frames=int(frames),
-        serials=present,
-        object_number=int(ids[int(grasped)]),
-        grasped=int(grasped),
-        side=str(sides[0]),
-        world_camera=_camera_poses(calibration / f"extrinsics_{extrinsics}" / "extrinsics.yml", present),
-        betas=np.array(_field(mano_path, read_yaml(mano_path), "betas"), dtype=np.float64),
-    )
+    betas = np.array(_field(mano_path, read_yaml(mano_path), "betas"), dtype=np.float64)
+    cameras = _camera_poses(calibration / f"extrinsics_{extrinsics}" / "extrinsics.yml", present)
+    for serial, camera in cameras.items():
+        labels = [path.parent / serial / f"labels_{frame:06d}.npz" for frame in range(int(frames))]
+        poses, joints, params = map(np.array, zip(*(_label(label, grasped) for label in labels), strict=True))
+        tracked = np.flatnonzero(poses.any(axis=(1, 2)))
+        places = np.full((len(poses), 3), np.nan)
+        places[tracked] = poses[tracked, :, 3]
+        seen = params.any(axis=1) & ~(joints == -1).all(axis=(1, 2))
+        moved = [frame for frame in moved_frames(places) if seen[frame]]
+        if not moved:
+            continue
+        rest, held = (
+            as_pose(camera @ np.vstack([poses[frame], [0, 0, 0, 1]])) for frame in (tracked[0], moved[0])
+        )
+        hand_joints = joints[moved[0]][OPENPOSE] @ camera[:3, :3].T + camera[:3, 3]
+        obj = data_object(objects, name, YCB_MASSES[name]).model
+        qpos = None
+        if hand is None:
+            contacts = link_contacts(hand_joints[None], held[None], obj.vertices, obj.faces)[0]
+        else:
+            surface, qpos = _mano(hand, betas, params[moved[0]], camera, hand_joints[0], left)
+            contacts = surface_contacts(
+                surface[None], hand.vertex_links, held[None], obj.vertices, obj.faces
+            )[0]
+        return HumanGrasp(
+            object_name=mirrored_name(name) if left else name,
+            object_mass=YCB_MASSES[name],
+            object_pose=mirror_pose(held) if left else held,
+            object_rest_pose=mirror_pose(rest) if left else rest,
+            hand_joints=mirror_points(hand_joints) if left else hand_joints,
+            link_contacts=contacts,
+            hand_qpos=qpos,
+        )
+    raise FungraspError(f"the hand never moves the object by {MOVED} m in any camera's labels")
 
 
-def read_track(sequence: Sequence, serial: str) -> Track:
-    """Read the labels of one camera, in the world frame.
-
-    Raises:
-        FungraspError: a label file is missing, unreadable or of the wrong shape.
-    """
-    world_camera = sequence.world_camera[serial]
-    objects = np.full((sequence.frames, 4, 4), np.nan)
-    joints = np.full((sequence.frames, 21, 3), np.nan)
-    mano = np.full((sequence.frames, 51), np.nan)
-    for frame in range(sequence.frames):
-        path = sequence.folder / serial / f"labels_{frame:06d}.npz"
-        pose_y, joint_3d, pose_m = _label(path)
-        if pose_y.shape[0] <= sequence.grasped:
-            raise FungraspError(
-                f"{path}: field 'pose_y' has shape {pose_y.shape}, object {sequence.grasped} is missing"
-            )
-        if pose_y[sequence.grasped].any():
-            objects[frame] = world_camera @ np.vstack([pose_y[sequence.grasped], [0, 0, 0, 1]])
-        if pose_m.any() and not (joint_3d == -1).all():
-            joints[frame] = joint_3d[OPENPOSE] @ world_camera[:3, :3].T + world_camera[:3, 3]
-            mano[frame] = pose_m
-    return Track(objects, joints, mano, world_camera)
-
-
-def _label(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _label(path: Path, grasped: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pose of the grasped object, shape [3, 4], joints, shape [21, 3], and MANO's parameters, shape [51]."""
     found = read_npz(path, "DexYCB label", ("pose_y", "joint_3d", "pose_m").__contains__)
-    for name, shape in (("pose_y", (None, 3, 4)), ("joint_3d", (1, 21, 3)), ("pose_m", (1, 51))):
-        if name not in found or found[name].dtype.kind not in "fiu":
-            raise FungraspError(f"{path}: there is no field '{name}' of numbers")
-        found[name] = found[name].astype(np.float64)
-        actual = found[name].shape
-        if len(actual) != len(shape) or any(w not in (None, a) for w, a in zip(shape, actual, strict=True)):
-            expected = str(shape).replace("None", "objects")
-            raise FungraspError(f"{path}: field '{name}' has shape {actual}, expected {expected}")
-    return found["pose_y"], found["joint_3d"][0], found["pose_m"][0]
+    poses = numbers(path, found, "pose_y", (None, 3, 4))
+    if len(poses) <= grasped:
+        raise FungraspError(f"{path}: field 'pose_y' has shape {poses.shape}, object {grasped} is missing")
+    joints, params = (numbers(path, found, n, s) for n, s in (("joint_3d", (1, 21, 3)), ("pose_m", (1, 51))))
+    return poses[grasped], joints[0], params[0]
 
 
-def _camera_poses(path: Path, serials: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _camera_poses(path: Path, serials: list[str]) -> dict[str, np.ndarray]:
+    """Camera frame to world frame, shape [4, 4], by serial."""
     poses = _field(path, read_yaml(path), "extrinsics")
     matrices = {}
     for name in (TAG, *serials):
@@ -169,212 +163,28 @@ def _field(path: Path, content: Mapping[str, Any], name: str) -> Any:
     return content[name]
 
 
-MISFIT = 0.005
-"""Largest distance between the wrist of the labels and that of the MANO model [m]."""
+def _mano(
+    hand: ManoHand, betas: np.ndarray, params: np.ndarray, camera: np.ndarray, wrist: np.ndarray, left: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices of the hand's surface [m], world frame, shape [778, 3], and ``hand_qpos``.
 
-_log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class DexYCBOptions:
-    """How grasps are taken from DexYCB."""
-
-    displacement: float = 0.01
-    """How far the object has moved when it counts as grasped [m]."""
-    left_hands: Literal["skip", "mirror"] = "skip"
-    """Leave left hands out, or reflect the whole scene: the object's name then ends in "_mirrored"."""
-    mano: Path | None = None
-    """Folder of your MANO model: adds joint rotations and takes contacts from the hand's surface."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; by default DexYCB's own models."""
-    contact_tolerance: float = TRACKED_CONTACT_GAP
-    """Gap between hand and object that still counts as contact [m]."""
-
-    def __post_init__(self) -> None:
-        if not self.displacement > 0:
-            raise FungraspError(f"--displacement must be greater than 0, not {self.displacement}")
-
-
-@dataclass(frozen=True)
-class _Found:
-    """A grasp in its own, not mirrored, scene."""
-
-    name: str
-    side: str
-    object_matrix: np.ndarray
-    rest_matrix: np.ndarray
-    joints: np.ndarray
-    surface: np.ndarray | None = None
-    """MANO vertices [m], shape [778, 3], world frame."""
-    rotations: np.ndarray | None = None
-    """Wrist in the world frame and 15 joints, shape [16, 3, 3]."""
-
-
-def import_dexycb(root: str | Path, options: DexYCBOptions | None = None) -> HumanGraspSet:
-    """Take one grasp from each sequence. Sequences that can't be used are named in warnings.
-
-    Args:
-        root: folder with the subjects, ``calibration`` and ``models``.
-
-    Raises:
-        FungraspError: the folder is no DexYCB, or no sequence of it can be used.
+    wrist: by the labels [m], world frame.
     """
-    root, options = Path(root), options or DexYCBOptions()
-    hands: dict[str, ManoHand] = {}
-    found: list[_Found] = []
-    problem = None
-    for folder in sequence_folders(root):
-        try:
-            sequence = read_sequence(root, folder)
-            if sequence.side == "left" and options.left_hands == "skip":
-                _log.info("%s: a left hand, skipped", folder)
-                continue
-            if options.mano is not None and sequence.side not in hands:
-                hands[sequence.side] = ManoHand(options.mano, sequence.side)
-            found.append(_grasp(sequence, options, hands.get(sequence.side)))
-        except FungraspError as error:
-            _log.warning("skipped %s: %s", folder.relative_to(root), error)
-            problem = problem or error
-    if not found:
-        raise problem or FungraspError(f"{root} holds no right hand; left hands can be mirrored")
-    contacts = _contacts(root, options, found, hands)
-    return _grasp_set(found, contacts)
-
-
-def write_mirrored_meshes(
-    root: str | Path, options: DexYCBOptions, grasps: HumanGraspSet, folder: Path
-) -> list[Path]:
-    """Write ``<name>_mirrored.obj`` for every mirrored object of a grasp set.
-
-    Raises:
-        FungraspError: a mesh can't be read or written.
-    """
-    import trimesh
-
-    paths = []
-    for name in sorted({str(name) for name in grasps.object_name if name.endswith(MIRRORED)}):
-        vertices, faces = _mesh(Path(root), options, name.removesuffix(MIRRORED))
-        paths.append(folder / f"{name}.obj")
-        with atomic_path(paths[-1]) as temporary:
-            trimesh.Trimesh(mirror_points(vertices), faces[:, ::-1], process=False).export(temporary)
-    return paths
-
-
-def _grasp(sequence: Sequence, options: DexYCBOptions, hand: ManoHand | None) -> _Found:
-    if sequence.object_number not in YCB_NAMES:
-        raise FungraspError(f"{sequence.folder / 'meta.yml'}: unknown object number {sequence.object_number}")
-    for serial in sequence.serials:
-        track = read_track(sequence, serial)
-        frame = grasp_frame(track, options.displacement)
-        if frame is None:
-            continue
-        labeled = np.flatnonzero(np.isfinite(track.object_matrix[:, 0, 0]))
-        surface, rotations = _mano_surface(sequence, track, frame, hand)
-        return _Found(
-            name=YCB_NAMES[sequence.object_number],
-            side=sequence.side,
-            object_matrix=track.object_matrix[frame],
-            rest_matrix=track.object_matrix[labeled[0]],
-            joints=track.joints[frame],
-            surface=surface,
-            rotations=rotations,
-        )
-    raise FungraspError(f"the hand never moves the object by {options.displacement} m in any camera's labels")
-
-
-def grasp_frame(track: Track, displacement: float) -> int | None:
-    """First frame with a labeled hand and the object more than ``displacement`` [m] from where it was first
-    seen; None if there is none."""
-    positions = track.object_matrix[:, :3, 3]
-    labeled = np.flatnonzero(np.isfinite(positions[:, 0]))
-    if not len(labeled):
-        return None
-    moved = np.linalg.norm(positions - positions[labeled[0]], axis=1) > displacement
-    frames = np.flatnonzero(moved & np.isfinite(track.joints[:, 0, 0]))
-    return int(frames[0]) if len(frames) else None
-
-
-def _mano_surface(
-    sequence: Sequence, track: Track, frame: int, hand: ManoHand | None
-) -> tuple[np.ndarray | None, np.ndarray | None]:
-    if hand is None:
-        return None, None
     from scipy.spatial.transform import Rotation
 
-    vertices, wrist, vectors = hand.pose(sequence.betas, track.mano[frame])
-    turn, shift = track.world_camera[:3, :3], track.world_camera[:3, 3]
-    misfit = float(np.linalg.norm(turn @ wrist + shift - track.joints[frame, 0]))
+    vertices, found, vectors = hand.pose(betas, params)
+    turn, shift = camera[:3, :3], camera[:3, 3]
+    misfit = float(np.linalg.norm(turn @ found + shift - wrist))
     if misfit > MISFIT:
         raise FungraspError(
             f"the MANO model's wrist is {misfit * 1000:.0f} mm from the label's: is it the right model?"
         )
     rotations = Rotation.from_rotvec(vectors).as_matrix()
     rotations[0] = turn @ rotations[0]
-    return vertices @ turn.T + shift, rotations
-
-
-def _contacts(
-    root: Path, options: DexYCBOptions, found: list[_Found], hands: dict[str, ManoHand]
-) -> np.ndarray:
-    contacts = np.zeros((len(found), 16), dtype=bool)
-    for name, side in sorted({(grasp.name, grasp.side) for grasp in found}):
-        rows = [row for row, grasp in enumerate(found) if (grasp.name, grasp.side) == (name, side)]
-        vertices, faces = _mesh(root, options, name)
-        poses = _poses([found[row].object_matrix for row in rows])
-        surfaces = [found[row].surface for row in rows]
-        if any(surface is None for surface in surfaces):
-            joints = np.stack([found[row].joints for row in rows])
-            contacts[rows] = link_contacts(joints, poses, vertices, faces, options.contact_tolerance)
-        else:
-            points = np.stack([surface for surface in surfaces if surface is not None])
-            links = hands[side].vertex_links
-            contacts[rows] = surface_contacts(
-                points, links, poses, vertices, faces, options.contact_tolerance
-            )
-    return contacts
-
-
-def _grasp_set(found: list[_Found], contacts: np.ndarray) -> HumanGraspSet:
-    left = np.array([grasp.side == "left" for grasp in found])
-    joints = np.stack([grasp.joints for grasp in found])
-    pose = _poses([grasp.object_matrix for grasp in found])
-    rest = _poses([grasp.rest_matrix for grasp in found])
-    qpos = [_qpos(grasp) for grasp in found]
-    return HumanGraspSet(
-        object_name=np.array([grasp.name + MIRRORED * (grasp.side == "left") for grasp in found]),
-        object_mass=np.array([YCB_MASSES[grasp.name] for grasp in found]),
-        object_pose=np.where(left[:, None], mirror_pose(pose), pose),
-        object_rest_pose=np.where(left[:, None], mirror_pose(rest), rest),
-        hand_joints=np.where(left[:, None, None], mirror_points(joints), joints),
-        link_contacts=contacts,
-        hand_qpos=None if any(row is None for row in qpos) else np.array(qpos),
-    )
-
-
-def _qpos(grasp: _Found) -> np.ndarray | None:
-    if grasp.rotations is None:
-        return None
-    from scipy.spatial.transform import Rotation
-
-    rotations, wrist = grasp.rotations, grasp.joints[0]
-    if grasp.side == "left":
+    if left:
         # MANO's left hand is its right one reflected in x; the scene is reflected in y.
         across, scene = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
         rotations = np.concatenate([(scene @ rotations[0] @ across)[None], across @ rotations[1:] @ across])
         wrist = mirror_points(wrist)
-    return np.concatenate([wrist, Rotation.from_matrix(rotations).as_euler("XYZ").ravel()])
-
-
-def _poses(matrices: list[np.ndarray]) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    stack = np.stack(matrices)
-    quaternions = Rotation.from_matrix(stack[:, :3, :3]).as_quat(canonical=True, scalar_first=True)
-    return np.concatenate([stack[:, :3, 3], quaternions], axis=1)
-
-
-def _mesh(root: Path, options: DexYCBOptions, name: str) -> tuple[np.ndarray, np.ndarray]:
-    path = root / "models" / name / "textured_simple.obj"
-    if options.objects is not None:
-        path = options.objects / f"{name}.obj"
-    return read_mesh(path)
+    qpos = np.concatenate([wrist, Rotation.from_matrix(rotations).as_euler("XYZ").ravel()])
+    return vertices @ turn.T + shift, qpos
