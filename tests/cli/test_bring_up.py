@@ -75,7 +75,7 @@ def test_the_operator_judges_what_no_command_can(tmp_path: Path, monkeypatch: py
 def test_logs_of_others_are_refused_and_left_alone(tmp_path: Path) -> None:
     other, log = tmp_path / "other.md", tmp_path / "log.md"
     other.write_text("# My notes\n")
-    with pytest.raises(FungraspError, match="is no log of a bring-up"):
+    with pytest.raises(FungraspError, match="is not a bring-up log"):
         BringUpLog(other, "one", "0")
     assert other.read_text() == "# My notes\n"
     BringUpLog(log, "one", "0123").append(BringUpStep("doctor", "It answers.", ()), PASSED, ["a\nb"])
@@ -93,9 +93,9 @@ def test_a_real_robot_is_brought_up_by_a_person(
     monkeypatch.setattr("fungrasp.robots.cell.load_cell", lambda name: real)
     for words in (["bring-up", CELL, "--yes"], ["bring-up", CELL]):
         assert main(["robots", *words, "--log", str(tmp_path / "log.md")]) == 2
-        assert "by a person at a terminal" in capsys.readouterr().err
+        assert "needs a person at a terminal" in capsys.readouterr().err
     assert main(["robots", "hold", CELL, "arm", "--yes"]) == 2
-    assert "only if a person says so" in capsys.readouterr().err
+    assert "only after you confirm" in capsys.readouterr().err
 
 
 class Turning:
@@ -290,7 +290,7 @@ def test_the_page_of_the_first_power_on_is_true_of_emulated_devices(
     text = (tmp_path / "bring-up.md").read_text()
     assert "the model's flange is 0.0 mm from the controller's" in text
     assert "further; it stays stopped" in text and not (tmp_path / "stop").exists()
-    assert "3 touched points within 0.0 mm" in text and (tmp_path / "bring-up-plan.png").exists()
+    assert "3 touched points, within 0.0 mm" in text and (tmp_path / "bring-up-plan.png").exists()
     assert text.count("moved by 0.") + text.count("moved by -0.") >= 12
     # Whether the object stays up is the policy's matter, measured elsewhere; that the robot came home is not.
     assert "lifted" in text.rpartition("\n## lift: passed")[2]

@@ -245,7 +245,7 @@ def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
     [
         (("--policy", "referee"), "Did you mean 'reference'?"),
         (("--hand", "leap"), "of the hand 'allegro', not of 'leap'"),
-        (("--method", "angle-copy"), "holds robot grasps already"),
+        (("--method", "angle-copy"), "has robot grasps"),
         (("--seed", 0, 1), "nothing is random here"),
         (("--attempts", 2), "a plan that is played blindly can't be tried again"),
         (("--attempts", 2, "--policy", "plan"), "a plan that is played blindly can't be tried again"),

@@ -101,19 +101,6 @@ finally:
     assert last.endswith("False")
 
 
-def test_words_that_left_say_what_to_use_now(capsys, monkeypatch):
-    left = {"greet": "say", "hands dance": "show", "hands list --slow": "wait", "export --format x": "y"}
-    monkeypatch.setattr(cli, "LEFT", left)
-    for words, said in (
-        (["greet"], "'greet' is no longer part of fungrasp: say"),
-        (["hands", "dance"], "'hands dance' is no longer part of fungrasp: show"),
-        (["hands", "list", "--slow=3"], "'hands list --slow' is no longer part of fungrasp: wait"),
-        (["export", "a.npz", "--format", "x"], "'export --format x' is no longer part of fungrasp: y"),
-    ):
-        assert cli.main(words) == 2
-        assert capsys.readouterr().err == f"fungrasp: error: {said}\n"
-
-
 ASK = """
 source "$0"; shift 0
 COMP_WORDS=(fungrasp "$@"); COMP_CWORD=$#
@@ -204,7 +191,7 @@ def test_a_missing_subcommand_is_a_usage_error(install, capsys):
         (FungraspError("no\n  hand"), 2, "fungrasp: error: no hand"),
         (KeyboardInterrupt(), 130, "fungrasp: interrupted"),
         (MemoryError(), 2, "fungrasp: error: out of memory"),
-        (OSError(errno.ENOSPC, "Full"), 2, "fungrasp: error: Full; FUNGRASP_CACHE moves what is kept"),
+        (OSError(errno.ENOSPC, "Full"), 2, "fungrasp: error: Full; set FUNGRASP_CACHE to move the cache"),
         (OSError(errno.EACCES, "Permission denied", "a/b"), 2, "fungrasp: error: a/b: Permission denied"),
     ],
 )

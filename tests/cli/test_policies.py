@@ -76,7 +76,7 @@ def test_the_list_of_what_comes_with_the_package_fits_a_page(capsys: pytest.Capt
 def test_a_list_of_none(tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(policy_file, "FOLDER", tmp_path / "none")
     assert main(["policies", "list"]) == 0
-    assert "no policies" in capsys.readouterr().out
+    assert "has no built-in policies" in capsys.readouterr().out
     assert main(["policies", "list", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == []
 

@@ -30,7 +30,6 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--environment.widen", 9, 4), "to a later one, not 9 to 4"),
         (("train", "--ppo.imitate", 100), "to imitate them, give --environment.residual.base guided"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
-        (("train", "--seeds", 0, 1), "'train --seeds' is no longer part of fungrasp: give --seed"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
     ],
 )

@@ -98,7 +98,7 @@ def test_a_real_robot_moves_for_nobody_who_is_not_asked(
         '[tracker]\ndriver = "pose-stream"\naddress = "tcp://192.0.2.2:5556"\ncalibration_residual = 0.002\n'
     )
     assert main(["deploy", "--robot", str(cell), "--log", str(tmp_path / "log.mcap")]) == 2
-    assert "it needs a terminal, or --yes" in capsys.readouterr().err
+    assert "run it in a terminal, or give --yes" in capsys.readouterr().err
 
 
 def test_a_picture_is_drawn(motion: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

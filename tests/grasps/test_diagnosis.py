@@ -181,7 +181,7 @@ def test_quaternions_in_another_order_are_seen_by_what_the_fingers_touch(tmp_pat
 def test_good_grasps_are_not_complained_about(tmp_path, capsys, caplog):
     save_human_grasps(tmp_path / "x.npz", builtin_grasps())
     status, out = run(capsys, "check", tmp_path / "x.npz")
-    assert status == 0 and out.endswith("120 grasps that can be used\n") and out.count("\n") == 1
+    assert status == 0 and out.endswith("120 usable grasps\n") and out.count("\n") == 1
     load_human_grasps(tmp_path / "x.npz")
     assert not caplog.records
 

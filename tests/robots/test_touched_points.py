@@ -44,7 +44,7 @@ def test_a_base_that_is_turned_or_shifted_is_named(
 ) -> None:
     check = ["robots", "check", "ur5e-allegro", "--touched"]
     assert main([*check, touched(tmp_path / "a.json", shift=0.002)]) == 0
-    assert "3 touched points within 2.0 mm" in capsys.readouterr().out
+    assert "3 touched points, within 2.0 mm" in capsys.readouterr().out
     # Heights are the same: points on the table alone do not show it.
     assert main([*check, touched(tmp_path / "b.json", turn=np.pi)]) != 0
     said = capsys.readouterr().err
@@ -104,7 +104,7 @@ def test_points_are_written_down_as_the_arm_touches_them(
         x, y, z = np.add(kinematics.flange_position(joints), (0.0, 0.003, 0.0))
         command = ["robots", "touch", "ur5e-allegro-emulated", str(path), "--at", f"{x}", f"{y}", f"{z}"]
         assert main(command) == 0, capsys.readouterr().err
-        assert "(0, 3, 0) mm from where the cell has it" in capsys.readouterr().out
+        assert "(0, 3, 0) mm from where the cell file puts it" in capsys.readouterr().out
     assert check_touched_base(path, cell, hand).miss == pytest.approx(0.003)
     # The hand's own points go into the same file, of one point of it.
     point = np.array([0.02, 0.0, 0.15])

@@ -1,4 +1,4 @@
-"""``fungrasp robots bring-up``: what comes before a robot's first grasp, a checklist of commands."""
+"""``fungrasp robots bring-up``: a checklist of commands before a robot's first grasp."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from fungrasp.robots.cell import RobotCell
 
 CHECKLIST = Path(deployment.__file__).with_name("bring_up.toml")
-"""The steps; the file explains its fields."""
+"""The steps; fields are explained in the file."""
 
 STOP_AFTER = 4.0
-"""Where nobody is at the keyboard, the stop file is made so long after the command was started [s]."""
+"""Without a person at the keyboard, the stop file is made this long after the start of a command [s]."""
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
-"""How a step ends."""
+"""Results of a step."""
 
 YES, SKIP = "yes", "skip"
-"""Words of an answer; after "skip" comes the reason."""
+"""Answers; a reason follows "skip"."""
 
 TITLE = "# Bring-up of "
 _SECTION = re.compile(r"^## (?P<step>[a-z-]+): (?P<status>passed|failed|skipped)$", re.MULTILINE)
@@ -42,43 +42,43 @@ _SECTION = re.compile(r"^## (?P<step>[a-z-]+): (?P<status>passed|failed|skipped)
 
 @dataclass(frozen=True)
 class BringUpStep:
-    """A line of the checklist."""
+    """A step of the checklist."""
 
     name: str
-    """By which the log knows it."""
+    """Name in the log."""
     sentence: str
-    """What is done, and what to look at."""
+    """What the step does and what to check."""
     words: tuple[str, ...]
-    """Command line of fungrasp."""
+    """Command line, without "fungrasp"."""
     question: str = ""
-    """To the operator afterwards; "" where the command says whether it is well."""
+    """Question to the operator afterwards; "" if the command itself reports success."""
     stop: str = ""
-    """The operator has to stop the command while something moves: "key" or "file"."""
+    """How the operator has to stop the command during motion: "key" or "file"."""
     file: bool = False
     """Whether it needs the file of touched points."""
 
 
 @dataclass(frozen=True)
 class BringUp:
-    """Walk through what comes before a robot's first grasp: a list of commands, up to a lift in slow motion.
-    What they said and what you answered is written to a log, which goes on where it ended."""
+    """Run a checklist before a robot's first grasp, up to a lift in slow motion. Output and your answers are
+    logged. Run the same command again to continue."""
 
     cell: CellName
-    """A robot cell: a TOML file, or one that comes with the package; emulated devices will do, a twin not."""
+    """A robot cell with real or emulated devices (not a twin): built-in, or a TOML file."""
     log: Path = Path("bring-up.md")
-    """Markdown file of what was done. If it is there it goes on after the last step that did not fail."""
+    """Markdown log. If it exists, continue after the last step that did not fail."""
     choice: GraspChoice = field(default_factory=GraspChoice)
-    """The grasp of the last steps."""
+    """The grasp for the last steps."""
     policy: str = "plan"
     """What moves the hand: "plan" or "reference"."""
     speed: float = 0.1
-    """Share of the cell's speed in the last steps."""
+    """Speed of the last steps, as a share of the cell's speed."""
     touched: Path | None = None
-    """JSON file of touched points, as `robots check --touched` takes it."""
+    """JSON file of `robots touch`."""
     start: str = ""
-    """Begin with this step though it was passed."""
+    """Start from this step, even if it has passed."""
     yes: bool = False
-    """Answer yes to everything; for emulated devices only."""
+    """Answer yes to all questions; for emulated devices only."""
     seed: int = 0
     """Seed of the plan."""
 
@@ -88,7 +88,7 @@ class BringUp:
 
         cell, hand = wired_cell(self.cell)
         if is_wired(cell) and (self.yes or not sys.stdin.isatty()):
-            raise FungraspError("a real robot is brought up by a person at a terminal: no --yes, no pipe")
+            raise FungraspError("a real robot needs a person at a terminal: no --yes, no pipe")
         log = BringUpLog(self.log, cell.name, digest(cell, hand)[:12])
         steps = self.steps(cell, hand)
         names = [step.name for step in steps]
@@ -100,7 +100,7 @@ class BringUp:
         if first:
             print(f"{self.log}: {first} of {len(names)} steps are done", flush=True)
         if log.other_cell:
-            print(f"the cell has changed since; '--start {names[0]}' begins anew, if that touches it")
+            print(f"the cell has changed since then; '--start {names[0]}' starts over")
         for number, step in enumerate(steps[first:], first + 1):
             print(f"[{number}/{len(names)}] {step.name}: {step.sentence}", flush=True)
             status, lines = self._done(step, cell)
@@ -108,9 +108,9 @@ class BringUp:
             print(f"  {status}", flush=True)
             if status == FAILED:
                 raise FungraspError(
-                    f"the step '{step.name}' failed; the same command goes on there ({self.log})"
+                    f"the step '{step.name}' failed; run the same command to repeat it ({self.log})"
                 )
-        print(f"brought up; the log is {self.log}", flush=True)
+        print(f"bring-up complete; the log is {self.log}", flush=True)
 
     def steps(self, cell: RobotCell, hand: Hand) -> list[BringUpStep]:
         """The checklist of a cell."""
@@ -136,7 +136,7 @@ class BringUp:
         return [step for step in steps if step.name != "stop-file" or cell.stop_file]
 
     def _done(self, step: BringUpStep, cell: RobotCell) -> tuple[str, list[str]]:
-        """How a step went, and what the log says of it."""
+        """Run a step. Returns its result and lines for the log."""
         from fungrasp.robots.single_devices import STAYS
 
         unattended = self.yes or not sys.stdin.isatty()
@@ -151,7 +151,7 @@ class BringUp:
         if answer.lower() != YES:
             raise FungraspError("ended by the operator")
         if step.file and self.touched is None:
-            return FAILED, ["no touched points (--touched FILE): make them by 'fungrasp robots touch'"]
+            return FAILED, ["no touched points (--touched FILE): record them with 'fungrasp robots touch'"]
         words = list(step.words)
         if unattended and words[1] in ("hold", "jog"):
             words.append("--yes")
@@ -168,23 +168,22 @@ class BringUp:
 
     def _ask(self, question: str) -> str:
         """The answer to a question."""
-
         if self.yes:
             return YES
         try:
             return input(question).strip()
         except EOFError:
-            raise FungraspError("there are no more answers") from None
+            raise FungraspError("no answer: the input has ended") from None
 
 
 def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
-    """Run a command in a process of its own, which has the terminal.
+    """Run a command in its own process, with the terminal.
 
     Args:
         keyboard: whether a person answers.
 
     Returns:
-        its exit status, and the lines that it printed, errors included.
+        Exit status and the printed lines.
     """
     start = "from fungrasp.cli.start import start; raise SystemExit(start())"
     lines = []
@@ -194,7 +193,7 @@ def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        # What stops the robot is for the command alone, which may hold an object.
+        # Ctrl-C is for the command alone, whose robot may hold an object.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             assert process.stdout is not None
@@ -209,7 +208,7 @@ def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
 
 @contextmanager
 def _stop_file(file: Path, made: bool) -> Iterator[None]:
-    """Make the stop file after a moment where nobody else does, and take it away at the end."""
+    """Make the stop file after a while if ``made``, and remove it at the end."""
     timer = threading.Timer(STOP_AFTER, file.touch)
     if made:
         timer.start()
@@ -218,52 +217,52 @@ def _stop_file(file: Path, made: bool) -> Iterator[None]:
     finally:
         timer.cancel()
         if made:
-            # It may be making the file at this moment.
+            # The timer may be making the file right now.
             timer.join()
             file.unlink(missing_ok=True)
 
 
 class BringUpLog:
-    """A Markdown page with a section for each step, written whole as one ends."""
+    """A Markdown page with one section per step, rewritten after each."""
 
     def __init__(self, path: Path, cell: str, digest: str):
         """
         Args:
-            path: the file; one that is there goes on.
+            path: the file; an existing log is continued.
             digest: of the cell and its hand.
 
         Raises:
-            FungraspError: the file is no log, or one of another cell.
+            FungraspError: the file is not a log, or is from another cell.
         """
         from fungrasp.core import __version__
         from fungrasp.core.formats.checks import read_bytes
 
         self._path, self._digest, title = path, digest, f"{TITLE}{cell}"
         self._text = (
-            f"{title}\n\nWritten by `fungrasp robots bring-up`, fungrasp {__version__}. Of each step the "
-            "last section counts; the command goes on after the last one that did not fail.\n"
+            f"{title}\n\nWritten by `fungrasp robots bring-up`, fungrasp {__version__}. For each step, the "
+            "last section counts.\n"
         )
         if not path.exists():
             return
         self._text = read_bytes(path, "log of a bring-up", 4_000_000).decode("utf-8", errors="replace")
         first = self._text.partition("\n")[0]
         if not first.startswith(TITLE):
-            raise FungraspError(f"{path} is no log of a bring-up: give another name")
+            raise FungraspError(f"{path} is not a bring-up log: give another name")
         if first != title:
-            raise FungraspError(f"{path} is of the cell {first.removeprefix(TITLE)}, not {cell}")
+            raise FungraspError(f"{path} is from the cell {first.removeprefix(TITLE)}, not {cell}")
 
     @property
     def done(self) -> dict[str, str]:
-        """How each step ended, the last time."""
+        """Latest result of each step."""
         return {found["step"]: found["status"] for found in _SECTION.finditer(self._text)}
 
     @property
     def other_cell(self) -> bool:
-        """Whether steps were done before cell or hand were changed."""
+        """Whether cell or hand have changed since the last step."""
         return bool(self.done) and f"cell {self._digest}" not in self._text.rpartition("\n## ")[2]
 
     def append(self, step: BringUpStep, status: str, lines: Sequence[str]) -> None:
-        """Write down how a step went.
+        """Add the result of a step.
 
         Raises:
             FungraspError: the file can't be written.

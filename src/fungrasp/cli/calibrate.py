@@ -1,4 +1,4 @@
-"""``fungrasp robots calibrate``: where a cell's camera stands."""
+"""``fungrasp robots calibrate``: the pose of a cell's camera."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Calibrate(Answering):
-    """Find the pose of a cell's fixed camera in its world, and write it to a file that the cell names.
+    """Calibrate the fixed camera of a cell: its pose in the world frame, written to a file for the cell.
 
-    Either from images of a board that the hand holds (`--images`), or from points that a fingertip touched
-    and the camera saw (`--points`)."""
+    Uses either images of a board held by the hand (--images), or points that a fingertip touched and the
+    camera saw (--points)."""
 
     cell: CellName
-    """A cell that comes with fungrasp, or a TOML file."""
+    """A built-in robot cell, or a TOML file."""
     out: Path
-    """File to write, .toml."""
+    """File to write (.toml)."""
     images: Path | None = None
-    """Folder with images of the board, `arm.json` (joints of the arm [rad] by the image's file name) and
-    `camera.json` (intrinsics)."""
+    """Folder with images of the board, arm.json (arm joints [rad] by image file name) and camera.json
+    (intrinsics)."""
     points: Path | None = None
-    """JSON file with lists `seen` (camera frame) and `touched` (world frame) of points [m]."""
+    """JSON file with two lists of points [m]: seen (camera frame) and touched (world frame)."""
     board: Board = field(default_factory=Board)
-    """The board in the images."""
+    """The board."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.calibration.camera import save_calibration
@@ -53,7 +53,7 @@ class Calibrate(Answering):
             f"camera at ({place}) m from {source}; residual {1000 * found.residual:.2f} mm\n"
             f"standard deviation {1000 * found.position_deviation:.1f} mm, "
             f"{1000 * found.rotation_deviation:.2f} mrad\n"
-            f"written to {self.out}: name it as 'calibration' under [tracker] of the cell"
+            f"written to {self.out}: set 'calibration' to it under [tracker] in the cell file"
         )
         return CommandResult({"calibration": self.out, "source": source, **asdict(found)}, text)
 
@@ -71,7 +71,7 @@ class Calibrate(Answering):
         path = folder / "arm.json"
         joints = read_json(path, "joints of the arm by image")
         if not isinstance(joints, dict) or not joints:
-            raise FungraspError(f"{path} must hold the joints of the arm by the image's file name")
+            raise FungraspError(f"{path} must hold arm joints by image file name")
         views = []
         for name, values in joints.items():
             numbers = values if isinstance(values, list) else []

@@ -1,4 +1,4 @@
-"""What commands answer and print: answers, tables, progress bars; and the files they write."""
+"""Output of commands: answers, tables, progress bars and files."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ __all__ = [
 ]
 
 STDOUT = "-"
-"""What ``--json`` means without a file, where it takes one."""
+"""Value of ``--json`` without a file, where it takes one."""
 
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command has found or made: for a program as JSON, for a person as text."""
+    """Result of a command, as JSON for programs and as text for people."""
 
     value: Any
-    """Of JSON's kinds, NumPy's and paths; NaN and infinities become null."""
+    """JSON values, NumPy arrays or paths; NaN and infinities become null."""
     text: str = ""
-    """What a person reads in its place; "" where everything has been printed."""
+    """The same for people; "" if everything has been printed."""
     fault: str = ""
-    """What is wrong though there is an answer; it becomes the error of the command."""
+    """Error message of a command that has a result nevertheless."""
     status: int = 0
-    """Exit status, where there is no fault."""
+    """Exit status if there is no fault."""
 
     def show(self, as_json: bool) -> None:
         """Print it.
@@ -64,31 +64,30 @@ class CommandResult:
 
 @dataclass(frozen=True, kw_only=True)
 class Answering:
-    """A command that answers: its method ``run`` returns an ``CommandResult``. While it runs with ``--json``,
-    everything that is printed goes to stderr."""
+    """A command whose method ``run`` returns a ``CommandResult``. With ``--json``, other output goes to
+    stderr."""
 
     json: bool = False
-    """Print the answer as JSON, and nothing else on stdout."""
+    """Print the result as JSON, and nothing else on stdout."""
 
     def run(self) -> CommandResult:
-        """Do it."""
+        """Run the command."""
         raise NotImplementedError
 
 
 def suggestion(*words: object) -> str:
-    """A line that says which command is useful next. words: of its command line, paths as such; None and ""
-    are left out."""
+    """A "next:" line with the next command. words: its arguments, paths as Path; None and "" are left out."""
     given = (shlex.quote(str(word)) if isinstance(word, Path) else str(word) for word in words if word)
     return " ".join(("next: fungrasp", *given))
 
 
 def option(name: str, value: object) -> str:
-    """An option of a command line with its value; "" where there is none. name: with its dashes."""
+    """An option with its value; "" for None. name: with dashes."""
     return "" if value is None else f"{name} {shlex.quote(str(value))}"
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Whole or not at all; NaN is a bug.
+    """Write a JSON file atomically; values must not be NaN.
 
     Raises:
         FungraspError: the file can't be written.
@@ -100,10 +99,10 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
-    """Write a file, and say how many grasps it holds and what is unusual in them.
+    """Write a grasp file, and report the number of grasps and their unusual features.
 
     Raises:
-        FungraspError: it can't be written.
+        FungraspError: the file can't be written.
     """
     from fungrasp.grasps import save_human_grasps
     from fungrasp.grasps.anatomy import check_anatomy, grouped
@@ -112,9 +111,7 @@ def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
     save_human_grasps(path, grasps)
     objects, unusual = sorted(set(grasps.object_name.tolist())), grouped(check_anatomy(grasps))
     below = [str(remark) for remark in table_remarks(grasps.hand_joints)]
-    lines = [f"{path}: {len(grasps)} grasps of {len(objects)} objects"]
-    for remark in below:
-        lines.append(f"{remark}; 'fungrasp grasps convert --below-table lift' or 'drop' mends it")
+    lines = [f"{path}: {len(grasps)} grasps of {len(objects)} objects", *below]
     lines += [f"unusual anatomy: {finding}" for finding in unusual]
     value = {
         "grasps": path,

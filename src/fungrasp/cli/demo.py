@@ -1,7 +1,8 @@
-"""``fungrasp demo``: a few human grasps, and the one in an image, retargeted, tried and shown."""
+"""``fungrasp demo``: retarget, test and show a few human grasps, one of them from an image."""
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,47 +18,47 @@ if TYPE_CHECKING:
     from fungrasp.perception.perceived import Perceived
 
 FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
-"""What is shown if no --grasp is given, as far as the grasps have it."""
+"""Grasps to show without --grasp, if the file has them."""
 
 LOW_CONFIDENCE = 3
-"""Exit status when the page was written but the robot did not try the grasp."""
+"""Exit status if the page was written but the robot did not try the grasp."""
 
-RENDERED = "<p>The image is no photograph: it was rendered, which is why the truth is known.</p>"
+RENDERED = "<p>The image is rendered, not a photograph, so the true poses are known.</p>"
 
 Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
-"""An option with or without a value."""
+"""An option with an optional value."""
 
 
 @dataclass(frozen=True)
 class Demo(GraspsOption, Answering):
     """Grasp a few built-in objects, and the object in the built-in image if the hand models are installed.
-    Write a film and a page."""
+    Writes a film and a page."""
 
     hand: str = "allegro"
-    """Name of a hand, or the path of a hand's TOML file."""
+    """Name of a hand, or the path of its TOML file."""
     grasp: tuple[str, ...] = ()
     """Grasps to show: an object ("mug"), object and task ("mug:drink") or a row number. Default: a varied
-    few, and the one in the built-in image."""
+    few, and the built-in image."""
     count: int = 3
-    """How many to show if none are given, the one in the image among them."""
+    """Number of grasps to show without --grasp, the image included."""
     from_image: Folder = None
     """Show only the grasp in an RGB-D image: the built-in one, or a folder with rgb.png, depth.png and
     K.json. Replaces --grasps, --objects, --grasp and --count."""
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None
-    """Mass of that object [kg]; a built-in one has its own."""
+    """Mass of that object [kg]. Default: known for built-in objects."""
     task: str = ""
-    """What the grasp in the folder's image is for: "drink", "hand over" ..."""
+    """Purpose of the grasp in that image: "drink", "hand over" ..."""
     policy: str | None = None
-    """What moves the hand: "reference" (the planned motion, open loop) or a policy (`fungrasp policies
-    list`). By default the freely licensed student of the hand, or "reference" if there is none."""
+    """What moves the hand: "reference" (planned motion, open loop) or a policy (`fungrasp policies list`).
+    Default: the freely licensed student of the hand, or "reference" if there is none."""
     seed: int = 0
-    """Seed of what is perceived in an image."""
+    """Random seed of perception."""
     out: Path = Path("demo")
     """Folder for the film and the page."""
     threads: int = 0
-    """0 means all processors; the grasps do not depend on it."""
+    """0 means all processors; results are the same for any number."""
 
     def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
@@ -75,7 +76,7 @@ class Demo(GraspsOption, Answering):
         if folder is not None:
             seen = self._seen(folder, None if picked is None else lambda: _compile(picked, self.hand))
             for note in seen.notes:
-                print(note)
+                print(note, file=sys.stderr)
             if not seen.confident:
                 print(f"fungrasp: {seen.acceptance.summary()}: the robot does not try it", file=sys.stderr)
                 if picked is None:
@@ -111,7 +112,7 @@ class Demo(GraspsOption, Answering):
         return Shown(human, load_objects(human, self.objects), source)
 
     def _usual_image(self) -> str | None:
-        """The built-in image, where no other grasps are asked for and hands in images can be found."""
+        """The built-in image, if no other grasps are requested and the hand models are installed."""
         from importlib.util import find_spec
 
         from fungrasp.perception.hand.mediapipe_models import have_weights
@@ -121,7 +122,7 @@ class Demo(GraspsOption, Answering):
         return BUILTIN if usual and find_spec("ai_edge_litert") and have_weights() else None
 
     def _seen(self, folder: str, meanwhile: Callable[[], None] | None) -> Perceived:
-        """What is in an image. meanwhile: done while another process looks at it; None for none."""
+        """Perceive an image. meanwhile: work to do in this process at the same time, or None."""
         from fungrasp.perception.pipeline import perceive_folder
 
         arguments = (folder, self.mesh, self.mass, self.task, self.seed)
@@ -129,7 +130,7 @@ class Demo(GraspsOption, Answering):
             if meanwhile is None:
                 seen = perceive_folder(*arguments)
             else:
-                # The first run compiles, which no two threads of a process do at the same time.
+                # A process, not a thread: the first run compiles, which threads can't do in parallel.
                 from concurrent.futures import ProcessPoolExecutor
                 from multiprocessing import get_context
 
@@ -141,14 +142,14 @@ class Demo(GraspsOption, Answering):
         return seen
 
     def _page_of_low_confidence(self, seen: Perceived) -> CommandResult:
-        """Write the page on what was seen: the robot does not try a grasp of low confidence."""
+        """Write the perception page; the robot does not try a grasp with low confidence."""
         from fungrasp.core.provenance import page_provenance
         from fungrasp.media.perception_page import write_perception_page
 
         page = self.out / "index.html"
         write_perception_page(page, seen, page_provenance({"Image": str(self.from_image)}, self.seed))
         for warning in seen.warnings:
-            print(f"fungrasp: warning: {warning}", file=sys.stderr)
+            logging.getLogger(__name__).warning(warning)
         return CommandResult({"page": page, "grasps": []}, f"page: {page}", status=LOW_CONFIDENCE)
 
     def _check(self) -> None:
@@ -169,14 +170,14 @@ class Demo(GraspsOption, Answering):
 
 
 def _compile(picked: Shown, hand: str) -> None:
-    """Let the solver be compiled, on the first of the grasps."""
+    """Compile the solver by retargeting the first grasp."""
     from fungrasp.retargeting import retarget
 
     retarget(picked.human.select([0]), picked.objects, hand, threads=1)
 
 
 def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) -> Shown:
-    """Picked grasps, and the one that was seen in an image."""
+    """The picked grasps and the perceived one."""
     from html import escape
 
     from fungrasp.grasps import HumanGraspSet

@@ -1,4 +1,4 @@
-"""``fungrasp deploy``: one grasp on a robot, or on its twin."""
+"""``fungrasp deploy``: one grasp on a robot or its simulated twin."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ if TYPE_CHECKING:
 
 
 NOT_LIFTED = 4
-"""Exit status when all went as planned, and a twin's object was not lifted and held."""
+"""Exit status if the run finished but the twin's object was not lifted and held."""
 
 
 @dataclass(frozen=True)
 class Deploy(Answering):
     """Grasp an object with a robot: look, plan, move to the start, grasp, lift, hold, put down, go home.
 
-    Exit status 4: a twin's object was not lifted and held.
+    Exit status 4: on a twin, the object was not lifted and held.
     """
 
     spec: DeploymentSpec = field(default_factory=DeploymentSpec)
-    """What is asked."""
+    """Settings of the deployment."""
     hand: str = ""
-    """The hand you expect on the robot; another one is refused. Empty: no check."""
+    """Expected hand of the robot; any other is refused. Empty: no check."""
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp."""
     picture: Path | None = None
-    """Before anything moves, rehearse the whole motion, check every setpoint with the safety filter, and draw
-    it to this file (.png)."""
+    """Before anything moves, simulate the motion, check every setpoint with the safety filter, and draw it to
+    this file (.png)."""
     yes: bool = False
     """Do not ask before each phase of a real robot."""
     log: Path | None = None
-    """MCAP file to write; it must not exist. By default deploy-<time>.mcap."""
+    """MCAP file to write; must not exist. Default: deploy-<time>.mcap."""
     fast: bool = False
     """For a twin: run as fast as possible instead of in real time."""
 
@@ -61,14 +61,14 @@ class Deploy(Answering):
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
         if self.picture is not None and self.picture.suffix != ".png":
-            raise FungraspError(f"{self.picture}: a picture is written to a file that ends in .png")
+            raise FungraspError(f"--picture needs a .png file, not {self.picture}")
         log = self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))
         choice, picture = self.choice, self.picture
         spec = replace(self.spec, real_time=not self.fast, threads=choice.threads, about=choice.words)
         with StopSwitch(cell.stop_file, keyboard=True) as switch:
             asks = is_wired(cell) and not (spec.dry_run or self.yes)
             if asks and not switch.keyboard:
-                raise FungraspError("this asks before each phase: it needs a terminal, or --yes")
+                raise FungraspError("deploy asks before each phase: run it in a terminal, or give --yes")
             grasp, objects = choice.robot(hand, spec.seed)
 
             def draw(robot: Robot, prepared: PreparedGrasp) -> None:
@@ -111,10 +111,10 @@ class Deploy(Answering):
 def _terminal(
     switch: StopSwitch, asks: bool, draw: Callable[[Robot, PreparedGrasp], None] | None
 ) -> DeploymentObserver:
-    """Prints phases, and how to stop.
+    """An observer that prints phases and how to stop.
 
     Args:
-        asks: whether each phase is asked for.
+        asks: ask before each phase.
         draw: called with the first plan.
     """
     from fungrasp.deployment.observer import PhaseQuestions

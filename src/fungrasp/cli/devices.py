@@ -1,4 +1,4 @@
-"""``fungrasp robots doctor | read | touch | hold | jog``: one device of a cell at a time."""
+"""``fungrasp robots doctor | read | touch | hold | jog``: test one device of a cell at a time."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from fungrasp.robots.single_devices import GuardedDriver
 
 STILL = {"arm": 0.005, "hand": 0.06}
-"""A joint that is told to stay moves less [rad]: an arm's servos are stiff, a hand's are not."""
+"""Largest motion of a holding joint [rad]: servos of arms are stiff, those of hands are not."""
 
 COMPARED = 2.0
-"""An arm that has been taken says within this time what its driver has compared [s]."""
+"""Time in which an arm driver reports its comparison with the controller [s]."""
 
 
 @dataclass(frozen=True)
 class OfCell(Answering):
-    """What a command about the devices of a cell takes."""
+    """Arguments of commands for a cell."""
 
     cell: CellName
     """A robot cell: a TOML file, or one that comes with the package."""
@@ -37,15 +37,15 @@ class OfCell(Answering):
 
 @dataclass(frozen=True)
 class OfDevice(OfCell):
-    """What a command about one device takes."""
+    """Arguments of commands for one device."""
 
     part: Annotated[Literal["arm", "hand"], tyro.conf.Positional]
-    """Which device."""
+    """The device."""
 
 
 @dataclass(frozen=True)
 class Doctor(OfCell):
-    """Connect to each device of a cell in turn and say whether it answers. Nothing moves."""
+    """Connect to each device of a cell and report whether it answers. Nothing moves."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import examine_devices
@@ -63,10 +63,10 @@ class Doctor(OfCell):
 
 @dataclass(frozen=True)
 class Read(OfDevice):
-    """Show the joints of an arm or a hand, as they are measured. Nothing moves."""
+    """Print the measured joint positions of an arm or a hand. Nothing moves."""
 
     seconds: float = 10.0
-    """For so long [s]."""
+    """Duration [s]."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import bare_driver, joint_names, read_joints
@@ -84,17 +84,16 @@ class Read(OfDevice):
 
 @dataclass(frozen=True)
 class Touch(OfCell):
-    """Add a marked point that the robot touches now to a file, which `robots check --touched` and `robots
-    bring-up --touched` take. Guide the arm there by hand (freedrive on the pendant). Nothing moves by
-    itself."""
+    """Record a known point that the robot touches now, for `robots check --touched` and `robots bring-up
+    --touched`. Guide the arm there by hand (freedrive). Nothing moves by itself."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """JSON file; one that is there goes on."""
+    """JSON file to write or extend."""
     at: tuple[float, float, float]
-    """The marked point, in the world of the cell [m]."""
+    """The known point, in the world frame of the cell [m]."""
     hand_point: tuple[float, float, float] | None = None
-    """The point of the hand that touches it, in the frame that `pose_flange_hand` is the pose of [m]; by
-    default the middle of the flange touches."""
+    """The touching point of the hand, in the hand frame (see `pose_flange_hand`) [m]. Default: the center of
+    the flange touches."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -105,27 +104,27 @@ class Touch(OfCell):
         cell, hand = wired_cell(self.cell)
         joints, at = arm_at_rest(cell, hand), np.array(self.at)
         if not np.isfinite(at).all():
-            raise FungraspError("a point is 3 finite numbers")
+            raise FungraspError("a point needs 3 finite numbers")
         point = None if self.hand_point is None else np.array(self.hand_point)
         apart = at - touched_point(joints, point, cell, hand)
         count = add_touched(self.file, joints, at, point)
         x, y, z = np.round(1e3 * apart) + 0.0
         what = "flange" if point is None else "hand"
         text = (
-            f"{self.file}: {count} touched by the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
-            "where the cell has it"
+            f"{self.file}: {count} points of the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
+            "where the cell file puts it"
         )
         return CommandResult({"touched": self.file, "count": count, "apart": apart}, text)
 
 
 @dataclass(frozen=True)
 class Hold(OfDevice):
-    """Switch an arm or a hand on where it is, and hold; a device that moves now is not ready."""
+    """Switch on an arm or a hand and hold its position. A device that moves now is not ready."""
 
     seconds: float = 5.0
-    """For so long [s]."""
+    """Duration [s]."""
     yes: bool = False
-    """Do not ask before; for emulated devices only."""
+    """Do not ask first; for emulated devices only."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.single_devices import hold_in_place
@@ -142,21 +141,20 @@ class Hold(OfDevice):
                 print(said, flush=True)
             moved = hold_in_place(driver, self.seconds)
         text, most = f"held within {moved:.3f} rad", STILL[self.part]
-        fault = f"it moved by {moved:.3f} rad, {most:g} rad are allowed" if moved > most else ""
+        fault = f"it moved by {moved:.3f} rad, but {most:g} rad is allowed" if moved > most else ""
         return CommandResult({"moved": moved}, text, fault)
 
 
 @dataclass(frozen=True)
 class Jog(OfDevice):
-    """Move one joint of an arm or a hand slowly by a small angle, and back; the others hold."""
+    """Move one joint of an arm or a hand slowly by a small angle and back, while the others hold."""
 
     joint: Annotated[str, tyro.conf.Positional]
-    """Name of the joint, as `robots read` shows it; "all" for one after the other, each to where it has more
-    room."""
+    """Name of the joint (see `robots read`), or "all": one after the other, away from the nearer limit."""
     by: float = 0.1
     """Angle [rad], 0.2 at most."""
     yes: bool = False
-    """Do not ask before; for emulated devices only."""
+    """Do not ask first; for emulated devices only."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.device import SafetyStop
@@ -180,7 +178,7 @@ class Jog(OfDevice):
         return CommandResult(value, fault="; ".join(wrong))
 
     def _moved(self, driver: GuardedDriver, number: int, name: str) -> tuple[dict[str, Any], list[str]]:
-        """Move one joint; what was measured, and what was wrong."""
+        """Move one joint. Returns the measurements and the faults."""
         import numpy as np
 
         from fungrasp.robots.single_devices import jog
@@ -191,23 +189,23 @@ class Jog(OfDevice):
         far, back = jog(driver, number, by)
         there, here = (float(state.positions[number] - rest[number]) for state in (far, back))
         others = float(np.abs(np.delete(far.positions - back.positions, number)).max(initial=0.0))
-        print(f"{name}: moved by {there:.3f} rad, and back to {here:.3f} rad from where it was", flush=True)
+        print(f"{name}: moved by {there:.3f} rad, and back to {here:.3f} rad from the start", flush=True)
         wrong = []
         if abs(there - here - by) >= 0.5 * abs(by):
-            wrong.append(f"{name} was asked for {by:+.2f} rad and moved by {there - here:+.3f}")
+            wrong.append(f"{name} should move by {by:+.2f} rad and moved by {there - here:+.3f}")
         if max(others, abs(here)) >= STILL[self.part]:
-            wrong.append(f"{name}: others moved by {others:.3f} rad, itself is {here:+.3f} rad off")
+            wrong.append(f"{name}: other joints moved by {others:.3f} rad, this one is {here:+.3f} rad off")
         return {"joint": name, "moved": there, "back": here}, wrong
 
 
 @contextmanager
 def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Iterator[GuardedDriver]:
-    """The connected driver of a device that is to move, after a question.
+    """Ask, then connect to a device that will move.
 
     Args:
         part: "arm" or "hand".
-        what: will be done, as a phrase.
-        yes: whether nobody is asked.
+        what: the motion, for the question.
+        yes: skip the question.
     """
     from fungrasp.deployment.observer import ask_before_motion
     from fungrasp.robots.cell import is_wired
@@ -215,7 +213,7 @@ def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Ite
     from fungrasp.robots.stop_switch import StopSwitch
 
     if yes and is_wired(cell):
-        raise FungraspError("a real robot moves only if a person says so: no --yes")
+        raise FungraspError("a real robot moves only after you confirm: --yes is for emulated devices")
     with StopSwitch(cell.stop_file, keyboard=True) as switch:
         if not yes:
             ask_before_motion(switch, what)

@@ -1,5 +1,4 @@
-"""``fungrasp doctor`` and ``setup``: what is installed and there, and fetching once what is not part of the
-package."""
+"""``fungrasp doctor`` and ``setup``: report what is installed, and download the hand models."""
 
 from __future__ import annotations
 
@@ -11,8 +10,7 @@ from fungrasp.cli.console import Answering, CommandResult, table
 
 @dataclass(frozen=True)
 class DoctorCommand(Answering):
-    """Say what is installed, which extras work, which devices and cameras are there, where caches are and how
-    large. Nothing is asked of a network, and no device is opened."""
+    """Report programs, extras, devices, cameras and caches. Uses no network and opens no device."""
 
     def run(self) -> CommandResult:
         from fungrasp.core.provenance import diagnose
@@ -38,12 +36,11 @@ class DoctorCommand(Answering):
 
 @dataclass(frozen=True)
 class SetUpPerception(Answering):
-    """Fetch the two hand models that ``perceive`` needs (8 MB, Apache-2.0) from the mediapipe wheel on the
-    package index (36 MB), check them and keep them in the cache. Nothing is installed; later runs need no
-    network."""
+    """Download the two hand models that `perceive` needs (8 MB, Apache-2.0) from the mediapipe wheel on the
+    package index (36 MB), and cache them. Nothing is installed."""
 
     wheel: Path | None = None
-    """A wheel of mediapipe 0.10.21 at hand, for machines without network; by default pip downloads it."""
+    """A local wheel of mediapipe 0.10.21, for machines without network."""
 
     def run(self) -> CommandResult:
         from fungrasp.perception.hand.mediapipe_models import fetch_weights, kept_weights

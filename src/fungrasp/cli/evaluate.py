@@ -1,4 +1,4 @@
-"""``fungrasp evaluate``: how many grasps lift the object, in simulation."""
+"""``fungrasp evaluate``: success rates of grasps in simulation."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from fungrasp.task import LiftProtocol
 
 @dataclass(frozen=True)
 class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTestSpec):
-    """Try grasps in simulation: reach, grasp, lift, hold; measure how many succeed."""
+    """Test grasps in simulation (reach, grasp, lift, hold) and measure success rates."""
 
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(name="seed")] = (0,)
-    """Of all that is random; with several, each grasp is tried with each."""
+    """Random seeds; each grasp is tested once with each."""
     randomization: tyro.conf.Suppress[tyro.conf.Fixed[Randomization]] = NOMINAL
     """Made of ``differs``."""
     lift: tyro.conf.Suppress[tyro.conf.Fixed[LiftProtocol]] = field(default_factory=LiftProtocol)
-    """Given in Python alone."""
+    """Set in Python only."""
     physics: tyro.conf.Suppress[tyro.conf.Fixed[SceneSettings]] = field(default_factory=SceneSettings)
     """Made of ``noslip``, ``device`` and ``buffers``."""
     selection: tyro.conf.Suppress[tyro.conf.Fixed[SelectionSettings | None]] = None
-    """Given in Python alone."""
+    """Set in Python only."""
 
     differs: WorldDifferences = field(default_factory=WorldDifferences)
     """How worlds differ from the estimate, instead of a protocol."""
@@ -49,9 +49,9 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
     """Name of a hand, or the path of its TOML file. Default: the hand of robot grasps; allegro for human
     grasps."""
     hand_dynamics: Path | None = None
-    """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
+    """Identified dynamics of the hand (`fungrasp identify fit`). Default: the model's."""
     method: str = "contact"
-    """How human grasps are retargeted: contact, angle-copy, dexgraspnet."""
+    """Retargeting method: contact, angle-copy or dexgraspnet."""
     json: JsonOut = None
     """Write all numbers to this file (.json); without a file, print them. If interrupted, run the same
     command again to continue."""
@@ -61,7 +61,7 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
     record: Path | None = None
     """Record each episode to this folder (.npz)."""
     picture: Path | None = None
-    """Draw some of the grasps and their outcomes to this PNG file."""
+    """Draw some grasps with their outcomes to this PNG file."""
     noslip: int = 0
     """Solver iterations that reduce creep in friction; 5 make physics 1.6 times as slow."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
@@ -72,7 +72,7 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
     probe."""
 
     def __post_init__(self) -> None:
-        """Nothing: the request is checked where it is made of this, with an error of one line."""
+        """Skip the checks of ``LiftTestSpec``; ``_spec`` makes them."""
 
     def run(self) -> CommandResult:
         from contextlib import nullcontext
@@ -86,13 +86,13 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
         spec, cluster, path = self._spec(), self.cluster, json_path(self.json)
         file = path or self.out
         if cluster is not None and file is None:
-            raise FungraspError("--ray keeps finished parts beside the result: give --json or --out too")
+            raise FungraspError("--ray stores finished parts next to the result: give --json or --out too")
         grasps, method = load_grasps(self.grasps), method_name(self.method)
         robot = grasps if isinstance(grasps, RobotGraspSet) else None
         human = None if isinstance(grasps, RobotGraspSet) else grasps
         if robot is not None and (self.mirror or method != RetargetSpec.method):
             what = "--mirror" if self.mirror else f"--method {self.method}"
-            raise FungraspError(f"{what}: {self.grasps} holds robot grasps already; give it to 'retarget'")
+            raise FungraspError(f"{what} needs human grasps, but {self.grasps} has robot grasps")
         name = self.hand or (RetargetSpec.hand if robot is None else robot.hand_file or robot.hand)
         hand = identified_hand(name, self.hand_dynamics)
         if human is not None and self.mirror:
@@ -125,7 +125,7 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
         return CommandResult(result.json(), "\n".join(lines))
 
     def _where_from(self, robot: bool) -> tuple[str, ...]:
-        """Options with which ``view`` finds what a result is about. robot: whether --grasps has robot
+        """Options that ``view`` needs to find the grasps of a result. robot: whether --grasps has robot
         grasps."""
         if not robot:
             return ()

@@ -1,4 +1,4 @@
-"""``fungrasp export``: recorded episodes for other programs."""
+"""``fungrasp export``: recorded episodes in other formats."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Export(ObjectsOption, Answering):
-    """Write recorded episodes (evaluate --record) as a data set of LeRobot's or as MCAP files."""
+    """Write recorded episodes (evaluate --record) as a LeRobot data set or as MCAP files."""
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Files of episodes (.npz), or folders of them."""
+    """Episode files (.npz) or folders."""
     out: Path = Path("dataset")
-    """Folder to be written."""
+    """Folder to write."""
     format: Literal["lerobot", "mcap"] = "lerobot"
-    """What is written."""
+    """Output format."""
     cameras: tuple[Literal["front", "wrist"], ...] = ()
-    """Films that a data set of LeRobot's has of each episode: front, over the table; wrist, on the hand."""
+    """Cameras to render for LeRobot: front (over the table), wrist (on the hand)."""
     size: tuple[int, int] = (320, 240)
-    """Width and height of their pictures [pixels]."""
+    """Width and height of the images [pixels]."""
     threads: int = 0
-    """Of drawing them; 0 means all processors."""
+    """Threads for rendering; 0 means all processors."""
 
     def run(self) -> CommandResult:
         from fungrasp.media.mcap_episodes import write_mcap_episodes
@@ -65,7 +65,7 @@ class Export(ObjectsOption, Answering):
         from fungrasp.media.lerobot_dataset import episode_pictures, write_lerobot_dataset
         from fungrasp.objects import load_object
 
-        # A use test begins in the midst of what a lift test ends with, and its controls are not recorded.
+        # Use tests start from the end of a lift test, and their controls are not recorded.
         lifts = [episode for episode in self._episodes() if not episode.is_use_test]
         whole = len(self.cameras) * sum(len(episode.times) for episode in lifts)
 

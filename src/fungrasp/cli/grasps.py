@@ -1,4 +1,4 @@
-"""``fungrasp grasps``: list and show grasps, import, check and make human ones."""
+"""``fungrasp grasps``: list, show, check, convert, select, import and synthesize grasps."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ WIDTH, HEIGHT = 960, 720
 
 @dataclass(frozen=True)
 class ListGrasps(Answering):
-    """Count the grasps of a set by object and task."""
+    """Count the grasps in a file by object and task."""
 
     grasps: str = "builtin"
-    """A file of human or robot grasps; by default the built-in human grasps."""
+    """A grasp file, or "builtin"."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps import RobotGraspSet, load_grasps
@@ -62,10 +62,10 @@ class ListGrasps(Answering):
 
 @dataclass(frozen=True)
 class ShowGrasp(ObjectsOption, Answering):
-    """Show one grasp: numbers, and on request a picture."""
+    """Show one grasp as numbers or as a picture."""
 
     file: GraspFile
-    """A file of human or robot grasps, or "builtin"."""
+    """A grasp file, or "builtin"."""
     grasp: str = "0"
     """The grasp: an object ("mug"), object and task ("mug:drink") or a row number, from 0."""
     picture: Path | None = None
@@ -96,16 +96,16 @@ class _Import(Answering):
         return write_human_grasps(self.out, self.grasps())
 
     def grasps(self) -> HumanGraspSet:
-        """Those of the data set."""
+        """Grasps of the data set."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class _ImportMano(_Import):
     mano: Path
-    """Folder of your MANO model."""
+    """Folder with your MANO model."""
     objects: Path
-    """Folder of the data set's object meshes."""
+    """Folder with the data set's object meshes."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ class ImportDexYCB(_Import):
     """Import DexYCB, the folder of subjects, calibration and models: one grasp per sequence."""
 
     mano: Path | None = None
-    """Folder of your MANO model: adds joint rotations and takes contacts from the hand's surface."""
+    """Folder with your MANO model: adds joint rotations, and contacts of the hand's surface."""
     objects: Path | None = None
-    """Folder of object meshes; by default DexYCB's own models."""
+    """Folder with object meshes. Default: DexYCB's own models."""
     left_hands: Literal["skip", "mirror"] = "skip"
-    """Leave left hands out, or mirror them with their objects, whose names then end in "_mirrored"."""
+    """Skip left hands, or mirror them with their objects, whose names then end in "_mirrored"."""
 
     def grasps(self) -> HumanGraspSet:
         from fungrasp.grasps.importers.dexycb import import_dexycb
@@ -127,10 +127,10 @@ class ImportDexYCB(_Import):
 
 @dataclass(frozen=True)
 class ImportDGrasp(_Import):
-    """Import a label pickle of D-Grasp (.pkl); nothing in the pickle is run."""
+    """Import a D-Grasp label pickle (.pkl). No code in the pickle is run."""
 
     table_height: float = 0.5
-    """Height of the labels' table top [m]; it becomes z = 0."""
+    """Height of the table top in the file [m]; it becomes z = 0."""
 
     def grasps(self) -> HumanGraspSet:
         from fungrasp.grasps.importers.dgrasp import import_dgrasp
@@ -143,7 +143,7 @@ class ImportGrab(_ImportMano):
     """Import GRAB, a folder with the subjects' folders (s1/*.npz): one grasp per sequence."""
 
     subjects: Path | None = None
-    """Folder to which the files' paths of the subjects' hands (vtemp) are relative; else the mean hand."""
+    """Base folder of the subjects' hand shapes (vtemp). Default: the mean hand."""
 
     def grasps(self) -> HumanGraspSet:
         from fungrasp.grasps.importers.grab import import_grab
@@ -183,12 +183,12 @@ class ImportGigaHands(_Import):
 
 @dataclass(frozen=True)
 class ImportHO3D(_Import):
-    """Import HO-3D, a folder of sequences: one grasp each. Its files don't say which way is up."""
+    """Import HO-3D, a folder of sequences: one grasp each. The files do not define "up"."""
 
     objects: Path
-    """Folder of the YCB models."""
+    """Folder with the YCB models."""
     camera_tilt: float = 0.0
-    """By how much the camera looks down from level [degrees]."""
+    """Angle of the camera below horizontal [degrees]."""
 
     def grasps(self) -> HumanGraspSet:
         from math import radians
@@ -200,12 +200,12 @@ class ImportHO3D(_Import):
 
 @dataclass(frozen=True)
 class ImportOther(Answering):
-    """Import by another package's importer (entry point fungrasp.grasps)."""
+    """Use an importer of another package (entry point fungrasp.grasps)."""
 
     importer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the importer."""
     source: SourcePath
-    """File or folder it reads."""
+    """File or folder to import."""
     out: Path
     """Grasp file to write (.npz)."""
 
@@ -217,7 +217,7 @@ class ImportOther(Answering):
 
 @dataclass(frozen=True)
 class ImportGrasps:
-    """Turn a data set into a grasp file."""
+    """Convert a data set to a grasp file."""
 
     data: (
         Annotated[ImportDexYCB, tyro.conf.subcommand("dexycb")]
@@ -229,7 +229,7 @@ class ImportGrasps:
         | Annotated[ImportOakInk2, tyro.conf.subcommand("oakink2")]
         | Annotated[ImportOther, tyro.conf.subcommand("other")]
     )
-    """The kind of data set."""
+    """The data set."""
 
     @property
     def json(self) -> bool:
@@ -243,7 +243,7 @@ class ImportGrasps:
 
 @dataclass(frozen=True)
 class CheckGrasps(ObjectsOption, Answering):
-    """Say what is probably wrong with human grasps: units, order of joints, side, frames, table."""
+    """Check human grasps: units, joint order, side, frames, table."""
 
     file: GraspFile
     """A file of human grasps."""
@@ -270,34 +270,34 @@ class CheckGrasps(ObjectsOption, Answering):
             if self.objects is not None and options:
                 options = f"{options} --objects {self.objects}"
             lines.append(
-                f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check that"
+                f"to convert: fungrasp grasps convert {self.file} {options} --out NEW.npz; then check it"
                 if options
-                else f"{self.file}: most of these grasps can't be used"
+                else f"{self.file}: most grasps can't be used"
             )
             return CommandResult(value, "\n".join(lines))
         grasps = human_grasps(self.file, completed(fields, objects))
         unusual = grouped(check_anatomy(grasps))
         lines += [f"unusual anatomy: {finding}" for finding in unusual]
         lines.append(
-            f"{self.file}: {len(grasps)} grasps whose hands can be used; give their meshes to test the rest"
+            f"{self.file}: the hands of {len(grasps)} grasps are usable; give their meshes to test the rest"
             if found.untested
-            else f"{self.file}: {len(grasps)} grasps that can be used"
+            else f"{self.file}: {len(grasps)} usable grasps"
         )
         return CommandResult({**value, "unusual_anatomy": unusual}, "\n".join(lines))
 
 
 @dataclass(frozen=True)
 class ConvertGrasps(ObjectsOption, Answering):
-    """Bring a file of human grasps from other conventions into ours, and compute missing contacts."""
+    """Convert human grasps from other conventions, and compute missing contacts."""
 
     file: GraspFile
     """A file with the fields of human grasps."""
     out: Path
     """Grasp file to write (.npz)."""
     convention: Annotated[Convention, tyro.conf.arg(name="")] = field(default_factory=Convention)
-    """How the file is written."""
+    """Conventions of the file."""
     below_table: Literal["keep", "lift", "drop"] = "keep"
-    """Hands that reach below the table: keep them, lift them with their objects, or leave them out."""
+    """Grasps with hands below the table: keep them, lift hand and object, or drop them."""
 
     def run(self) -> CommandResult:
         from fungrasp.grasps.conversion import converted, mend_below_table
@@ -316,10 +316,10 @@ class ConvertGrasps(ObjectsOption, Answering):
 
 @dataclass(frozen=True)
 class SelectGrasps(Answering):
-    """Write some of the grasps of a file to another: of some objects or tasks, some rows, or the best."""
+    """Copy grasps to another file: by object, task, row or quality."""
 
     file: GraspFile
-    """A file of human or robot grasps, or "builtin"."""
+    """A grasp file, or "builtin"."""
     out: Path
     """Grasp file to write (.npz)."""
     objects: tuple[str, ...] = ()
@@ -327,12 +327,11 @@ class SelectGrasps(Answering):
     tasks: tuple[str, ...] = ()
     """Only grasps for these tasks."""
     rows: tuple[str, ...] = ()
-    """Only these rows of the file, from 0: numbers, FIRST:END or FIRST:END:STEP as in Python (0::3 is every
-    third)."""
+    """Only these rows, from 0: numbers, FIRST:END or FIRST:END:STEP as in Python (0::3 is every third)."""
     by: str = "force_closure_residual"
-    """The number by which robot grasps are compared, one of those that 'fungrasp grasps show' prints."""
+    """Value to rank robot grasps by; `fungrasp grasps show` lists them."""
     best: float | None = None
-    """Keep this share of them, those with the smallest numbers: 0.75."""
+    """Share to keep, smallest values first: 0.75."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -352,15 +351,15 @@ class SelectGrasps(Answering):
             kept &= _rows(self.rows, len(grasps))
         if self.best is not None:
             if not isinstance(grasps, RobotGraspSet):
-                raise FungraspError("only robot grasps carry numbers to compare: give the file of 'retarget'")
+                raise FungraspError("--best needs robot grasps: give a file of 'fungrasp retarget'")
             if self.by not in grasps.extra or grasps.extra[self.by].ndim != 1:
-                raise UnknownNameError("number of the grasps", self.by, grasps.extra)
+                raise UnknownNameError("value of the grasps", self.by, grasps.extra)
             values = np.where(kept, grasps.extra[self.by].astype(float), np.nan)
             if not 0 < self.best <= 1:
                 raise FungraspError(f"--best must be a share in (0, 1], not {self.best:g}")
             kept &= values <= np.nanquantile(values, self.best) if np.isfinite(values).any() else False
         if not kept.any():
-            raise FungraspError(f"none of the {len(grasps)} grasps of {self.file} is left")
+            raise FungraspError(f"none of the {len(grasps)} grasps in {self.file} is selected")
         chosen = grasps.select(kept)
         if isinstance(chosen, RobotGraspSet):
             save_robot_grasps(self.out, chosen)
@@ -374,23 +373,22 @@ class SelectGrasps(Answering):
 
 @dataclass(frozen=True)
 class MakeGrasps(ClusterOption, Answering):
-    """Synthesize human grasps: those of the built-in objects again, or of any mesh."""
+    """Synthesize human grasps of the built-in objects or of any mesh."""
 
     out: Path
-    """Grasp file to write (.npz). Finished parts lie in <out>.partial until all are done: the same command
-    goes on where an interrupted one was."""
+    """Grasp file to write (.npz). Run the same command again to continue an interrupted run; finished parts
+    are kept in <out>.partial."""
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
     mesh: Path | None = None
-    """Make grasps of this mesh, or of a shape like box:60x28x30, instead: around the whole, from above, at
-    handles and thin parts."""
+    """Grasp this mesh or shape (box:60x28x30) instead: around the whole, from above, at handles and thin
+    parts."""
     mass: float | None = None
-    """Mass of the mesh's object [kg]."""
+    """Mass of that object [kg]."""
     parts: Path | None = None
-    """JSON file of the mesh's parts to hold: {"handle": [[x, y, z], [x, y, z]]}, boxes in its frame [m]."""
+    """JSON file with parts to hold, as boxes in the mesh's frame [m]: {"handle": [[x, y, z], [x, y, z]]}."""
     seed: tuple[int, ...] = (0,)
-    """Seed of the random starts; with several, each grasp is sought with each, and those that differ are
-    kept."""
+    """Random seeds. With several, each grasp is synthesized with each, and different results are kept."""
 
     def run(self) -> CommandResult:
         from fungrasp.core.jobs import PartStore
@@ -410,8 +408,8 @@ class MakeGrasps(ClusterOption, Answering):
         print_use(cluster)
         lines = [answer.text]
         if len(grasps) < sought:
-            words = "could not be met" if len(self.seed) == 1 else "could not be met, or are like another"
-            lines.append(f"left out: {sought - len(grasps)} of {sought} grasp specifications, which {words}")
+            words = "failed" if len(self.seed) == 1 else "failed or repeat another"
+            lines.append(f"{sought - len(grasps)} of {sought} grasp specifications {words}")
         if self.mesh is not None:
             (name,) = models or {}
             folder = "" if is_plain_shape(name) else f" --objects {self.mesh.parent}"
@@ -421,7 +419,7 @@ class MakeGrasps(ClusterOption, Answering):
     def _specifications(
         self,
     ) -> tuple[Sequence[GraspSpecification], dict[str, ObjectModel] | None, SynthesisSettings]:
-        """What to make, of which objects (None: built-in ones), and how."""
+        """Specifications, objects (None: built-in) and settings."""
         from fungrasp.objects import is_plain_shape, load_object, object_from_file
         from fungrasp.synthesis import SynthesisSettings
         from fungrasp.synthesis.automatic_specifications import automatic_specifications, parts_from_boxes
@@ -429,7 +427,7 @@ class MakeGrasps(ClusterOption, Answering):
 
         if self.mesh is None:
             if self.mass is not None or self.parts is not None:
-                raise FungraspError("--mass and --parts are those of a mesh: give --mesh too")
+                raise FungraspError("--mass and --parts need --mesh")
             known = {spec.object for spec in BUILTIN_SPECIFICATIONS}
             for name in self.objects:
                 if name not in known:
@@ -442,7 +440,7 @@ class MakeGrasps(ClusterOption, Answering):
             model = parts_from_boxes(model, self.parts)
         specs = automatic_specifications(model)
         if not specs:
-            raise FungraspError(f"{self.mesh}: a hand can't reach around any part of it")
+            raise FungraspError(f"{self.mesh}: no part is small enough for a hand")
         return specs, {model.name: model}, SynthesisSettings(starts=3)
 
 
@@ -458,7 +456,7 @@ COMMAND = {
 
 
 def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
-    """Which of ``count`` rows some numbers and slices name, shape [count] bool."""
+    """Mask of the rows selected by numbers and slices, shape [count] bool."""
     import re
 
     import numpy as np
@@ -475,7 +473,7 @@ def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
 
 
 def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, ObjectModel]:
-    """The objects of a file's grasps that can be found, by name; their mass does not matter here."""
+    """Objects of a file's grasps by name, as far as known, with a mass of 1 kg."""
     from fungrasp.objects import load_object, mesh_files, object_names
     from fungrasp.objects.object_variants import MIRRORED
 
@@ -517,7 +515,7 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
 
 
 def _fields(grasp: HumanGrasp | RobotGrasp) -> dict[str, Any]:
-    """All that a grasp holds, by the names that its file has for it; ``extra`` as further fields."""
+    """All fields of a grasp by name, ``extra`` included."""
     values = {field.name: getattr(grasp, field.name) for field in dataclasses.fields(grasp)}
     return {**values, **values.pop("extra", {})}
 

@@ -48,12 +48,12 @@ class ListHands(Answering):
 
 @dataclass(frozen=True)
 class ShowHand(Answering):
-    """Show a hand: fingers, joints with limits, couplings, actuators."""
+    """Show a hand: fingers, joint limits, couplings, actuators."""
 
     name: HandName
     """A known hand, or the path of a hand's TOML file or folder."""
     picture: Path | None = None
-    """Also draw the hand from four sides into this file (.png, .jpg)."""
+    """Draw the hand from four sides to this file (.png or .jpg)."""
 
     def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
@@ -71,7 +71,7 @@ class ShowHand(Answering):
 
 @dataclass(frozen=True)
 class CheckHand(Answering):
-    """Report what is wrong with a hand's files; exits with status 1 if the hand cannot be used as it is."""
+    """Check a hand's files. Exit status 1: the hand can't be used."""
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
@@ -87,34 +87,34 @@ class CheckHand(Answering):
 
 @dataclass(frozen=True)
 class AddHand(Answering):
-    """Make a hand folder from any URDF or MJCF: one model and one TOML, ready for --hand.
+    """Make a hand folder from any URDF or MJCF: a model and a TOML file, ready for --hand.
 
-    Palm, fingers, thumb, tips and side are found from the tree of bodies and the geometry. What can't be
-    found is asked for by the name of an option.
+    Palm, fingers, thumb, tips and side are detected from the bodies and the geometry. If something can't be
+    detected, the error names the option for it.
     """
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """A URDF or an MJCF; its meshes are looked for where it says and in folders nearby."""
+    """A URDF or MJCF file; meshes are also searched for in nearby folders."""
     out: Path | None = None
-    """The folder to write; named as the hand if not given."""
+    """Folder to write. Default: the hand's name."""
     name: str | None = None
-    """Name of the hand; that of the file if not given."""
+    """Name of the hand. Default: the file's name."""
     palm: str | None = None
-    """The body that carries the fingers; what lies before it is cut off."""
+    """The body that carries the fingers; bodies before it are removed."""
     thumb: str | None = None
     """A body of the thumb."""
     finger: tuple[str, ...] = ()
-    """Which finger is which, by a body of it: index=BODY middle=BODY ...; those not named are left out."""
+    """Fingers by one of their bodies: index=BODY middle=BODY ...; other fingers are ignored."""
     side: Literal["right", "left"] | None = None
-    """Which human hand it imitates."""
+    """The human hand that it corresponds to."""
     normal: tuple[float, float, float] | None = None
-    """Direction out of the palm towards a held object, in the frame of the palm body."""
+    """Direction from the palm to a held object, in the frame of the palm body."""
     couple: tuple[str, ...] = ()
-    """Joints that move together, as JOINT=SLOPE*DRIVER or JOINT=OFFSET+SLOPE*DRIVER, angles in radians."""
+    """Coupled joints: JOINT=SLOPE*DRIVER or JOINT=OFFSET+SLOPE*DRIVER, angles in radians."""
     radius: float | None = None
-    """Of fingers whose shapes are missing [m]."""
+    """Radius of fingers without geometry [m]."""
     force: bool = False
-    """Overwrite the hand in the folder."""
+    """Overwrite the folder."""
 
     def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
@@ -133,12 +133,12 @@ class AddHand(Answering):
 
 @dataclass(frozen=True)
 class ExportHand(Answering):
-    """Write a hand as one MJCF file that needs no other file, with position actuators."""
+    """Write a hand as a single self-contained MJCF file with position actuators."""
 
     name: HandName
     """A known hand, or the path of a hand's TOML file or folder."""
     out: Path
-    """The file to write, for example allegro.xml."""
+    """File to write, for example allegro.xml."""
     arm: str | None = None
     """Mount the hand on this arm: ur5e."""
 
@@ -194,7 +194,7 @@ def _vector(values: Sequence[float]) -> str:
 
 
 def _findings(path: str | Path, findings: Sequence[Finding]) -> tuple[list[dict[str, str]], str, int]:
-    """What was found in a hand's files: for a program, for a person, and the exit status: 1 for errors."""
+    """Findings as rows, as text, and the exit status: 1 for errors."""
     rows = [{"severity": finding.severity, "message": finding.message} for finding in findings]
     errors, warnings = (sum(row["severity"] == severity for row in rows) for severity in ("error", "warning"))
     lines = [f"{row['severity']}: {row['message']}" for row in rows]

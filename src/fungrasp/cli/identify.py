@@ -1,7 +1,8 @@
-"""``fungrasp identify``: how the joints of a real hand move."""
+"""``fungrasp identify``: joint dynamics of a real hand."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,31 +21,31 @@ if TYPE_CHECKING:
     from fungrasp.sim2real.identification.motion_log import MotionLog
 
 HELD_OUT = 0.5
-"""The last part of a log is not fitted but predicted."""
+"""Share of a log, at its end, that is predicted instead of fitted."""
 
 
 @dataclass(frozen=True)
 class Collect(Answering):
-    """Move the joints of a cell's hand about their present place, one finger after the other, within limits,
-    and record it. The arm may be off.
+    """Move the hand's joints around their current position, one finger after the other, and record them. The
+    arm may be off.
 
-    Keep the hand free of anything to touch, its palm still, and a hand on the emergency stop. The cell's stop
-    file stops the hand, and so do Enter in a terminal and Ctrl-C. What was recorded until then can be fitted.
+    Nothing may touch the hand; keep the palm still and your own hand on the emergency stop. The stop file of
+    the cell, Enter or Ctrl-C stops the hand. A stopped recording can still be fitted.
     """
 
     log: Annotated[Path, tyro.conf.Positional]
-    """Write the log here (.jsonl); it must not exist."""
+    """Log to write (.jsonl); must not exist."""
     cell: CellName
-    """The robot cell: a TOML file, or one that comes with the package."""
+    """A built-in robot cell, or a TOML file."""
     excitation: Excitation = field(default_factory=Excitation)
-    """How it is moved."""
+    """The motion."""
     torque_share: float = 0.5
-    """The hand is told to make no more than this share of the torque that the cell says."""
+    """Torque limit, as a share of the cell's."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Gravity in the palm's frame [m/s^2]; zero leaves weight out of the fit."""
+    """Gravity in the palm's frame [m/s^2]; zero ignores weight in the fit."""
     weight: float = 0.0
-    """Mass that is fixed to each fingertip [kg]: 0.2 kg in one of several logs tell the scale of the dynamics
-    of a hand whose fingers are light against their drives."""
+    """Mass attached to each fingertip [kg]. If the fingers are light compared to their drives, 0.2 kg in one
+    of several logs determines the scale of the dynamics."""
     yes: bool = False
     """Do not ask before a real hand moves."""
     option_prefixes = True
@@ -80,7 +81,7 @@ class Collect(Answering):
                         ask_before_motion(
                             switch, f"move the fingers, one after the other, for {seconds:.0f} s"
                         )
-                    print(f"{seconds:.0f} s; to stop: {switch.ways or 'Ctrl-C'}", flush=True)
+                    print(f"{seconds:.0f} s; to stop: {switch.ways or 'Ctrl-C'}", file=sys.stderr, flush=True)
                     log = record_motion(
                         driver,
                         joints,
@@ -93,7 +94,7 @@ class Collect(Answering):
             except (FungraspError, KeyboardInterrupt):
                 if writer.rows:
                     said = driver.lets_go and f"; the hand lets go {driver.lets_go}"
-                    print(f"broken off: {writer.rows} rows are in {self.log}{said}", file=sys.stderr)
+                    print(f"stopped: {writer.rows} rows are in {self.log}{said}", file=sys.stderr)
                 raise
         text = f"{len(log.times)} rows, {log.times[-1]:.1f} s, {len(joints)} joints -> {self.log}"
         return CommandResult({"log": self.log, "rows": len(log.times), "joints": joints}, text)
@@ -101,21 +102,21 @@ class Collect(Answering):
 
 @dataclass(frozen=True)
 class Fit(Answering):
-    """Fit stiffness, damping, friction, armature and delay to the first half of a log, predict the second."""
+    """Fit stiffness, damping, friction, armature and delay to the first half of a log; test on the second."""
 
     log: Annotated[Path, tyro.conf.Positional]
-    """Log of ``identify collect`` (.jsonl), or a step response of an Inspire hand (.csv)."""
+    """Log of `identify collect` (.jsonl), or a step response of an Inspire hand (.csv)."""
     hand: str = "allegro"
-    """Name of a hand, or the path of a hand's TOML file."""
+    """Name of a hand, or the path of its TOML file."""
     out: Path | None = None
-    """Write the dynamics here (.toml)."""
+    """File to write (.toml)."""
     others: tuple[Path, ...] = ()
-    """Further logs of the same joints, recorded with the palm turned to other sides, or with weights on the
+    """More logs of the same joints, recorded with other palm orientations or with weights on the
     fingertips."""
     joint: str = "index_proximal_joint"
-    """Joint of a .csv."""
+    """Joint of a .csv log."""
     settings: Annotated[FitSettings, tyro.conf.arg(name="")] = field(default_factory=FitSettings)
-    """What is fitted, and how."""
+    """Settings of the fit."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -129,12 +130,12 @@ class Fit(Answering):
         step = self.log.suffix == ".csv"
         if step:
             if self.joint not in hand.actuators:
-                raise FungraspError(f"hand '{hand.name}' has no driven joint '{self.joint}'; give --joint")
+                raise FungraspError(f"hand '{hand.name}' has no actuated joint '{self.joint}'; give --joint")
             low, high = hand.joint_limits[hand.joint_names.index(self.joint)]
             log = read_step_csv(self.log, self.joint, float(low), float(high))
         else:
             log = load_motion_log(self.log)
-        # A single step has no second half of its own: every other row is held out instead.
+        # A single step can't be split in halves: every other row is held out instead.
         logs = [log, *(load_motion_log(path) for path in self.others)]
         if not step:
             logs = self._excited(logs)
@@ -163,8 +164,8 @@ class Fit(Answering):
         if vague:
             lines.append(
                 f"{vague} quantities are not identifiable from this log (standard deviation above "
-                f"{self.settings.bound:.0%} by it alone): they keep the model's values. Logs with the palm "
-                "turned to other sides, or with weights on the fingertips, may tell them"
+                f"{self.settings.bound:.0%}) and keep the model's values. Logs with other palm orientations, "
+                "or with weights on the fingertips, may help"
             )
         fixed = self.settings.fixed
         joints = {
@@ -192,12 +193,12 @@ class Fit(Answering):
         return float(np.sqrt(np.mean(error[1::2] ** 2)))
 
     def _excited(self, logs: list[MotionLog]) -> list[MotionLog]:
-        """The joints that were excited in all logs."""
+        """The logs, with only the joints that moved in all of them."""
         some = [log.excited() for log in logs]
         common = [name for name in some[0].joints if all(name in log.joints for log in some)]
         missing = [name for name in logs[0].joints if name not in common]
         if missing:
-            print(f"hardly moved, not fitted: {', '.join(missing)}")
+            logging.getLogger(__name__).warning("hardly moved, not fitted: %s", ", ".join(missing))
         return [log.of_joints(common) for log in some]
 
     def _value(self, found: IdentifiedDynamics, quantity: str, joint: int) -> str:
@@ -209,7 +210,7 @@ class Fit(Answering):
         return f"{value:.4g} ± {found.relative_error[quantity][joint]:.0%}"
 
     def _notes(self, found: IdentifiedDynamics) -> dict[str, list[str]]:
-        """What the file says beside each value."""
+        """Comments for the values in the file."""
         notes: dict[str, list[str]] = {}
         for name, known in found.identified.items():
             deviation = found.relative_error[name]

@@ -1,7 +1,7 @@
-"""The program ``fungrasp``: finds the command asked for, makes it from the arguments and runs it.
+"""The program ``fungrasp``: finds the command, parses its arguments and runs it.
 
-Only the module of that command is imported. It holds ``COMMAND``: a dataclass with a method ``run``, or a
-table of them by subcommand name, in which "module:class" stands for one that is imported on use.
+Only the command's own module is imported. Its ``COMMAND`` is a dataclass with a method ``run``, or a table of
+them by subcommand name. In a table, "module:class" names a command that is imported on use.
 """
 
 from __future__ import annotations
@@ -43,41 +43,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "doctor": ("fungrasp.cli.doctor", "list what is installed: extras, devices, caches"),
     "identify": ("fungrasp.cli.identify", "record a real hand's motion and fit the dynamics of its joints"),
 }
-"""Where every command is (a module's ``COMMAND``, or "module:name") and its summary, in the order of the
-help."""
-
-LEFT: Mapping[str, str] = {
-    "demo --pick": "--grasp picks grasps, here as elsewhere",
-    "grasps show --index": "--grasp takes an object, object:task or a row number",
-    "perceive --hand": "--side right or left; --hand names a robot hand",
-    "demo --refine": "rollouts choose among plans; --policy reference runs one motion without choosing",
-    "robots log --page": "'fungrasp view LOG' shows the log and its curves in a browser",
-    "completion": "'fungrasp --tyro-print-completion bash' (or zsh) prints the completion script",
-    "retarget --likeness": "contacts are as the person's, as firm there as can be; leave it out",
-    "evaluate --refine": "rollouts choose among plans: --policy student, or plan",
-    "export --format urdf": "--format mcap holds the joints and the poses of each step",
-    "export --format dexgraspbench": "fg.load_grasps reads a grasp file's poses and joints in Python",
-    "robots arm-model": "set arm.model in the cell file; the driver compares it with the controller's pose",
-    "deploy --execute": "'fungrasp deploy --picture lift.png' draws the motion, asks and carries it out",
-    "deploy --save-plan": "'fungrasp deploy --picture lift.png --until plan' plans and draws the motion",
-    "train --ray": "submit each training to your cluster as its own job",
-    "train --seeds": "give --seed, in a loop: for s in 0 1 2; do fungrasp train --seed $s --out run-$s; done",
-    "train --sweep": "loop over the values in your shell, with a separate --out for each run",
-    "identify fit --method": "leave it out: the fit is a bounded Gauss-Newton",
-    "identify fit --evaluations": "leave it out: it was an option of CMA-ES",
-    "predictor": "rollouts choose among plans of any hand: fungrasp evaluate --policy plan",
-    "train --plans": "--search: the policy follows the best of many plans, which rollouts choose",
-    "perceive --countdown": "--camera takes the image immediately",
-    "perceive --frames": "give one image; where the result is not sure, try another viewpoint",
-    "perceive --page": "--camera takes the image immediately; --report FILE writes the page",
-    "perceive --no-page": "--camera takes the image immediately; --report FILE writes the page",
-    "scan": "make the mesh with any scanner app or photogrammetry tool, in meters, and pass it with --mesh",
-}
-"""What is used now in place of a command, "command subcommand", "command --option", "command subcommand
---option" or "command --option value" that has left."""
+"""Module ("module:name" if not its ``COMMAND``) and summary of each command, in the order of the help."""
 
 COMPLETION = "--tyro-print-completion"
-"""The option by which tyro prints a script that completes words in a shell."""
+"""Tyro's option that prints a completion script for a shell."""
 
 USAGE_ERROR = 2
 BROKEN_PIPE = 141
@@ -90,21 +59,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; by default those of this process.
 
     Returns:
-        Exit status: 0 done; 2 bad input or no room (one line on stderr); 130 interrupted; 141 the
-        reader of the output has closed it.
+        Exit status: 0 done; 2 bad input or full disk (one line on stderr); 130 interrupted; 141 output pipe
+        closed.
 
     Raises:
-        SystemExit: after help or a usage error was printed, or when a command ends with a status of its own.
+        SystemExit: after help or a usage error, or if a command has its own exit status.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     return _status(lambda: _dispatch(arguments))
 
 
 def run_command(program: str, command: Any, arguments: Sequence[str]) -> int:
-    """Run a command that is not one of ``COMMANDS``.
+    """Run a command that is not in ``COMMANDS``.
 
     Args:
-        program: how it was called, for its help.
+        program: name shown in its help.
         command: a dataclass with a method ``run``, or a table of them by subcommand name.
 
     Returns:
@@ -131,13 +100,13 @@ def _status(work: Callable[[], int]) -> int:
         return _fail(f"out of memory: {error}" if str(error) else "out of memory")
     except OSError as error:
         where = f"{error.filename}: " if error.filename is not None else ""
-        # Compiled loops, whose writer does not say where, are the first to miss it.
-        full = "; FUNGRASP_CACHE moves what is kept" if error.errno == errno.ENOSPC else ""
+        # Numba reports a full cache without a path.
+        full = "; set FUNGRASP_CACHE to move the cache" if error.errno == errno.ENOSPC else ""
         return _fail(f"{where}{error.strerror or error}{full}")
 
 
 def every_command() -> dict[str, Any]:
-    """Each command, or a table of its subcommands, with all modules imported."""
+    """All commands by name, or tables of subcommands, with all modules imported."""
     commands: dict[str, Any] = {}
     for name, (place, _) in COMMANDS.items():
         command = _loaded(place)
@@ -148,14 +117,13 @@ def every_command() -> dict[str, Any]:
 
 
 def parsed(arguments: Sequence[str]) -> Any:
-    """The command that arguments ask for, which is not run.
+    """The command for these arguments, ready to run.
 
     Raises:
-        FungraspError: there is no such command, or a value is impossible.
+        FungraspError: unknown command or invalid value.
         SystemExit: a usage error was printed.
     """
     first, *rest = arguments
-    _check_left(first, rest)
     if first not in COMMANDS:
         raise UnknownNameError("option" if first.startswith("-") else "command", first, COMMANDS)
     return _parse(f"fungrasp {first}", _loaded(COMMANDS[first][0]), rest)
@@ -177,26 +145,8 @@ def _dispatch(arguments: list[str]) -> int:
     return _run(parsed(arguments))
 
 
-def _check_left(first: str, rest: Sequence[str]) -> None:
-    """Say what is used in place of a word of the command line that has left.
-
-    Raises:
-        FungraspError: there is one.
-    """
-    commands = [first, *(f"{first} {word}" for word in rest[:1] if not word.startswith("-"))]
-    options = []
-    for word, following in zip(rest, [*rest[1:], ""], strict=False):
-        if word.startswith("--"):
-            name, _, value = word.partition("=")
-            option = name.replace("_", "-")
-            options += [option, f"{option} {value or following}"]
-    for words in (*commands, *(f"{command} {option}" for command in commands for option in options)):
-        if words in LEFT:
-            raise FungraspError(f"'{words}' is no longer part of fungrasp: {LEFT[words]}")
-
-
 def _print_completion(arguments: list[str]) -> NoReturn:
-    """Print the script that completes all commands and options in a shell."""
+    """Print the completion script for all commands and options."""
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff)
@@ -205,7 +155,7 @@ def _print_completion(arguments: list[str]) -> NoReturn:
 
 
 def _choices(commands: Mapping[str, Any]) -> Any:
-    """A type of which each command is a choice, and each table of commands one that leads to more."""
+    """A union type with one choice per command; a table of commands becomes a nested choice."""
     import tyro
 
     kinds = []
@@ -217,8 +167,11 @@ def _choices(commands: Mapping[str, Any]) -> Any:
 
 
 def _run(command: Any) -> int:
+    # Imported here because `--help` does not need logging.
+    from fungrasp.cli.warning_lines import WarningLines
+
     as_json = getattr(command, "json", None) in (True, STDOUT)
-    with redirect_stdout(sys.stderr) if as_json else nullcontext():
+    with WarningLines(), redirect_stdout(sys.stderr) if as_json else nullcontext():
         answer = command.run()
     if isinstance(answer, CommandResult):
         answer.show(as_json)
@@ -244,7 +197,7 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
         with redirect_stderr(said):
             return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
     except SystemExit as stop:
-        # A spec has found an impossible value: in one line, as all our errors.
+        # A dataclass rejected a value: one line, like all our errors.
         for error in (stop.__context__, getattr(stop.__context__, "__context__", None)):
             if isinstance(error, FungraspError):
                 raise error from None
@@ -253,7 +206,7 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
 
 
 def _loaded(command: Any) -> Any:
-    """A command of a table, imported where only its place is said."""
+    """A command of a table, imported if the table has only its place."""
     if not isinstance(command, str):
         return command
     module, _, name = command.partition(":")

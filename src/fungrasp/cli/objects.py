@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ListObjects(Answering):
-    """List the objects known by name."""
+    """List the known objects."""
 
     objects: Path | None = None
-    """A folder of meshes, listed too."""
+    """A folder of meshes to list too."""
 
     def run(self) -> CommandResult:
         from fungrasp.objects import builtin_object, mesh_files, object_names
@@ -43,18 +43,18 @@ class ListObjects(Answering):
 
 @dataclass(frozen=True)
 class ShowObject(Answering):
-    """Show an object: size, mass, inertia, parts, what was repaired, and its convex pieces for physics."""
+    """Show an object: size, mass, inertia, parts, mesh repairs, and its convex pieces for physics."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
     """A built-in object, a mesh in --objects, or the path of a mesh file."""
     mass: float | None = None
-    """Mass [kg]; a built-in object has its own."""
+    """Mass [kg]. Default: known for built-in objects."""
     objects: Path | None = None
     """A folder of meshes."""
     picture: Path | None = None
-    """Write a picture from four sides here (.png or .jpg), its parts in colors."""
+    """Draw the object from four sides, colored by part, to this file (.png or .jpg)."""
     pieces: bool = False
-    """Color the picture by convex piece instead of by part."""
+    """Color by convex piece instead of by part."""
 
     def run(self) -> CommandResult:
         from fungrasp.objects.object_description import describe_object
@@ -73,7 +73,7 @@ class ShowObject(Answering):
         return CommandResult(description, _text(description))
 
     def _load(self) -> tuple[ObjectModel, bool]:
-        """The object, and whether its mass is known; without one, a mesh is described as if it had 1 kg."""
+        """The object, and whether its mass is known; if not, it is loaded with 1 kg."""
         from fungrasp.objects import load_object, mesh_files, object_from_file
 
         if self.objects is None and Path(self.name).suffix and Path(self.name).is_file():
@@ -101,7 +101,7 @@ def _text(d: dict[str, Any]) -> str:
         ("center", f"({', '.join(f'{x * 100:.2f}' for x in d['center_of_mass'])}) cm"),
     ]
     if d["inertia"] is not None:
-        # What rounding leaves of nothing, and -0, are 0.
+        # Rounding errors and -0 become 0.
         least = 1e-9 * max(map(max, d["inertia"]))
         rounded = [[x if abs(x) > least else 0.0 for x in row] for row in d["inertia"]]
         rows += [("inertia", f"[{', '.join(f'{x:.3e}' for x in row)}] kg m2") for row in rounded]

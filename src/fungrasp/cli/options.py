@@ -1,7 +1,8 @@
-"""Options that several commands have."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +24,7 @@ CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectsOption:
-    """Meshes of one's own."""
+    """Your own meshes."""
 
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
@@ -31,10 +32,10 @@ class ObjectsOption:
 
 @dataclass(frozen=True, kw_only=True)
 class GraspsOption(ObjectsOption):
-    """Which grasps, and of what."""
+    """Which grasps, and the meshes of their objects."""
 
     grasps: str = "builtin"
-    """A file of human or robot grasps, as the command takes them, or "builtin"."""
+    """A grasp file (.npz), or "builtin"."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,29 +43,29 @@ class MirrorOption:
     """Grasps of right hands for a left hand."""
 
     mirror: bool = False
-    """Mirror human grasps and their objects first, from right hands to left hands or the other way round.
-    Mirrored objects are named <name>_mirrored."""
+    """First mirror human grasps and their objects (right to left hands or back). Mirrored objects are named
+    <name>_mirrored."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThreadsOption:
-    """Of this machine."""
+    """Number of threads."""
 
     threads: int = 0
-    """0 means all processors; the result does not depend on it."""
+    """0 means all processors; results are the same for any number."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterOption:
-    """Of many machines."""
+    """Work on a Ray cluster."""
 
     ray: tuple[str, ...] | None = None
-    """Use a Ray cluster at this address ("auto": the one this machine belongs to); without an address, all
-    processors of this machine. The results are the same. Files must have the same paths on every machine."""
+    """Run on a Ray cluster at this address ("auto": this machine's cluster); without an address, on all local
+    processors. Results are the same. File paths must be the same on every machine."""
 
     @property
     def cluster(self) -> RayCluster | None:
-        """The cluster that is meant; None where ``--ray`` is not given.
+        """The requested cluster; None without ``--ray``.
 
         Raises:
             FungraspError: more than one address.
@@ -79,13 +80,13 @@ class ClusterOption:
 def device_and_buffers(
     device: str | None, buffers: tuple[int, int] | None
 ) -> tuple[Device, BufferSizes | None]:
-    """What ``--device`` and ``--buffers`` mean: a GPU, if there is one, where no device is given.
+    """Device and buffer sizes for ``--device`` and ``--buffers``. Default device: a GPU if one is found.
 
     Args:
-        buffers: contacts and rows of a world, as given.
+        buffers: contacts and constraint rows per world.
 
     Raises:
-        FungraspError: an impossible value, or something that the device needs is missing.
+        FungraspError: invalid value, or the device lacks software.
     """
     from fungrasp.simulation import BufferSizes, found_device
     from fungrasp.simulation.warp_device import open_warp
@@ -97,19 +98,18 @@ def device_and_buffers(
 
 
 def print_use(cluster: RayCluster | None) -> None:
-    """Say how well a cluster was used, if there was one."""
+    """Report how much of a cluster was used, if there was one."""
     if cluster is not None and cluster.use is not None:
-        print(f"on the cluster: {cluster.use.words}")
+        print(f"on the cluster: {cluster.use.words}", file=sys.stderr)
 
 
 def optional_value(metavar: str, default: str, what: str) -> Any:
-    """How tyro reads an option that stands for a default where no value follows; for ``Annotated[str | None,
-    ...]``.
+    """A tyro option that takes zero or one values; annotate ``str | None`` with it.
 
     Args:
-        metavar: of the value, in the help.
-        default: where none follows.
-        what: may be given only once, "folder".
+        metavar: shown in the help.
+        default: used if no value follows the option.
+        what: name of the value in the error for several values, such as "folder".
     """
 
     def one(words: list[str]) -> str:
@@ -127,16 +127,16 @@ def optional_value(metavar: str, default: str, what: str) -> Any:
 
 
 JsonOut = Annotated[str | None, optional_value("[FILE]", STDOUT, "file")]
-"""``--json FILE`` of a command whose answer is large; without a file it is printed, as elsewhere."""
+"""``--json FILE``; without a file, JSON goes to stdout."""
 
 
 def json_path(json: str | None) -> Path | None:
-    """The file that is meant by a ``JsonOut``; None where there is none."""
+    """The file of a ``JsonOut``; None for stdout or no JSON."""
     return None if json is None or json == STDOUT else Path(json)
 
 
 def wired_cell(name: str) -> tuple[RobotCell, Hand]:
-    """A cell of real or emulated devices, and its hand."""
+    """A cell with real or emulated devices, and its hand."""
     from fungrasp.hands import load_hand
     from fungrasp.robots.cell import load_cell
     from fungrasp.robots.single_devices import check_wired

@@ -1,7 +1,8 @@
-"""``fungrasp perceive``: one image with depth of a person holding an object becomes a human grasp."""
+"""``fungrasp perceive``: from an RGB-D image of a held object to a human grasp."""
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from dataclasses import dataclass, field
@@ -20,62 +21,61 @@ if TYPE_CHECKING:
     from fungrasp.perception.perceived import Perceived
 
 LOW_CONFIDENCE = 3
-"""Exit status when the result was written but should be looked at before use."""
+"""Exit status if the grasp was written with low confidence."""
 
 
 @dataclass(frozen=True)
 class CommandSource(ImageSource):
-    """The image: three files, or a folder, or a RealSense camera, or a recording of one."""
+    """The image: three files, a folder, a RealSense camera or its recording."""
 
     camera: Annotated[str | None, optional_value("[realsense]", REALSENSE, "camera")] = None
-    """Instead of files: take an image now, with the RealSense camera that is connected."""
+    """Take an image now, with the connected RealSense camera."""
 
 
 @dataclass(frozen=True)
 class Perceive:
-    """Turn an image with depth of a person holding a known object into a human grasp.
+    """Turn an RGB-D image of a hand holding a known object into a human grasp.
 
-    Exit status 3: the grasp was written, but its confidence is low.
+    Exit status 3: the grasp was written with low confidence.
     """
 
     mesh: str
-    """The object: a mesh file [m], the name of a built-in object, or a shape in millimeters, box:60x28x30,
-    cylinder:66x115 (diameter, height) or sphere:67. Or "unknown": a shape is fitted to what is seen."""
+    """The object: a mesh file [m], a built-in object, or a shape [mm]: box:60x28x30, cylinder:66x115
+    (diameter, height), sphere:67. "unknown" fits a shape to the depth."""
     out: Path
     """Grasp file to write (.npz)."""
     source: CommandSource = field(default_factory=CommandSource)
-    """Where the image comes from."""
+    """The image."""
     side: Literal["right", "left"] | None = None
-    """Which hand it is; by default it is recognized."""
+    """Side of the hand. Default: recognized."""
     mass: float | None = None
-    """The object's [kg]; by default a built-in object's own, or guessed from the mesh."""
+    """Mass of the object [kg]. Default: known for built-in objects, otherwise guessed from the mesh."""
     task: str = ""
-    """What the grasp is for: "drink", "hand over" ..."""
+    """Purpose of the grasp: "drink", "hand over" ..."""
     table: str | None = None
-    """The table top's plane nx,ny,nz,d, camera frame, normal upwards [m]; by default it is looked for."""
+    """Plane of the table top, nx,ny,nz,d [m]: camera frame, normal upwards. Default: detected."""
     hand_file: Path | None = None
-    """A hand that another program found in the image (HaMeR, WiLoR ...), .json or .npz."""
+    """The hand, from another program such as HaMeR or WiLoR (.json or .npz)."""
     object_pose_file: Path | None = None
-    """A pose that another program found: a matrix, or FoundationPose's folder."""
+    """The object's pose, from another program: a 4x4 matrix or a FoundationPose folder."""
     improve_pose: bool = False
-    """Fit that pose to the depth; by default it stays as it is."""
+    """Fit that pose to the depth."""
     hand_from: str | None = None
-    """Let an estimator of another package find the hand: the name of its entry point."""
+    """Entry point of another package that finds the hand."""
     object_pose_from: str | None = None
-    """Let an estimator of another package find the object's pose: the name of its entry point."""
+    """Entry point of another package that finds the object's pose."""
     seed: int = 0
-    """The same seed gives the same result."""
+    """Random seed."""
     report: Path | None = None
-    """Write a page with pictures to this HTML file."""
+    """Write an HTML page with pictures to this file."""
     json: JsonOut = None
-    """Write everything that was found to this JSON file; without a file, print it."""
+    """Write all results to this JSON file; without a file, print them."""
 
     def run(self) -> CommandResult:
         from time import perf_counter
 
         start = perf_counter()
-        # Matrices are small here: threads that wait for each other would take more time than the products.
-        # Read when NumPy is imported, which follows.
+        # BLAS threads cost more than they save on small matrices. To be set before NumPy is imported.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         self._check()
         from fungrasp.perception.pipeline import perceive
@@ -96,9 +96,9 @@ class Perceive:
         written, fault = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         name = perceived.object_model.name
-        # Those of the files were logged when they were read.
+        # Warnings of the image files were logged when they were read.
         for warning in perceived.warnings[len(perceived.capture.warnings) :]:
-            print(f"fungrasp: warning: {warning}", file=sys.stderr)
+            logging.getLogger(__name__).warning(warning)
         lines = [
             table(perceived.acceptance.rows()),
             f"{self.out}: a {perceived.hand.side} hand on '{name}', {touching} links in contact",
@@ -117,7 +117,7 @@ class Perceive:
         return CommandResult(value, "\n".join(lines), fault=fault, status=status)
 
     def _check(self) -> None:
-        """Complain about options that do not go together, and about hand models that are missing."""
+        """Check that options fit together and hand models are installed."""
         from fungrasp.core.files import check_writable
         from fungrasp.perception.hand.mediapipe_models import load_weights
 
@@ -131,11 +131,11 @@ class Perceive:
         if self.improve_pose and self.object_pose_file is None and self.object_pose_from is None:
             raise FungraspError("--improve-pose needs --object-pose-file or --object-pose-from")
         if self.hand_file is None and self.hand_from is None:
-            # Before meshes and images are read, and the rest is imported.
+            # First, before slow imports and files.
             load_weights()
 
     def _hand(self) -> Any:
-        """Another program's or package's estimator of the hand; None if none is asked."""
+        """Hand estimate or estimator given by the user, or None."""
         if self.hand_file is None and self.hand_from is None:
             return None
         from fungrasp.perception.adapters import load_hand_estimator, read_hand_estimate
@@ -146,7 +146,7 @@ class Perceive:
         return partial(read_hand_estimate, self.hand_file, side=self.side)
 
     def _object_pose(self) -> Any:
-        """The same of the object's pose."""
+        """Pose estimate or estimator given by the user, or None."""
         if self.object_pose_file is None and self.object_pose_from is None:
             return None
         from fungrasp.perception.adapters import load_object_pose_estimator, read_object_pose
@@ -157,10 +157,10 @@ class Perceive:
         return read_object_pose(self.object_pose_file, image=self.source.image)
 
     def _write(self, perceived: Perceived, seconds: float) -> tuple[list[str], str]:
-        """Write the files, the grasp first, which stays where another can't be written.
+        """Write the grasp, then the other files.
 
         Returns:
-            What to say about them, and which could not be written, "" if all could.
+            Lines to print, and the error if a later file can't be written, else "".
         """
         from fungrasp.grasps import save_human_grasps
 
@@ -169,7 +169,7 @@ class Perceive:
         if perceived.hand.side == "left":
             name = perceived.grasp.object_name
             notes.append(
-                f"the scene was mirrored, as hands are right ones here: '{name}' is the mesh's mirror image"
+                f"the scene was mirrored to make the hand a right hand: '{name}' is the mirrored mesh"
             )
         faults: list[str] = []
         path = json_path(self.json)
@@ -198,10 +198,10 @@ COMMAND = Perceive
 
 
 def parse_plane(text: str | None) -> np.ndarray | None:
-    """A plane written as ``nx,ny,nz,d``: unit normal and offset [m], shape [4].
+    """Parse a plane ``nx,ny,nz,d``: unit normal and offset [m], shape [4].
 
     Raises:
-        FungraspError: it is something else.
+        FungraspError: not a plane.
     """
     import numpy as np
 

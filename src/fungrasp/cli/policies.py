@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class List(Answering):
-    """List the learned policies that come with fungrasp."""
+    """List the built-in learned policies."""
 
     def run(self) -> CommandResult:
         from fungrasp.policies.checkpoint.checkpoint_file import list_policies, read_card
@@ -26,7 +26,7 @@ class List(Answering):
         sizes = {name: path.stat().st_size for name, path in files.items()}
         known = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
         if not cards:
-            return CommandResult(known, "no policies come with this version of fungrasp")
+            return CommandResult(known, "this version has no built-in policies")
         header = ("name", "kind", "hand", "size", "success", "licence", "data")
         rows = [
             (
@@ -45,10 +45,10 @@ class List(Answering):
 
 @dataclass(frozen=True)
 class Info(Answering):
-    """Describe a policy: what it sees and does, how it was trained, what was measured, where it fails."""
+    """Describe a policy: observation, action, training, results, limits."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
-    """A policy that comes with fungrasp, or the path of a policy file (.onnx)."""
+    """A built-in policy, or a policy file (.onnx)."""
 
     def run(self) -> CommandResult:
         from fungrasp.policies.checkpoint.checkpoint_file import read_card
@@ -94,7 +94,7 @@ def _text(card: PolicyCard) -> str:
 
 
 def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Values of a nested table, each with the names that lead to it."""
+    """Values of a nested table, each with its path of names."""
     for name, value in measured.items():
         path = f"{above} {name}".strip()
         if isinstance(value, Mapping):
@@ -104,7 +104,7 @@ def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str,
 
 
 def _successes(measured: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Every share of successes, with the names above it."""
+    """Every success rate, with its path of names."""
     for path, value in _leaves(measured):
         if path.split()[-1] == "success" and isinstance(value, int | float):
             yield path.removesuffix("success").strip(), value
@@ -119,5 +119,5 @@ def _size(count: int) -> str:
 
 
 def _printable(text: str) -> str:
-    """Without what could steer a terminal; a file may come from anyone."""
+    """Without control characters, because files may be untrusted."""
     return "".join(character if character.isprintable() else "?" for character in text)

@@ -1,8 +1,8 @@
-"""``fungrasp retarget``: human grasps become grasps of a robot hand."""
+"""``fungrasp retarget``: from human grasps to grasps of a robot hand."""
 
 from __future__ import annotations
 
-import sys
+import logging
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -16,20 +16,20 @@ from fungrasp.retargeting.settings import RetargetSpec
 
 @dataclass(frozen=True)
 class Retarget(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, Answering):
-    """Turn human grasps into grasps of a robot hand, and measure how good they are."""
+    """Turn human grasps into grasps of a robot hand, and measure their quality."""
 
     option_prefixes: ClassVar[bool] = True
 
     out: Path
-    """Grasp file to write (.npz). Finished parts lie in <out>.partial until all are done: the same command
-    goes on where an interrupted one was."""
+    """Grasp file to write (.npz). Run the same command again to continue an interrupted run; finished parts
+    are kept in <out>.partial."""
     spec: Annotated[RetargetSpec, tyro.conf.arg(name="")] = field(default_factory=RetargetSpec)
-    """How."""
+    """How grasps are retargeted."""
     quality: Path | None = None
-    """Write a summary of the quality of the grasps here (.json)."""
+    """Write a quality summary to this file (.json)."""
     exact: bool = False
-    """Measure the quality by the triangles of the meshes, not by the solver's distances (up to 1 mm off), and
-    the weakest wrench that is resisted too. It takes about as long as all else."""
+    """Measure quality with exact mesh distances (the solver's are up to 1 mm off) and add the weakest
+    resisted wrench. Doubles the time."""
     picture: Path | None = None
     """Draw some of the grasps, human and robot side by side, to this PNG file."""
 
@@ -60,7 +60,7 @@ class Retarget(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, Answeri
         print_use(cluster)
         touching = self_contact_words(hand.model, robot.joint_positions)
         for words in touching:
-            print(f"fungrasp: warning: {words}", file=sys.stderr)
+            logging.getLogger(__name__).warning(words)
         numbers = {"grasps_per_second": rate, "self_penetration_reasons": touching}
         summary = finite(quality.summary()) | numbers
         if self.quality is not None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ListCells(Answering):
-    """List the robot cells that come with fungrasp, and the drivers that are installed."""
+    """List the built-in robot cells and the installed drivers."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.assembly import ARM_DRIVERS, HAND_DRIVERS, TRACKERS
@@ -42,10 +42,10 @@ class ListCells(Answering):
 
 @dataclass(frozen=True)
 class New(Answering):
-    """Write a slow cell for a real robot, to be filled in. It is refused until what is measured is there."""
+    """Write a cell template for a real robot, with low speeds. Fill in the measured values before use."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """TOML file, which must not exist."""
+    """TOML file to write; must not exist."""
     hand: str = "allegro"
     """The hand on the arm."""
 
@@ -53,20 +53,19 @@ class New(Answering):
         from fungrasp.robots.cell import write_new_cell
 
         write_new_cell(self.file, self.hand)
-        text = f"{self.file}: fill in what is empty, then 'fungrasp robots check {self.file}'"
+        text = f"{self.file}: fill in the empty values, then run 'fungrasp robots check {self.file}'"
         return CommandResult({"cell": self.file}, text)
 
 
 @dataclass(frozen=True)
 class Check(Answering):
-    """Check a robot cell's file. Nothing is connected."""
+    """Check a robot cell's file, without connecting to devices."""
 
     cell: CellName
     """A cell that comes with fungrasp, or a TOML file."""
     touched: Path | None = None
-    """JSON file with postures of the arm (joints) and the points that the middle of its flange touched
-    (flange): whether the base is where the cell says. With points that the hand touched (hand_joints, hand,
-    hand_point): whether the hand is on the flange as it says."""
+    """JSON file of `robots touch`. Arm joints and points touched by the center of the flange (joints, flange)
+    check the base pose; points touched by the hand (hand_joints, hand, hand_point) check the mount."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -102,7 +101,7 @@ class Check(Answering):
         if not FreePath(kinematics, clearance, cell.workspace).clear(home, fingers, None):
             why = check_posture(pose, clearance.measure(home, fingers), cell.workspace)
             raise FungraspError(
-                f"at 'arm.home' {why or 'the robot is too near to something'}; the palm is at ({palm}) m then"
+                f"at 'arm.home' {why or 'the robot is too close to an obstacle'}; the palm is at ({palm}) m"
             )
         limits = cell.limits
         value = {
@@ -120,24 +119,24 @@ class Check(Answering):
         faces, along = (_axis(rotate(mounted[3:], v)) for v in (hand.palm_normal, hand.palm_fingers))
         lines = [
             f"{cell.name}: {hand.title} on a {value['arm']}; palm at home: {palm} m",
-            f"mount: the middle of the palm's lower end is at ({place}) mm of the flange; the palm faces "
-            f"{faces} of it, the fingers point along {along}",
+            f"mount, in the flange frame: the base of the palm is at ({place}) mm; the palm faces {faces}, "
+            f"the fingers point along {along}",
         ]
         if self.touched is not None:
             base = check_touched_base(self.touched, cell, hand)
             if base.fault:
                 raise FungraspError(base.fault)
             value["base_miss"] = base.miss
-            lines.append(f"base: {base.count} touched points within {1e3 * base.miss:.1f} mm")
+            lines.append(f"base: {base.count} touched points, within {1e3 * base.miss:.1f} mm")
             mount = check_touched_mount(self.touched, cell, hand)
             if mount is not None and mount.fault:
                 raise FungraspError(mount.fault)
             if mount is not None:
                 value["mount_miss"] = mount.miss
-                touched = f"{mount.count} points that the hand touched within {1e3 * mount.miss:.1f} mm"
+                touched = f"{mount.count} points touched by the hand, within {1e3 * mount.miss:.1f} mm"
                 lines.append(f"mount: {touched}")
         if is_twin(cell):
-            lines.append("a twin in the same process")
+            lines.append("device: simulated twin")
         else:
             devices = (arm_driver(cell), hand_driver(cell, hand), pose_source(cell))
             value["devices"] = [device.name for device in devices]
@@ -146,7 +145,7 @@ class Check(Answering):
         limited, _ = identified_dynamics(cell, hand)
         own = np.array([servo.force_limit for servo in hand.actuators.values()])
         planned = np.array([servo.force_limit for servo in limited.actuators.values()])
-        less = "" if (planned == own).all() else f", less than the model's {_range(own)}: plans keep to it"
+        less = "" if (planned == own).all() else f", below the model's {_range(own)}: plans use this limit"
         lines.append(f"hand: torques up to {_range(planned)} N m{less}")
         lines.append(f"palm: up to {limits.palm_speed:g} m/s, {limits.palm_acceleration:g} m/s^2")
         torques = dict(zip(hand.actuators, planned, strict=True))
@@ -155,18 +154,18 @@ class Check(Answering):
 
 @dataclass(frozen=True)
 class Emulate:
-    """Start emulators of a cell's devices on the loopback, with a twin behind them, ready for a grasp.
+    """Start emulators of a cell's devices on the loopback interface, backed by a simulated twin.
 
-    Then run `fungrasp deploy` with the same cell and grasp in another terminal. It ends with Ctrl-C."""
+    Then run `fungrasp deploy` with the same cell and grasp in another terminal. Stop with Ctrl-C."""
 
     cell: CellName = "ur5e-allegro-emulated"
-    """A cell whose addresses are on the loopback."""
+    """A cell with loopback addresses."""
     choice: GraspChoice = field(default_factory=GraspChoice)
-    """The grasp that the object is placed for."""
+    """The grasp; the object is placed for it."""
     twin: int = 0
-    """Which twin, 0, 1, 2 ... Its true parameters are hidden."""
+    """Number of the twin, 0, 1, 2 ... It determines the hidden parameters."""
     seconds: float | None = None
-    """End after so long [s]; with Ctrl-C if not given."""
+    """Stop after this time [s]. Default: run until Ctrl-C."""
 
     def run(self) -> None:
         import time
@@ -200,16 +199,15 @@ class Emulate:
                     highest = max(highest, up)
             except KeyboardInterrupt:
                 pass
-            print(f"the object was up by 10 cm and more for {highest:.1f} s at a stretch")
+            print(f"the object was up by 10 cm or more for {highest:.1f} s without a break")
             twin = emulation.twin
-            print(
-                f"the twin was up to {1e3 * twin.latest:.0f} ms late and lost {1e3 * twin.lost:.0f} ms in all"
-            )
+            late, lost = 1e3 * twin.latest, 1e3 * twin.lost
+            print(f"the twin was up to {late:.0f} ms late and lost {lost:.0f} ms in total")
 
 
 @dataclass(frozen=True)
 class ShowLog(Answering):
-    """Say what a log of `fungrasp deploy` holds, one that breaks off included."""
+    """Summarize a log of `fungrasp deploy`, complete or not."""
 
     log: Annotated[Path, tyro.conf.Positional]
     """An MCAP file."""
@@ -221,7 +219,7 @@ class ShowLog(Answering):
         counts = {name[1:]: len(found) for name, found in log.messages.items()}
         said = {"complete": log.complete, **log.about, "counts": counts}
         lines = [
-            "complete" if log.complete else "breaks off: its writer was killed, or the disk was full",
+            "complete" if log.complete else "incomplete: the writer was killed or the disk was full",
             *(f"{name}: {value}" for name, value in log.about.items()),
             *(f"{e['time']:.2f} s  {e['what']}: {e['text']}" for e in log.messages["/event"]),
             f"{counts['step']} control steps, {counts['setpoint']} setpoints",
@@ -233,14 +231,14 @@ class ShowLog(Answering):
 
 @dataclass(frozen=True)
 class ReplayLog(Answering):
-    """Show the observations of a log to a policy again: it must act as it did."""
+    """Feed the observations of a log to its policy again and compare the actions."""
 
     log: Annotated[Path, tyro.conf.Positional]
     """An MCAP file of `fungrasp deploy`."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     policy: str = ""
-    """Another policy than the one that is named in the log."""
+    """Another policy. Default: the one in the log."""
 
     def run(self) -> CommandResult:
         from fungrasp.deployment.log import read_log, replay_log
@@ -256,16 +254,16 @@ class ReplayLog(Answering):
         objects = {name: load_object(name, mass, self.objects)}
         policy = make_policy(self.policy or log.about["policy"], load_hand(log.plan.hand), objects)
         if not isinstance(policy, Policy):
-            raise FungraspError("this policy needs what only a simulation knows")
+            raise FungraspError("this policy needs privileged observations, which a log does not have")
         result = replay_log(log, policy)
         fault = f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
         if result.different:
             return CommandResult(asdict(result), fault=fault)
-        return CommandResult(asdict(result), f"{result.steps} actions, all the same")
+        return CommandResult(asdict(result), f"{result.steps} actions, all equal")
 
 
 def _axis(vector: np.ndarray) -> str:
-    """A direction in words."""
+    """Name of a direction."""
     for number, part in enumerate(vector):
         if abs(part) > 0.999:
             return f"{'+-'[int(part < 0)]}{'xyz'[number]}"
@@ -273,7 +271,7 @@ def _axis(vector: np.ndarray) -> str:
 
 
 def _range(values: np.ndarray) -> str:
-    """Least and largest value, one where they are the same."""
+    """Smallest and largest value; one number if they are equal."""
     low, high = f"{values.min():.2g}", f"{values.max():.2g}"
     return low if low == high else f"{low} to {high}"
 

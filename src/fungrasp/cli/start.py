@@ -1,4 +1,4 @@
-"""Where the program begins: Ctrl-C while it still imports ends it as later, without a traceback."""
+"""Entry point. Ctrl-C during imports ends the program without a traceback, as it does later."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ def start() -> int:
     """Run the command line of this process.
 
     Returns:
-        Exit status, as of ``fungrasp.cli.main.main``.
+        Exit status, see ``fungrasp.cli.main.main``.
 
     Raises:
-        SystemExit: as ``main``.
+        SystemExit: see ``main``.
     """
     try:
-        # Imports take a tenth of a second and more: inside, as all that follows.
+        # Importing takes a tenth of a second or more, so it happens inside the try.
         from fungrasp.cli.main import main
 
         return main()

@@ -1,11 +1,13 @@
-"""``fungrasp train`` and ``distill``: policies learn from reward, students from their teacher.
-Options are the fields of the verb's spec, which a command holds as ``spec`` without a name of its own.
+"""``fungrasp train`` and ``distill``: reinforcement learning of teachers, distillation of students.
+
+Most options are the fields of ``TrainSpec`` and ``StudentSpec``.
 """
 
 from __future__ import annotations
 
 import importlib
 import os
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -22,27 +24,26 @@ from fungrasp.task.features import LayoutName
 from fungrasp.training.settings import StudentSpec, TrainSpec
 
 LINE_PERIOD = 10.0
-"""Time between two lines of progress [s]."""
+"""Time between two progress lines [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingGrasps(ObjectsOption):
-    """Options that say what is trained on."""
+    """Training data."""
 
     grasps: tuple[str, ...] = ("builtin",)
-    """Files of human grasps (they are retargeted first) or of robot grasps of --hand, or "builtin"; several
-    are trained on together."""
+    """One or more grasp files: human grasps (retargeted first) or robot grasps of --hand; or "builtin"."""
     hand: str = "allegro"
-    """Name of a hand, or the path of a hand's TOML file."""
+    """Name of a hand, or the path of its TOML file."""
     hand_dynamics: Path | None = None
-    """Identified dynamics of the hand (`fungrasp identify fit`); the model's if not given."""
+    """Identified dynamics of the hand (`fungrasp identify fit`). Default: the model's."""
     method: str = "contact"
-    """How human grasps are retargeted: contact, angle-copy or dexgraspnet."""
+    """Retargeting method: contact, angle-copy or dexgraspnet."""
     terms: tuple[str, ...] = ()
-    """Under what terms each of --grasps may be used, for the policy's card."""
+    """License terms of each of --grasps, for the policy card."""
 
     def load(self, threads: int) -> tuple[Any, Any]:
-        """The sets, and the hand."""
+        """The training sets and the hand."""
         from fungrasp.sim2real.joint_dynamics import identified_hand
         from fungrasp.training.training_sets import load_training_sets
 
@@ -53,29 +54,28 @@ class TrainingGrasps(ObjectsOption):
 
 @dataclass(frozen=True)
 class Train(TrainingGrasps, Answering):
-    """Train a policy on grasps with PPO, many worlds at once.
+    """Train a policy with PPO in many parallel worlds.
 
-    Given again with the same settings, the command goes on where it was interrupted, or trains for more
-    steps.
+    Run the same command again to continue an interrupted training, or with more --steps to extend it.
     """
 
     option_prefixes: ClassVar[bool] = True
 
     out: Path | None = None
-    """Folder of the training; policy.onnx will be in it. runs/<hand> if not given."""
+    """Folder for the training and its policy.onnx. Default: runs/<hand>."""
     sees: Literal["contacts", "nothing", "history"] | None = None
     """Short for --ppo.sees."""
     layout: LayoutName | None = None
     """Short for --environment.layout."""
     worlds: str | None = None
-    """What episodes draw their worlds from, in the place of --environment.randomization: "nominal",
-    "moderate", "wide", or "reality", what the reality protocol of evaluation draws from."""
+    """Randomization preset that replaces --environment.randomization: "nominal", "moderate", "wide", or
+    "reality" (as in the reality protocol of evaluation)."""
     spec: Annotated[TrainSpec, tyro.conf.arg(name="")] = field(default_factory=TrainSpec)
-    """How."""
+    """Settings of the training."""
 
     @property
     def folder(self) -> Path:
-        """Folder of the training."""
+        """Output folder."""
         return self.out or Path("runs") / Path(self.hand).stem
 
     def run(self) -> CommandResult:
@@ -97,27 +97,26 @@ class Train(TrainingGrasps, Answering):
                 self.folder, sets, hand, spec, planning=show, progress=progress_lines(int(spec.steps))
             )
         if int(os.environ.get("RANK", "0")) > 0:
-            # Only the first of several processes answers.
+            # Only the first of several processes prints the result.
             raise SystemExit(0)
         return _trained(policy)
 
 
 @dataclass(frozen=True)
 class Distill(Answering):
-    """Train a student from a teacher: it sees what a robot has, and infers the contacts from how the joints
-    move.
+    """Distill a student that sees only what a robot measures, and infers contacts from joint motion.
 
-    Given again with the same settings, the command goes on where it was interrupted.
+    Run the same command again to continue an interrupted run.
     """
 
     option_prefixes: ClassVar[bool] = True
 
     teacher: Path
-    """Folder of a teacher's training (fungrasp train)."""
+    """Folder of the teacher's training (fungrasp train)."""
     out: Path
-    """Folder of the student's training; student.onnx will be in it."""
+    """Folder for the student's training and its student.onnx."""
     spec: Annotated[StudentSpec, tyro.conf.arg(name="")] = field(default_factory=StudentSpec)
-    """How."""
+    """Settings of the distillation."""
 
     def run(self) -> CommandResult:
         prepare_torch()
@@ -131,7 +130,8 @@ COMMAND = Train
 
 
 def prepare_torch() -> None:
-    """See that what training needs is there, and keep torch to one thread: more make small networks slower.
+    """Check that the packages for training are installed, and limit torch to one thread, which is faster for
+    small networks.
 
     Raises:
         FungraspError: a package is not installed.
@@ -147,10 +147,8 @@ def prepare_torch() -> None:
 
 
 def progress_lines(steps: int) -> Callable[[Any], None]:
-    """Prints steps, success and time left every now and then.
-
-    Returns:
-        To be called with what has ``steps``, ``seconds`` and ``success``.
+    """A function that prints steps, success rate and remaining time to stderr from time to time. It takes an
+    object with ``steps``, ``seconds`` and ``success``.
     """
     last: float | None = None
     first: Any = None
@@ -168,13 +166,13 @@ def progress_lines(steps: int) -> Callable[[Any], None]:
         if done > 0 and seconds > 0 and p.steps < steps:
             rate = done / seconds
             left = f", {rate:,.0f} steps/s, {_duration((steps - p.steps) / rate)} left"
-        print(f"{p.steps:,} of {steps:,} steps, success {p.success:.1%}{left}", flush=True)
+        print(f"{p.steps:,} of {steps:,} steps, success {p.success:.1%}{left}", file=sys.stderr, flush=True)
 
     return show
 
 
 def _trained(policy: Path) -> CommandResult:
-    """A policy's file, its card, and what it took."""
+    """The policy file, its card and the training time."""
     from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 
     card = load_policy(policy).card

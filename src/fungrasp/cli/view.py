@@ -1,4 +1,4 @@
-"""``fungrasp view``: look at grasps, episodes, results, logs, captures and hands in a browser."""
+"""``fungrasp view``: show grasps, episodes, results, logs, captures and hands in a browser."""
 
 from __future__ import annotations
 
@@ -19,15 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View(ObjectsOption):
-    """Show grasps, episodes, results, logs, captures or hands in a browser. Drag a grasp and the robot hand
-    follows; play a lift; replay the episodes of a result. Only this machine can open the page, unless you
-    pass --host."""
+    """Show grasps, episodes, results, logs, captures or hands in a browser. Drag a grasp, play a lift, replay
+    the episodes of a result. Only this machine can open the page, unless you pass --host."""
 
     what: Annotated[str | None, tyro.conf.Positional] = None
     """A grasp file or recorded episode (.npz), a result (.json), a deployment log (.mcap), a hand (.toml,
     or its name), or the folder of a capture. Default: the built-in grasps."""
     hand: str = "allegro"
-    """Robot hand shown first for human grasps: its name, or the path of its TOML file."""
+    """Initial robot hand for human grasps: its name, or the path of its TOML file."""
     mesh: str | None = None
     """The object in a capture: a mesh file [m], or the name of a built-in object."""
     grasps: Path | None = None

@@ -253,4 +253,5 @@ def table_remarks(hand_joints: np.ndarray) -> list[Remark]:
     rows = np.flatnonzero(depth < BELOW_TABLE)
     if not len(rows):
         return []
-    return [Remark(f"the hand reaches {-1000 * depth[rows].min():.0f} mm below the table", rows)]
+    words = f"the hand reaches {-1000 * depth[rows].min():.0f} mm below the table"
+    return [Remark(f"{words}; 'fungrasp grasps convert --below-table lift' or 'drop' fixes it", rows)]

@@ -156,9 +156,8 @@ def _surface(
         mesh, moved = simplify(mesh, MOST_FACES)
         if len(mesh.faces) > 2 * MOST_FACES:
             raise FungraspError(f"{path}: {before:,} faces that can't be made fewer: simplify the mesh first")
-        repairs.append(
-            f"simplified from {before:,} to {len(mesh.faces):,} faces, at most {moved * 1000:g} mm off"
-        )
+        # Without counts of faces, so that the same words serve many meshes (a warning's kind).
+        repairs.append(f"simplified; the surface moved by at most {moved * 1000:g} mm")
     gap = _gap(mesh)
     if gap > APART:
         repairs.append(f"separate bodies with {1e3 * gap:.0f} mm between them were taken as one object")

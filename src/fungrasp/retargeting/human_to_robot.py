@@ -114,7 +114,7 @@ def retarget(
     spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
     _check(human, hand)
     known = resolve_objects(human, objects)
-    human = checked_grasps(vars(human), known, "the human grasps", read=True)
+    human = checked_grasps(vars(human), known, "retarget", read=True)
     used = {name: known[name] for name in np.unique(human.object_name).tolist()}
     for model in used.values():
         _ = model.signed_distance  # once, not in each worker

@@ -1,0 +1,40 @@
+"""Warnings of a command: one line on stderr for each kind."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+NAMED = 6
+"""Most files or objects to name in one line."""
+
+
+class WarningLines(logging.Handler):
+    """Prints warnings as ``fungrasp: warning: ...``, the same one once. If several files or objects share one
+    ("%s: no thickness"), the others are listed in one more line at the end."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._subjects: dict[str, list[str]] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a new kind of warning, remember whom else a known one is about."""
+        message, subject = record.getMessage(), ""
+        if isinstance(record.args, tuple) and record.args and record.msg.startswith("%s: "):
+            subject = str(record.args[0])
+        subjects = self._subjects.setdefault(message.removeprefix(f"{subject}: "), [])
+        if not subjects:
+            print(f"fungrasp: warning: {message}", file=sys.stderr)
+        if subject not in subjects:
+            subjects.append(subject)
+
+    def __enter__(self) -> WarningLines:
+        logging.getLogger("fungrasp").addHandler(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        logging.getLogger("fungrasp").removeHandler(self)
+        for words, (_, *others) in self._subjects.items():
+            if others:
+                more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+                print(f"fungrasp: warning: also {', '.join(others[:NAMED])}{more}: {words}", file=sys.stderr)
