@@ -267,7 +267,7 @@ def _sources(names: Sequence[str], page: Path) -> Iterator[str]:
     dates = sorted({header["date"][:10] for header in headers if "date" in header})
     when = f", {' to '.join(dict.fromkeys((dates[0], dates[-1])))}" if dates else ""
     for command in [command for command in commands if command][:1]:
-        more = " and its like, which the files name" if len(commands) > 1 else ""
+        more = " and similar commands (in the data files)" if len(commands) > 1 else ""
         yield f"Measured by `{_runnable(command)}`{more}{when}."
     if not any(commands):
         yield "Recorded by hand; no command was kept."

@@ -1,12 +1,12 @@
-"""fungrasp: a human grasp in, a robot grasp that lifts the object out.
+"""fungrasp: from human grasps to robot grasps that lift the object.
 
-Six verbs are the product: ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy`` and ``view``; and
-``train`` makes policies. What one returns, the next one takes. Five nouns are what they are about:
-``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``, ``Observation`` and ``Action``. See docs/concepts.md.
+The main functions are ``perceive``, ``retarget``, ``plan``, ``evaluate``, ``deploy``, ``view`` and ``train``.
+Each accepts what the previous one returns. The main types are ``HumanGrasp``, ``RobotGrasp``, ``GraspPlan``,
+``Observation`` and ``Action``. See docs/concepts.md.
 
-The names below are those of the subpackages (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``). A
-subpackage is imported when one of its names is first used, so that ``import fungrasp`` costs nothing; type
-checkers read ``__init__.pyi``. Nothing in the package imports from here.
+All names come from subpackages (``fungrasp.load_hand`` is ``fungrasp.hands.load_hand``), which are imported
+on first use, so ``import fungrasp`` is fast. Type checkers read ``__init__.pyi``. The package itself does not
+import from here.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _NAMES = {
     "viewer.view": "view",
     "task": "Action Belief GraspPlan LiftEnvironment Observation Policy play",
 }
-"""Names that are offered here, by the module that they come from."""
+"""Public names by module."""
 
 __getattr__ = lazy_names(__name__, _NAMES)
 __all__ = sorted(name for names in _NAMES.values() for name in names.split())  # pyright: ignore[reportUnsupportedDunderAll]
@@ -60,11 +60,11 @@ _SHOWN = {
     "evaluation.results": "LiftTestResult",
     "task.grasp_plan": "GraspPlan",
 }
-"""What notebooks show by a picture and a table, by the module that it comes from."""
+"""Types with a picture and a table in notebooks, by module."""
 
 
 def _tell_notebooks() -> None:
-    """Tell Jupyter how to show them; nothing is imported before one is shown."""
+    """Register the types with Jupyter, without importing them."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     if shell is not None:
         html = shell.display_formatter.formatters["text/html"]

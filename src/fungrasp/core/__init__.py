@@ -1,3 +1,3 @@
-"""What every other folder builds on: errors, files, records, long work, file formats, provenance."""
+"""Foundations: errors, files, records, jobs, file formats, provenance."""
 
 __version__ = "0.1.0"

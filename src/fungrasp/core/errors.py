@@ -1,4 +1,4 @@
-"""The one exception users meet: a sentence that names the thing and says what is allowed."""
+"""Exceptions for users. Messages name the mistake and what is allowed."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Iterable
 
 
 class FungraspError(ValueError):
-    """A mistake in what was given. The message is one line; the command line prints it and exits with 2."""
+    """Invalid input. The message is one line; the command line prints it and exits with 2."""
 
 
 class UnknownNameError(FungraspError):
-    """A name that is not in a registry."""
+    """Unknown name."""
 
     def __init__(self, kind: str, given: str, known: Iterable[str]):
         """
         Args:
-            kind: what was looked up, singular ("hand", "object", ...).
+            kind: what the name should name, singular ("hand", "object", ...).
         """
         names = sorted(known)
         near = difflib.get_close_matches(given.lower(), names, n=1, cutoff=0.5)

@@ -1,5 +1,5 @@
-"""Long work in independent parts: done here or on a Ray cluster, kept as they are finished, resumed after an
-interruption."""
+"""Long jobs in independent parts, run here or on a Ray cluster. Finished parts are kept, and interrupted jobs
+can continue."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ MOST_ARRAYS = 1000
 
 
 class PartStore:
-    """Arrays of finished parts by key, a file each.
+    """Stored results of finished parts by key, one file each.
 
-    As a context it removes itself where the block ends well, and stays where it is interrupted::
+    As a context manager, it deletes itself at the end of the block, unless there was an exception::
 
         with PartStore.beside(out) as store:
             result = evaluate(robot, objects, store=store)
@@ -40,12 +40,12 @@ class PartStore:
     """
 
     def __init__(self, folder: str | Path):
-        """folder: it need not exist, and a file in it that can't be read counts as missing."""
+        """folder: created on demand. An unreadable file counts as missing."""
         self._folder = Path(folder)
 
     @classmethod
     def beside(cls, result: str | Path) -> Self:
-        """The parts of what will be this file: the folder ``<result>.partial``."""
+        """The store for a result file: the folder ``<result>.partial``."""
         path = Path(result)
         return cls(path.with_name(f"{path.name}.partial"))
 
@@ -150,14 +150,14 @@ class ClusterUse:
 
 
 class RayCluster:
-    """A Ray cluster, connected to when there is something to do."""
+    """A Ray cluster. It connects when there is work."""
 
     def __init__(self, address: str = LOCAL):
         """address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A
-        process that is connected already stays with its cluster."""
+        process that is already connected keeps its cluster."""
         self._address = address
         self.use: ClusterUse | None = None
-        """How well it was used by the last ``run``; None before."""
+        """Utilization in the last ``run``; None before."""
 
     def run(
         self,
@@ -342,7 +342,7 @@ def run_job(
     """Do the parts of a job that are not kept yet.
 
     Args:
-        store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
+        store: keeps finished parts so that an interrupted run can continue. The caller removes it.
         ray: does the parts on a cluster; this process if None. The results are the same.
         progress: called with the share that is done, 0 to 1.
 

@@ -1,4 +1,4 @@
-"""Protocols, metrics over many episodes, the paper's tables."""
+"""Evaluation: protocols, metrics and tables."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Static quality of retargeted grasps (docs/evaluate.md): no physics; from the hand's model, the mesh and
-the human grasp."""
+"""Static quality of retargeted grasps from hand model, mesh and human grasp, without physics
+(docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ GRID_ERROR = 0.001
 
 @dataclass(frozen=True)
 class StaticQuality:
-    """One number per grasp, shape [N] each; NaN where a grasp asks for no contact."""
+    """One number per grasp, shape [N] each; NaN for grasps without contacts."""
 
     held_as_shown: np.ndarray
-    """Whether the hand is where and how the person's is (``grasps.as_shown``): 1 or 0."""
+    """1 if the hand holds the object as the person does (``grasps.as_shown``), else 0."""
     shown_share: np.ndarray
-    """Share of the wanted finger links that are as shown."""
+    """Share of wanted finger links that touch as shown."""
     place_error_mm: np.ndarray
-    """Mean distance of their places from the person's."""
+    """Mean distance of their contacts from the person's."""
     other_side: np.ndarray
-    """Share of them on the other side of the surface."""
+    """Share of them that touch another side of the object."""
     strays: np.ndarray
-    """Number of links that touch far from every place of the person."""
+    """Number of links that touch far from every contact of the person."""
     contact_error_mm: np.ndarray
     """Mean over human joints in contact of the distance between the surface point nearest to the joint and
     the one nearest to the robot's corresponding point."""
@@ -65,7 +65,7 @@ class StaticQuality:
     self_penetration_mm: np.ndarray
     """Deepest overlap of two of the hand's collision geoms that may collide."""
     limit_violation_rad: np.ndarray
-    """Largest excess of a joint over its limits."""
+    """Largest violation of a joint limit."""
     force_closure_residual: np.ndarray
     """Unbalanced part of the best contact forces that sum to one, at the links within ``CONTACT_DISTANCE`` of
     the object; torques over half the object's largest extent."""
@@ -120,17 +120,17 @@ def static_quality(
     spacing: float = 0.004,
     exact: bool = True,
 ) -> StaticQuality:
-    """Judge robot grasps against the human ones they imitate.
+    """Measure robot grasps against their human grasps.
 
     Args:
         robot: N grasps.
-        hand: the robot hand, or its name; that of the grasps if None.
+        hand: the robot hand or its name; the hand of the grasps if None.
         spacing: of the points that cover the hand's collision geometry [m].
-        exact: distances by the triangles of the mesh; else by the solver's grid, up to a millimeter off, and
-            no ``force_closure_epsilon`` (NaN), which takes longer than all else.
+        exact: use exact mesh distances and compute ``force_closure_epsilon``, which is slow. Otherwise
+            distances come from the solver's grid (up to 1 mm off), and ``force_closure_epsilon`` is NaN.
 
     Raises:
-        FungraspError: the sets don't belong together.
+        FungraspError: robot and human grasps do not match.
     """
     hand = robot.load_hand() if hand is None else as_hand(hand)
     check_objects(robot.object_name.tolist(), objects)

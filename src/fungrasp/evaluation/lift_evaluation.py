@@ -1,5 +1,5 @@
-"""The verb ``evaluate``: the lift test on any number of grasps (docs/evaluate.md), as a job whose parts are
-episodes, which do not depend on each other."""
+"""The function ``evaluate``: the lift test on many grasps (docs/evaluate.md), as a job of independent
+episodes."""
 
 from __future__ import annotations
 
@@ -40,18 +40,17 @@ from fungrasp.task.policy_checks import check_policy
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
-"""Fewest and most episodes of a part: 5 s of work at most, beside which what a part costs is little, and many
-enough parts for many processors."""
+"""Fewest and most episodes of a part: at most 5 s of work, little overhead, and enough parts for many
+processors."""
 
 SEARCHED_EPISODES = (2, 32)
-"""The same where plans are searched for."""
+"""The same for policies that search for plans."""
 
 BATCH = 128
-"""Most episodes that one process simulates together, whose threads have more to share in this way: what it
-may lose where it is interrupted. It bounds the memory."""
+"""Most episodes that one process simulates at once. Limits memory and the work lost by an interruption."""
 
 LOSS = 8
-"""Parts of the work of which an interrupted run loses one at most, where the numbers above allow it."""
+"""Desired number of parts; an interrupted run loses at most one of them."""
 
 
 def evaluate(
@@ -70,33 +69,31 @@ def evaluate(
     ray: RayCluster | None = None,
     progress: ShowProgress = None,
 ) -> LiftTestResult:
-    """Try each grasp once for each seed.
+    """Test each grasp in simulation, once per seed.
 
     Args:
-        grasps: of a robot hand, or of people, which are retargeted first; a set or one alone.
+        grasps: robot grasps, or human grasps, which are retargeted first; a set or a single one.
         objects: their objects, as for ``retarget``.
-        policy: in the place of the one that ``spec`` names: its name or file, or a policy of one's own.
-        protocol: in the place of that of ``spec``.
-        spec: what is asked; the defaults if None.
-        hand: of human grasps, allegro if None; of robot grasps, where it has other dynamics than its files
-            say.
-        human: what robot grasps were retargeted from: for the static quality, and for grasps that don't know
-            where the person touched.
-        plans: to follow, one for each grasp (``fungrasp.plan``), or what makes them; by default the policy's
-            planner.
+        policy: replaces that of ``spec``: a name, a file, or a policy object.
+        protocol: replaces that of ``spec``.
+        spec: the request; the defaults if None.
+        hand: for human grasps; allegro if None. For robot grasps only if its dynamics differ from its files.
+        human: the human grasps of robot grasps: for the static quality, and for grasps without the person's
+            contacts.
+        plans: one plan per grasp (``fungrasp.plan``), or a planner. Default: the policy's planner.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
-            several seeds), and of the use tests, ``<row>_<object>_use.npz``; with several conditions a folder
-            of each.
-        threads: 0 means all processors. The result does not depend on it.
-        store: keeps finished parts, and knows those of an interrupted run; who calls removes it. Only for a
-            policy and a planner that are given by name.
-        ray: simulates on a cluster, under the same condition.
-        progress: called with the number of episodes that are done, fractions included; True, False: a bar,
-            none; a bar in terminals and notebooks if None.
+            several seeds), and of the use tests, ``<row>_<object>_use.npz``; with several conditions, one
+            folder each.
+        threads: 0 means all processors. The result is the same for any number.
+        store: keeps finished parts so that an interrupted run can continue. The caller removes it. Only if
+            policy and planner are given by name.
+        ray: run on a cluster, under the same condition.
+        progress: called with the number of finished episodes, fractions included. True or False: a progress
+            bar or none. None: a bar in terminals and notebooks.
 
     Raises:
-        FungraspError: no grasps, an unknown policy, grasps of another hand, options that do not go
-            together, or a folder that can't be written to.
+        FungraspError: no grasps, an unknown policy, grasps of another hand, contradicting options, or a
+            folder that can't be written.
     """
     spec = spec or LiftTestSpec()
     policy = str(policy) if isinstance(policy, Path) else policy

@@ -1,5 +1,4 @@
-"""How grasps are tried: the request of a lift test, made in Python or read from JSON, sent to workers, and
-kept in the result."""
+"""The request of a lift test. It is sent to workers and stored in the result."""
 
 from __future__ import annotations
 
@@ -25,29 +24,29 @@ from fungrasp.task import LiftProtocol
 
 @dataclass(frozen=True)
 class WorldDifferences:
-    """How worlds differ from what planner and policy believe, each thing by as much in every episode."""
+    """How worlds differ from the belief of planner and policy, by fixed amounts in every episode."""
 
     mass_scale: float = 1.0
-    """The object weighs this many times its nominal mass, which the policy assumes."""
+    """Factor on the object's mass; the policy assumes the nominal mass."""
     friction: float | None = None
-    """Sliding friction of hand, object and table; 0.9 by default."""
+    """Sliding friction of hand, object and table. Default: 0.9."""
     pose_noise: tuple[float, float] = (0.0, 0.0)
-    """Difference of the object's true pose from the estimated one: shift [m] and turn [degrees]."""
+    """Error of the estimated object pose: position [m] and rotation [degrees]."""
     table_height: float = 0.0
-    """Height of the table top above the nominal one, which the policy assumes [m]."""
+    """Height of the table top above the nominal height, which the policy assumes [m]."""
     latency: float = 0.0
-    """Actions take effect this late [s], up to 0.1."""
+    """Delay of actions [s], up to 0.1."""
     push: tuple[float, float] = (0.0, 0.2)
-    """During the hold, three pushes in random directions: force [times the object's weight], duration [s]."""
+    """Three pushes in random directions during the hold: force [object weights] and duration [s]."""
     object_shift: float = 0.0
-    """The object is moved this far on the table [m] after the policy has planned."""
+    """Distance that the object is moved on the table after planning [m]."""
 
     @property
     def randomization(self) -> Randomization:
-        """The same as worlds are drawn from it.
+        """The same as a randomization.
 
         Raises:
-            FungraspError: a number that can't be.
+            FungraspError: invalid number.
         """
         distance, angle = self.pose_noise
         weights, duration = self.push
@@ -67,46 +66,46 @@ class WorldDifferences:
 
 @dataclass(frozen=True)
 class LiftTestSpec:
-    """What is asked of a lift test. ``fungrasp.core.records`` makes it JSON and reads it back."""
+    """Request of a lift test; ``fungrasp.core.records`` converts it to and from JSON."""
 
     policy: str = "reference"
     """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
     student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
     protocol: ProtocolName = "nominal"
-    """How worlds differ from the estimate: nominal, not at all; reality, in everything at once, drawn for
-    each episode; robustness, in one thing at a time, in several conditions."""
+    """How worlds differ from the estimate: nominal (not at all), reality (in everything, drawn per episode),
+    robustness (one difference at a time, in several conditions)."""
     seeds: tuple[int, ...] = (0,)
     """Random seeds; each grasp is tested once with each."""
     randomization: Randomization = NOMINAL
-    """How worlds differ, in the place of a protocol that is not nominal."""
+    """How worlds differ, instead of a protocol."""
     lift: LiftProtocol = field(default_factory=LiftProtocol)
-    """Numbers of the test; the published ones by default."""
+    """Parameters of the test. Default: the published ones."""
     physics: SceneSettings = field(default_factory=SceneSettings)
     """Settings of the engine."""
     adapt: bool = True
     """Adapt each grasp to the object after it has settled. This also repairs badly retargeted grasps;
     --no-adapt plays them unchanged."""
     rollouts: bool = True
-    """Policies that select among candidate plans test them in randomized rollouts until one is held as shown:
-    3 to 104 episodes per grasp. Without rollouts, they play one motion for each grasp."""
+    """If the policy selects among candidate plans, test them in randomized rollouts until one holds the
+    object as shown: 3 to 104 episodes per grasp. Without rollouts, one motion per grasp is played."""
     other_places: bool = False
     """If no candidate plan holds the object as shown, play one that holds it in another way."""
     selection: SelectionSettings | None = None
-    """How plans are chosen among candidates; what suits protocol, rollouts and use if None."""
+    """How plans are selected. None: suitable for protocol, rollouts and use."""
     attempts: int = 1
     """Maximum number of attempts. A policy with feedback (student) notices that the object is not held,
     withdraws, plans again and tries again. The published protocol is one attempt; with more, the result
     also has the success rate of the first."""
     use: bool = False
-    """After the hold, play the motion of the grasp's task (tilt, strike, stroke, press, hand over), and
-    report how many objects stay in place in the hand, held as shown."""
+    """After the hold, play the motion of the task (tilt, strike, stroke, press, hand over) and report how
+    many objects stay in place, held as shown."""
     static: bool = False
     """Also measure the static quality, if the human grasps are known."""
 
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a number that can't be, an unknown protocol, or a randomization beside one.
+            FungraspError: invalid number, unknown protocol, or a protocol and a randomization.
         """
         if self.protocol not in get_args(ProtocolName):
             raise UnknownNameError("protocol", self.protocol, get_args(ProtocolName))
@@ -128,7 +127,7 @@ class LiftTestSpec:
         its grasps were varied in the test's own world first.
 
         Raises:
-            FungraspError: it is no such thing.
+            FungraspError: not a request.
         """
         if not isinstance(data, Mapping):
             return record_from_json(cls, data, where)
@@ -143,14 +142,14 @@ class LiftTestSpec:
 
     @property
     def conditions(self) -> dict[str, Randomization]:
-        """What worlds are drawn from, by the name of the condition, "" where there is only one."""
+        """Randomizations by condition; the name is "" for a single one."""
         if self.randomization != NOMINAL:
             return {"": self.randomization}
         return protocol_conditions(self.protocol)
 
     @property
     def selection_settings(self) -> SelectionSettings:
-        """``selection``, or what suits the rest, on the device of the physics."""
+        """``selection``, or suitable settings, on the device of the physics."""
         if self.selection is not None:
             return self.selection
         settings = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use, self.other_places)

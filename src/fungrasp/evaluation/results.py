@@ -1,4 +1,4 @@
-"""What a lift test gives: the record, its numbers as JSON and its tables (docs/evaluate.md)."""
+"""Result of a lift test: record, JSON and tables (docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -65,15 +65,15 @@ HEAD = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LiftTestResult:
-    """Outcome of N episodes under one condition; of several conditions the first, and all in
-    ``conditions``."""
+    """Outcome of N episodes under one condition. With several conditions, this is the first; ``conditions``
+    has all."""
 
     hand: str
     """Name of the hand."""
     spec: LiftTestSpec
-    """What was asked."""
+    """The request."""
     randomization: Randomization
-    """How the worlds differed from the nominal ones that were planned for."""
+    """How worlds differed from the nominal worlds of the plans."""
     index: np.ndarray
     """Row of each episode's grasp in the set, shape [N]."""
     seed: np.ndarray
@@ -81,34 +81,33 @@ class LiftTestResult:
     object_name: np.ndarray
     """Name of each object, shape [N] str."""
     task: np.ndarray
-    """What each grasp is for, shape [N] str."""
+    """Task of each grasp, shape [N] str."""
     outcomes: Outcomes
     """Outcomes of the N episodes."""
     rollouts: np.ndarray
-    """Episodes that were simulated to plan each grasp, shape [N] int."""
+    """Episodes simulated to plan each grasp, shape [N] int."""
     contact_estimates: ContactEstimates
-    """How well the policy knew what it touched, N rows."""
+    """Accuracy of the policy's contact estimates, N rows."""
     expected_as_shown: np.ndarray | None = None
-    """Probability of success as shown that the planner expected, shape [N]; NaN or None where it expected
-    nothing."""
+    """Planner's estimate of the probability to hold as shown, shape [N]; NaN or None without estimate."""
     hold: HoldMiddle | None = None
     """State in the middle of the hold, N rows; not written to files."""
     use: UseOutcomes | None = None
-    """Outcomes of the use tests that followed; None if there were none."""
+    """Outcomes of the use tests; None without use tests."""
     attempts: AttemptRecord | None = None
-    """What became of the attempts; None if there was one only."""
+    """Records of the attempts; None for a single attempt."""
     quality: StaticQuality | None = None
-    """Of the grasps, if it was asked for and the human grasps are known."""
+    """Static quality of the grasps, if requested and the human grasps are known."""
     conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
-    """By name, this one included; empty where there is only one."""
+    """Results by condition, this one included; empty for a single condition."""
     grasps: RobotGraspSet | None = None
-    """The grasps that were tried; not written to files."""
+    """The tested grasps; not written to files."""
     human: HumanGraspSet | None = None
-    """What they were retargeted from, if that is known; not written to files."""
+    """Their human grasps, if known; not written to files."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Theirs, by name; not written to files."""
+    """Their objects by name; not written to files."""
     seconds: float = 0.0
-    """Time that it took, that of an earlier run that was interrupted left out [s]."""
+    """Duration without earlier, interrupted runs [s]."""
 
     @property
     def policy(self) -> str:
@@ -126,7 +125,7 @@ class LiftTestResult:
         return sum(len(each.index) for each in self.conditions.values()) or len(self.index)
 
     def table(self) -> str:
-        """Rates of success by object, or by condition, and why episodes failed, as text."""
+        """Success rates by object or condition, and reasons of failures, as text."""
         parts = [robustness_table(self.conditions) if self.conditions else _object_table(self)]
         parts += not_found_lines(self)
         if self.use is not None:
@@ -136,15 +135,15 @@ class LiftTestResult:
         return "\n".join(parts)
 
     def json(self) -> dict[str, Any]:
-        """All numbers, what was asked, and what ran where; nothing in it is NaN or infinite."""
+        """All numbers, the request and the provenance, without NaN or infinity."""
         numbers = result_json(self)
         return run_record(numbers["seed"]) | numbers | {"seconds": self.seconds}
 
     def save(self, path: str | Path, compact: bool = False) -> None:
-        """Write all numbers; ``fungrasp.evaluation.read_result`` reads them.
+        """Write the result to a file for ``fungrasp.evaluation.read_result``.
 
         Args:
-            compact: the episodes go to a CSV file beside it, with one row each.
+            compact: write episodes to a CSV file next to it, one row each.
 
         Raises:
             FungraspError: a file can't be written.
@@ -152,7 +151,7 @@ class LiftTestResult:
         save_result(path, self.json(), compact)
 
     def frame(self) -> Any:
-        """One row for each episode, as a data frame of pandas, or of Polars where pandas is not installed.
+        """A data frame with one row per episode, of pandas or, if that is not installed, Polars.
 
         Raises:
             FungraspError: neither is installed.

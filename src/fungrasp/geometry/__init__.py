@@ -1,4 +1,4 @@
-"""Poses, batched rigid transforms, signed distance of a mesh. Knows nothing of hands or physics."""
+"""Poses, batched rigid transforms, signed distances of meshes."""
 
 from __future__ import annotations
 

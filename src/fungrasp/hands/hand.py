@@ -1,4 +1,4 @@
-"""A dexterous hand: its kinematic model, and which bodies correspond to the links of a human hand."""
+"""A dexterous hand: kinematic model, and its correspondence to the human hand."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ class Finger:
     """One finger of a hand."""
 
     name: str
-    """One of ``FINGERS``: the human finger it imitates."""
+    """The corresponding human finger, one of ``FINGERS``."""
     links: tuple[str, ...]
-    """Bodies from base to tip, at most three. They imitate the human proximal, middle and distal links; a
-    hand with fewer lacks those near the tip."""
+    """Up to three bodies from base to tip, for the human proximal, middle and distal links. With fewer
+    bodies, the links near the tip are missing."""
     joints: tuple[str, ...]
     """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames
     lie elsewhere."""
@@ -67,19 +67,19 @@ class Actuator:
     force_limit: float
     """Largest torque [N m]."""
     joint_damping: float | None = None
-    """Damping of the joint beside the servo's [N m s/rad]; that of the model file if None."""
+    """Damping of the joint in addition to the servo's [N m s/rad]; from the model file if None."""
     joint_friction: float | None = None
-    """Dry friction of the joint [N m]; that of the model file if None."""
+    """Dry friction of the joint [N m]; from the model file if None."""
     joint_armature: float | None = None
-    """Inertia of the drive at the joint [kg m^2]; that of the model file if None."""
+    """Armature: inertia of the drive at the joint [kg m^2]; from the model file if None."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Hand:
-    """A hand folder, read and checked. ``fungrasp.hands.load_hand`` makes it."""
+    """A hand, as loaded by ``fungrasp.hands.load_hand``."""
 
     name: str
-    """Name by which commands and files refer to the hand."""
+    """Name of the hand in commands and files."""
     title: str
     """Name of the product."""
     path: Path
@@ -87,7 +87,7 @@ class Hand:
     model_path: Path
     """The MJCF or URDF file."""
     palm: str
-    """Body that carries the fingers; its pose in the world is ``wrist_pose``."""
+    """Body that carries the fingers; ``wrist_pose`` is its pose."""
     palm_fingers: np.ndarray
     """Unit vector from the wrist to the middle finger's base, palm frame, shape [3]."""
     palm_normal: np.ndarray
@@ -97,11 +97,11 @@ class Hand:
     actuators: Mapping[str, Actuator]
     """By joint name, in the model's joint order."""
     side: str = "right"
-    """"right" or "left": which human hand it imitates."""
+    """"right" or "left": the corresponding human hand."""
     source: str = ""
-    """Where the model comes from."""
+    """Source of the model."""
     dynamics_path: Path | None = None
-    """File of identified dynamics that the servos and joints have; None: they are the model's."""
+    """File of identified dynamics; None for the model's."""
 
     def __repr__(self) -> str:
         counts = f"{len(self.fingers)} fingers, {len(self.actuators)} driven joints"
@@ -135,7 +135,7 @@ class Hand:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled bare hand, for names and limits; do not change it."""
+        """The compiled model of the bare hand. Do not modify it."""
         try:
             return self.spec().compile()
         except ValueError as error:
@@ -149,7 +149,7 @@ class Hand:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Every joint of the model, coupled ones included, in model order, length M."""
+        """All joints of the model in order, including coupled joints, length M."""
         return tuple(self.model.joint(i).name for i in range(self.model.njnt))
 
     @property

@@ -1,4 +1,4 @@
-"""Finding hands by name: ours, other packages' (entry point ``fungrasp.hands``), or a user's TOML file."""
+"""Hands by name: built-in, from other packages (entry point ``fungrasp.hands``), or from a TOML file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fungrasp.hands.hand import Hand, read_hand_toml
 
 @cache
 def hand_files() -> dict[str, Path]:
-    """TOML file of every known hand, by name. An entry point's value is a callable that returns a folder or a
-    TOML file."""
+    """TOML files of all known hands by name. Entry points are callables that return a folder or a TOML
+    file."""
     files = {path.parent.name: path for path in sorted(Path(__file__).parent.glob("*/hand.toml"))}
     for entry in entry_points(group="fungrasp.hands"):
         files.setdefault(entry.name, _toml_in(Path(entry.load()())))
@@ -24,7 +24,7 @@ def load_hand(name: str | Path) -> Hand:
     """A hand by name ("allegro"), or by the path of its TOML file or folder.
 
     Raises:
-        FungraspError: no such hand, or its files are wrong.
+        FungraspError: unknown hand, or invalid files.
     """
     text = str(name)
     if text in hand_files():
@@ -38,10 +38,10 @@ def load_hand(name: str | Path) -> Hand:
 
 
 def as_hand(hand: Hand | str | Path) -> Hand:
-    """The hand itself, or the one of this name or path.
+    """A hand from a hand, name or path.
 
     Raises:
-        FungraspError: no such hand, or something else.
+        FungraspError: unknown hand or wrong type.
     """
     if isinstance(hand, Hand):
         return hand
@@ -51,7 +51,7 @@ def as_hand(hand: Hand | str | Path) -> Hand:
 
 
 def hand_origin(hand: Hand) -> str:
-    """Path of the TOML file of a hand that ``load_hand`` does not find by its name; "" of others."""
+    """Path of the TOML file if ``load_hand`` does not find the hand by its name, else ""."""
     known = hand_files().get(hand.name)
     return "" if known is not None and known.resolve() == hand.path.resolve() else str(hand.path.absolute())
 

@@ -1,4 +1,4 @@
-"""Pictures without a display: a ray tracer, for MuJoCo models and for captures. No GPU, display or OpenGL."""
+"""Pictures of MuJoCo models and captures by ray tracing, without GPU, display or OpenGL."""
 
 from fungrasp.media.camera import Camera, orbit_camera
 from fungrasp.media.grasp_scenes import grasp_scene, look_at_grasp

@@ -1,4 +1,4 @@
-"""Physical objects from a mesh and a mass, and the built-in ones."""
+"""Physical objects: built-in, or from a mesh and a mass."""
 
 from fungrasp.objects.builtin_objects import is_plain_shape, plain_shape
 from fungrasp.objects.convex_decomposition import ConvexPiece, convex_pieces

@@ -1,1 +1,1 @@
-"""Solvers and terms that every fit of a hand shares."""
+"""Solvers and cost terms shared by all fits of hands."""

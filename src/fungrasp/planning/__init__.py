@@ -1,4 +1,4 @@
-"""Robot grasps become grasp plans: settle, approach, grip, lift; and which of many plans to follow."""
+"""From robot grasps to plans (settle, approach, grip, lift), and selection among plans."""
 
 from __future__ import annotations
 

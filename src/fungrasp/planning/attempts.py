@@ -57,14 +57,14 @@ LONGEST_LOOK = 30
 
 
 def check_attempts(attempts: int, watches: bool) -> None:
-    """Complain about a number of attempts that can't be.
+    """Check the number of attempts.
 
     Args:
         attempts: of an episode, at most.
-        watches: whether the policy acts on what it sees.
+        watches: whether the policy uses feedback.
 
     Raises:
-        FungraspError: none, or several of a policy that plays a plan blindly.
+        FungraspError: less than one, or several for an open-loop policy.
     """
     if attempts < 1:
         raise FungraspError(f"there must be 1 attempt or more, not {attempts}")

@@ -1,4 +1,4 @@
-"""Plans that were made before, for grasps that are tried or deployed now."""
+"""Plans made earlier, to be evaluated or deployed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from fungrasp.task import Belief, GraspPlan
 
 
 class GivenPlans:
-    """A planner that knows the plans already: each moves along with its object, to where that is believed to
-    be."""
+    """A planner with given plans. Each is moved to the believed pose of its object."""
 
     def __init__(self, plans: GraspPlan, grasps: RobotGraspSet):
         """
         Args:
-            plans: one for each of the grasps, in their order.
+            plans: one per grasp, in the same order.
 
         Raises:
             FungraspError: plans for other grasps.

@@ -1,7 +1,4 @@
-"""One motion for each grasp: where wrist and fingers should be at every control step.
-
-It depends on the belief before acting, and on nothing that happens later.
-"""
+"""One motion per grasp: targets of wrist and fingers at every control step, from the belief before acting."""
 
 from __future__ import annotations
 
@@ -29,50 +26,48 @@ from fungrasp.task.setpoints import SETPOINT_PERIOD, WristSetpoint
 from fungrasp.task.use import UseMotion, load_use_motions, motion_of
 
 TABLE_TOLERANCE = 0.005
-"""The table is taken to be under an object at rest that is farther from the nominal table than this [m]."""
+"""If a resting object is farther from the nominal table than this [m], the table is taken to be under it."""
 
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How grasps are approached, closed, squeezed and lifted."""
+    """Settings of approach, closing, squeeze and lift."""
 
     least_force: float = 2.0
-    """Sum of the normal forces with which any object is squeezed at least [N]: with more, what weighs 10 g is
-    pushed out of the hand."""
+    """Smallest sum of the normal forces [N]; with more, objects of 10 g are pushed out of the hand."""
     least_force_per_kg: float = 80.0
-    """More of it for each kilogram of the object [N/kg]."""
+    """Additional force per kilogram of the object [N/kg]."""
     most_least_force: float = 10.0
-    """Its largest value [N]; heavy objects are squeezed as hard as their loads need."""
+    """Largest force by this rule [N]; heavy objects are squeezed as hard as their loads require."""
     disturbance: float = 0.5
-    """What the squeeze is to withstand besides the weight, in weights."""
+    """Load that the squeeze should withstand in addition to the weight, in weights."""
     for_use: bool = False
-    """Whether the grasp is to withstand the use motion of its task as well (``fungrasp.task.use``): its loads
-    are then among those of the squeeze."""
+    """Whether the squeeze should also withstand the use motion of the task (``fungrasp.task.use``)."""
     squeeze_limit: float = 0.6
     """Largest offset of a joint's servo target from the grasp [rad]."""
     close_time: float = 0.6
-    """Time in which the fingers close to the grasp [s]."""
+    """Duration of closing [s]."""
     squeeze_time: float = 0.6
-    """Time in which they then squeeze [s]."""
+    """Duration of the squeeze [s]."""
     pause: float = 0.2
     """Time before the lift [s]."""
     press_down: float = 0.003
-    """How far the wrist goes below its target while the fingers close, as the fingers yield upwards [m]."""
+    """Distance of the wrist below its target while the fingers close [m], because fingers yield upward."""
     press_in: float = 0.006
-    """How far it goes beyond its target along the palm's normal [m]."""
+    """Distance of the wrist beyond its target along the palm normal [m]."""
     lookahead: float = 0.06
-    """How far ahead on its path the wrist aims, at most [m]."""
+    """Largest look-ahead of the wrist on its path [m]."""
     lookahead_share: float = 0.25
-    """The same as a share of what is left of the path: near the object, a wrist that aims far ahead cuts
-    corners, through the object."""
+    """Look-ahead as a share of the remaining path: near the object, a large look-ahead would cut corners
+    through it."""
     least_lookahead: float = 0.015
-    """How far ahead it aims at least [m]."""
+    """Smallest look-ahead of the wrist [m]."""
     finger_lookahead: float = 0.005
-    """How far ahead on the path the fingers are, which lag behind their servo targets [m]."""
+    """Look-ahead of the fingers, which lag behind their servo targets [m]."""
     adapt: AdaptSettings | None = AdaptSettings()
-    """How grasps are fitted to the settled object; None: they move along with it unchanged."""
+    """How grasps are adapted to the settled object; None: they move with it unchanged."""
     approach: ApproachSettings = ApproachSettings()
-    """How clear the approach should be."""
+    """Clearances of the approach."""
 
 
 def table_below(
@@ -109,7 +104,7 @@ def lowered(belief: Belief, height: np.ndarray) -> Belief:
 
 
 class MotionPlanner:
-    """Plans one motion for each grasp: go to the grasp, close, squeeze, lift. Nothing is simulated."""
+    """Plans one motion per grasp (approach, close, squeeze, lift) without simulation."""
 
     def __init__(
         self,
@@ -142,7 +137,7 @@ class MotionPlanner:
             grasps: N grasps of the hand; ``extra`` may hold their own ``force_scale``, ``press_in`` and
                 ``press_down``.
             belief: N rows.
-            seed: not used, as nothing is random.
+            seed: not used; nothing is random.
             progress: called once, with N.
         """
         hand, objects, s = self.hand, self.objects, self.settings

@@ -1,4 +1,4 @@
-"""The verb ``plan``, and planners by the names of the policies that follow their plans."""
+"""The function ``plan``, and planners by policy name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fungrasp.simulation import build_scene
 from fungrasp.task import GraspPlan, LiftEnvironment, LiftProtocol, Policy
 
 BATCH = 128
-"""Grasps planned together. It bounds the memory."""
+"""Grasps planned at once, to limit memory."""
 
 
 def plan(
@@ -42,27 +42,27 @@ def plan(
     progress: ShowProgress = None,
 ) -> GraspPlan:
     """Plan grasps as the lift test does: objects settle in nominal worlds, then the policy's planner makes
-    the motion of each grasp, or selects one of many.
+    one motion per grasp, or selects one of many.
 
     Args:
-        grasps: N grasps of a robot hand or of people, which are retargeted first; a set or one alone.
+        grasps: N robot grasps, or human grasps, which are retargeted first; a set or a single one.
         objects: their objects, as for ``retarget``.
-        policy: whose planner it is: a name or a file (``fungrasp.policies.policy_source``).
-        hand: of human grasps, allegro if None.
-        protocol: what rollouts are to expect of the worlds.
-        rollouts: whether a planner that chooses among candidates tries them in simulation.
-        for_use: whether the use motions of the grasps' tasks count.
-        other_places: whether a plan may hold the object otherwise than the person where none as shown holds.
-        seed: of everything that the planner draws.
-        threads: 0 means all processors. The plans do not depend on it.
-        progress: called with the number of grasps that are planned, fractions included; True, False: a bar,
-            none; a bar in terminals and notebooks if None.
+        policy: name or file of the policy that will follow the plans (``fungrasp.policies.policy_source``).
+        hand: for human grasps; allegro if None.
+        protocol: how worlds differ in the rollouts.
+        rollouts: whether candidates are tried in simulation, if the planner has several.
+        for_use: whether plans should also withstand the use motion of the task.
+        other_places: if no plan holds the object as shown, allow one that holds it in another way.
+        seed: of the planner's random numbers.
+        threads: 0 means all processors. The plans are the same for any number.
+        progress: called with the number of planned grasps, fractions included. True or False: a progress bar
+            or none. None: a bar in terminals and notebooks.
 
     Returns:
-        N plans, which ``evaluate`` and ``deploy`` take as ``plans=`` and ``view`` shows.
+        N plans, for ``evaluate`` and ``deploy`` (``plans=``) and ``view``.
 
     Raises:
-        FungraspError: no such hand or policy, or one for another hand.
+        FungraspError: unknown hand or policy, or a policy for another hand.
     """
     robot, known, used, _ = as_robot_grasps(grasps, objects, hand, threads)
     selection = SelectionSettings.for_protocol(protocol, rollouts, for_use, other_places)
@@ -86,17 +86,17 @@ def make_planner(
     threads: int = 0,
     motions: MotionSettings | None = None,
 ) -> Planner:
-    """The planner whose plans a policy follows.
+    """The planner of a policy.
 
     Args:
         name: of the policy, as for ``policy_source``.
         settings: of the selection among candidates; the defaults if None.
         protocol: of the motions; the published one if None.
-        threads: 0 means all processors. Plans do not depend on it.
+        threads: 0 means all processors. Plans are the same for any number.
         motions: how grasps are adapted, approached, closed and lifted; the defaults if None.
 
     Raises:
-        FungraspError: no such policy, or one for another hand.
+        FungraspError: unknown policy, or a policy for another hand.
     """
     source = policy_source(name, hand.name)
     if not source.searches:

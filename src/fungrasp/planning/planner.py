@@ -1,4 +1,4 @@
-"""What a planner is: from a robot grasp and a belief to a plan that can be inspected."""
+"""The interface of planners: from a robot grasp and a belief to a plan."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fungrasp.task import Belief, GraspPlan
 
 
 class Planner(Protocol):
-    """Plans grasps of one hand. A planner whose plans depend on ``key`` and the arguments of ``plan`` alone
-    has that attribute, a str; only then partial results of an evaluation can be kept."""
+    """Plans grasps of one hand. If the plans depend only on the arguments of ``plan`` and on a str attribute
+    ``key``, define that attribute: it allows evaluations to store partial results."""
 
     def plan(
         self,
@@ -22,20 +22,20 @@ class Planner(Protocol):
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """Plan N grasps. What it cost is in the plan (``GraspPlan.rollouts``).
+        """Plan N grasps. The plan records the number of rollouts (``GraspPlan.rollouts``).
 
         Args:
             grasps: N grasps.
-            belief: all that is known of their scenes, N rows.
-            seed: of everything that the planner draws.
-            progress: called with the number of grasps that are planned, fractions included.
+            belief: what is known about their scenes, N rows.
+            seed: of the planner's random numbers.
+            progress: called with the number of planned grasps, fractions included.
         """
         ...
 
 
 @runtime_checkable
 class ConstrainedPlanner(Planner, Protocol):
-    """A planner that chooses among plans which can be carried out."""
+    """A planner that selects only feasible plans."""
 
     def plan_within(
         self,
@@ -44,13 +44,12 @@ class ConstrainedPlanner(Planner, Protocol):
         feasible: Callable[[GraspPlan], np.ndarray],
         seed: int = 0,
     ) -> GraspPlan:
-        """Plan N grasps. A plan that can't be carried out is chosen only where no other was found.
+        """Plan N grasps. An infeasible plan is chosen only if there is no other.
 
         Args:
             grasps: N grasps.
-            belief: all that is known of their scenes, N rows.
-            feasible: says of P plans which can be carried out, a bool array of shape [P]; plans of the
-                grasps in turn, again and again.
-            seed: of everything that the planner draws.
+            belief: what is known about their scenes, N rows.
+            feasible: a function from P plans to a bool array of shape [P]; row p is a plan for grasp p mod N.
+            seed: of the planner's random numbers.
         """
         ...

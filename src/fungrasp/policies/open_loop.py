@@ -1,4 +1,4 @@
-"""A policy that plays plans open loop, whatever the object does."""
+"""A policy that plays plans open loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def plan_step(plan: GraspPlan, observation: Observation) -> np.ndarray:
 
 
 class OpenLoopPolicy:
-    """Plays plans; of an observation it reads the clock alone."""
+    """Plays plans. It uses only the time of an observation."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         """See ``Policy.reset``."""

@@ -15,18 +15,18 @@ from fungrasp.policies.residual_policy import residual_policy
 from fungrasp.task import Policy, PrivilegedPolicy
 
 REFERENCE = "reference"
-"""Name of the policy that plays one planned motion open loop, without a network and without rollouts."""
+"""Policy that plays one planned motion open loop, without network or rollouts."""
 PLAN = "plan"
-"""Name of the policy that plays, open loop, the best of many plans, which rollouts choose: it needs no
-network, so any hand has it."""
+"""Policy that plays the best of many plans open loop, selected by rollouts. Without a network, it works for
+any hand."""
 KINDS = ("teacher", "student")
-"""Short for the policies ``<hand>-<kind>-free`` that come with the package."""
+"""Short names of the built-in policies ``<hand>-<kind>-free``."""
 
 MADE_BY = {
     "teacher": "train one (fungrasp train)",
     "student": "train a teacher, distill it (fungrasp train, fungrasp distill)",
 }
-"""What makes each kind."""
+"""Command that makes each kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,9 @@ class PolicySource:
     """What a policy's name stands for."""
 
     network: Path | None
-    """File of the network that acts; None where the plan is played open loop."""
+    """File of the network; None for open-loop policies."""
     searches: bool
-    """Whether its plan is the best of many, which rollouts choose, or the one motion of each grasp."""
+    """Whether rollouts select the plan among many; otherwise there is one motion per grasp."""
 
     @property
     def digest(self) -> str:
@@ -52,11 +52,11 @@ def policy_source(name: str, hand: str) -> PolicySource:
     """What a policy's name stands for.
 
     Args:
-        name: "reference", "plan", one of ``KINDS``, a policy that comes with the package, or a file.
-        hand: name of the hand that it should move.
+        name: "reference", "plan", one of ``KINDS``, a built-in policy, or a file.
+        hand: name of the hand.
 
     Raises:
-        FungraspError: no such policy, or a file that can't be read.
+        FungraspError: unknown policy, or an unreadable file.
     """
     if name in (REFERENCE, PLAN):
         return PolicySource(None, name == PLAN)
@@ -84,7 +84,7 @@ def _find(name: str, hand: str) -> Path:
 
 
 def default_policy(hand: str) -> str:
-    """The student of a hand, or "plan" if none comes with the package. hand: its name."""
+    """The built-in student of a hand, or "plan" if there is none. hand: its name."""
     name = f"{hand}-student-free"
     return name if name in list_policies() else PLAN
 
@@ -96,7 +96,7 @@ def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Po
         name: as for ``policy_source``.
 
     Raises:
-        FungraspError: no such policy, or one for another hand.
+        FungraspError: unknown policy, or a policy for another hand.
     """
     path = policy_source(name, hand.name).network
     return OpenLoopPolicy() if path is None else residual_policy(load_policy(path), hand, objects)

@@ -1,4 +1,4 @@
-"""Residual actions: changes of what the plan asks for, or of where the hand is."""
+"""Residual actions: corrections of the plan or of the current posture."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ Base = Literal["plan", "guided"]
 
 @dataclass(frozen=True)
 class ResidualSettings:
-    """What an action changes, and by how much."""
+    """Target and scale of residual actions."""
 
     base: Base = "plan"
-    """"plan": the planned motion. "guided" follows none, as in the authors' released code: the wrist of the
-    grasp, carried by the tracked object, and the measured joints; the plan gives the grasp and the time of
-    the lift alone."""
+    """"plan": actions correct the planned motion. "guided", as in the authors' released code: actions correct
+    the wrist pose of the grasp, moved with the tracked object, and the measured joints; the plan gives only
+    the grasp and the time of the lift."""
 
     position: float = 0.03
-    """Shift of the wrist at an action of 1, along each axis [m]."""
+    """Shift of the wrist for an action of 1, along each axis [m]."""
     rotation: float = 0.15
-    """Turn of the wrist at an action of 1, about each axis [rad]."""
+    """Rotation of the wrist for an action of 1, about each axis [rad]."""
     fingers: float = 0.3
-    """Change of each servo target at an action of 1 [rad]."""
+    """Change of each servo target for an action of 1 [rad]."""
     smoothing: float = 0.5
-    """Share of the last action that stays in the next."""
+    """Smoothing: share of the previous action in the next."""
 
     def shrunk(self, factor: float) -> ResidualSettings:
         """The same actions, meaning smaller departures from the plan; without a planned motion, the same

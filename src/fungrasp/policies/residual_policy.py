@@ -1,4 +1,4 @@
-"""Learned policies at work: they follow a plan, look at the observation, and correct."""
+"""Learned policies, which correct a plan from observations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
 
 
 class _ResidualNetwork:
-    """What students and teachers have in common."""
+    """Base of students and teachers."""
 
     def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
         """
@@ -66,8 +66,8 @@ class _ResidualNetwork:
 
 
 class StudentPolicy(_ResidualNetwork):
-    """Acts on what a robot has. ``outputs`` holds what else the network said at the last step: the contact
-    states and forces that it infers."""
+    """A policy that uses only robot sensors. ``outputs`` has the other outputs of the network at the last
+    step: inferred contacts and forces."""
 
     outputs: Mapping[str, np.ndarray]
 
@@ -82,7 +82,7 @@ class StudentPolicy(_ResidualNetwork):
 
 
 class TeacherPolicy(_ResidualNetwork):
-    """Acts on contacts too, which only a simulation knows."""
+    """A policy that also uses true contacts, which exist only in simulation."""
 
     def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
         """See ``PrivilegedPolicy.act_privileged``."""

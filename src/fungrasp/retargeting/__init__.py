@@ -1,4 +1,4 @@
-"""Human grasps to robot grasps (paper IV.A), and the baselines."""
+"""From human grasps to robot grasps (paper IV.A), and baselines."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ THUMB_ITERATIONS = 20
 
 
 class JointRoles(NamedTuple):
-    """The sign with which each joint flexes a finger link or spreads a finger.
+    """Roles of the joints: flexion of a finger link, or spreading of a finger.
 
     ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm, then
     its deviation towards the side of the index finger.
@@ -43,7 +43,7 @@ class JointRoles(NamedTuple):
     fan: np.ndarray
     """How far each straight finger points to the side of the index finger [rad], shape [5]."""
     thumb_base: np.ndarray
-    """Which independent joints move the thumb and have no such role, shape [U] bool."""
+    """Independent joints of the thumb without such a role, shape [U] bool."""
 
 
 def retarget_by_angle_copy(

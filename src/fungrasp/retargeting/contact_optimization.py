@@ -27,22 +27,22 @@ from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, torque_lim
 from fungrasp.retargeting.settings import RetargetSettings, Start
 
 TOLERATED_SHARE = 0.2
-"""Unresisted share of the load below which a grasp counts as firm: of those below six of seven hold, however
-far below they are."""
+"""Unresisted share of the load below which a grasp is firm. Six of seven such grasps hold, however small the
+share."""
 
 INSIDE = 0.002
-"""A hand that goes farther into the object or itself than this has no grip [m]."""
+"""Largest penetration of object or hand in a valid grasp [m]."""
 
 NEAR, TOUCH, ENOUGH = 0.02, 0.005, 2 / 3
-"""A link is as shown whose place is nearer to the person's than this and whose clearance is less [m]; a grasp
-is in which this share of the wanted links are, and the thumb."""
+"""A link is as shown if its distance from the person's contact is less than this, and its clearance too [m].
+A grasp is as shown if the thumb and this share of the wanted links are."""
 
 ELSEWHERE, SHARE_COST, PLACE_COST = 3.0, 0.5, 20.0
-"""What a grasp that is not as shown costs, in unresisted weights; a wanted link that is not, over their
-number; and a meter between the person's places and the hand's."""
+"""Costs, in unresisted weights, of a grasp that is not as shown, of a wanted link that is not (divided by
+their number), and of one meter between contacts of person and hand."""
 
 GOOD = 0.5
-"""Cost at which a grasp is left as it is."""
+"""Cost below which a grasp is not solved again."""
 
 
 def retarget_by_contact_optimization(
@@ -119,8 +119,8 @@ def _cost(
     solution: tuple[np.ndarray, np.ndarray],
     least: np.ndarray,
 ) -> np.ndarray:
-    """What solutions are compared by, lower is better, shape [N]: first whether they are as shown, then the
-    unresisted share of the load, at least ``TOLERATED_SHARE``, and how far contacts are from the person's.
+    """Cost to compare solutions, shape [N]: first, whether they are as shown; then the unresisted share of
+    the load, at least ``TOLERATED_SHARE``, and the distance of contacts from the person's.
 
     Args:
         points, problem: N grasps.

@@ -1,4 +1,4 @@
-"""Retargeting of human grasps to robot hands, by the method of choice."""
+"""Retargeting of human grasps to robot hands."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ SOLVERS: dict[str, Solver] = {
 }
 
 GRASPS_PER_PART = 128
-"""Grasps that are kept together, and one job on a cluster: some seconds of work."""
+"""Grasps in one part, which is one file and one cluster job: some seconds of work."""
 
 BATCH = 8
-"""Parts that one process solves together: its threads have more to share in this way."""
+"""Parts solved together in one process, to keep all threads busy."""
 
 CHUNK = 64
-"""Grasps that one thread solves together."""
+"""Grasps that one thread solves at once."""
 
 
 @overload
@@ -87,25 +87,24 @@ def retarget(
     """Retarget human grasps to a robot hand.
 
     Args:
-        human: a set of N human grasps, one alone, or what ``perceive`` returned.
-        objects: the objects of the grasps, by name, as models or as a folder of meshes; those that the
-            grasps carry, or built-in ones, if None.
+        human: N human grasps, a single one, or the result of ``perceive``.
+        objects: models by name, or a folder of meshes. None: the objects of the grasps, or built-in objects.
         hand: the robot hand, its name, or the path of its TOML file.
         method: one of ``settings.METHODS``.
         settings: weights and iterations; the defaults if None.
-        threads: 0 means all processors. The result does not depend on it.
-        store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
-        ray: solves the parts on a cluster. The result is the same.
-        progress: called with the share of the grasps that is done, 0 to 1; True, False: a bar, none; a bar in
-            terminals and notebooks if None.
+        threads: 0 means all processors. The result is the same for any number.
+        store: keeps finished parts so that an interrupted run can continue. The caller removes it.
+        ray: run on a cluster. The result is the same.
+        progress: called with the finished share, 0 to 1. True or False: a progress bar or none. None: a bar
+            in terminals and notebooks.
 
     Returns:
-        Robot grasps, which know their hand (``RobotGraspSet.load_hand``) and carry their objects; one robot
-        grasp for one human grasp.
+        Robot grasps with their hand (``RobotGraspSet.load_hand``) and objects; a single grasp for a single
+        human grasp.
 
     Raises:
-        FungraspError: no such hand or method, no grasps, a missing object, or a grasp of a left hand for a
-            right one or the other way round.
+        FungraspError: unknown hand or method, no grasps, a missing object, or a left-hand grasp for a right
+            hand or the reverse.
     """
     single = isinstance(human, HumanGrasp)
     human = as_human_grasps(human)
@@ -139,7 +138,7 @@ def retarget(
 
 @dataclass(frozen=True, eq=False)
 class Retargeting(Job[range]):
-    """Human grasps to be retargeted; a part is the range of its rows."""
+    """A retargeting job; its parts are ranges of rows."""
 
     human: HumanGraspSet
     """N human grasps."""

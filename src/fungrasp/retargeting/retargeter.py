@@ -1,4 +1,4 @@
-"""A robot hand that follows a moving human hand, free or around one object, frame by frame."""
+"""A robot hand that follows a moving human hand frame by frame, free or around one object."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 NO_OBJECT = SignedDistanceBank([SignedDistanceGrid(np.zeros(3), 1.0, np.ones((2, 2, 2), dtype=np.float32))])
-"""Stands for the object of a free hand; no term asks for it."""
+"""Placeholder object for a free hand; no cost term uses it."""
 
 
 @dataclass(frozen=True)
 class RetargeterSettings:
-    """The size at which each term of a frame's objective counts as one unit, and numbers of iterations."""
+    """Scale of each cost term (the value that counts as one unit), and iterations."""
 
     fingertip_unit: float = 0.004
     """Distance of a fingertip from its target [m]."""
@@ -50,7 +50,7 @@ class RetargeterSettings:
     table_unit: float = 0.001
     """Penetration of the table [m]."""
     self_unit: float = 0.001
-    """Penetration of the hand by itself [m]."""
+    """Self-penetration of the hand [m]."""
     joint_unit: float = 0.5
     """Change of a joint from one frame to the next [rad]."""
     position_unit: float = 0.05
@@ -58,26 +58,25 @@ class RetargeterSettings:
     rotation_unit: float = 0.5
     """Change of the wrist's rotation in the object from one frame to the next [rad]."""
     near: float = 0.012
-    """Distance from the object at which a human joint touches it through the flesh [m]: its counterpart
+    """Distance between object and human joint in contact, because of the flesh [m]. The robot's link then
     touches the surface."""
     far: float = 0.03
-    """Distance beyond which the object does not draw a joint's counterpart from the joint's own place [m]."""
+    """Distance beyond which the object has no effect on the target of a joint [m]."""
     joint_step: float = 0.05
-    """Change of a joint in one frame that is allowed while the person stands still [rad]."""
+    """Largest change of a joint per frame while the person stands still [rad]."""
     joint_gain: float = 30.0
-    """More of it for each meter that the person moved, at any joint [rad/m]: more than twice what a finger of
-    8 cm turns."""
+    """Additional change per meter of human motion [rad/m]: more than twice the rotation of an 8 cm finger."""
     wrist_step: float = 0.005
-    """Change of the wrist's position in the object in one frame while the person stands still [m]."""
+    """Largest change of the wrist's position relative to the object per frame while the person stands still
+    [m]."""
     wrist_gain: float = 2.0
-    """More of it for each meter that the person moved [-]."""
+    """Additional change per meter of human motion [-]."""
     rate: float | None = 30.0
-    """Frames per second, which the smoothing of the human joints needs; None for no smoothing."""
+    """Frame rate [Hz] for the smoothing of the human joints; None for no smoothing."""
     cutoff: float = 1.0
-    """Cutoff frequency of the smoothing while a joint is still [Hz], as in the paper of the filter."""
+    """Cutoff frequency of the smoothing for a joint at rest [Hz], as in the paper of the filter."""
     lag: float = 0.004
-    """Distance by which the smoothing lets a joint lag at most, however fast it moves [m]: about the noise of
-    a tracker."""
+    """Largest lag by the smoothing, at any speed [m]: about the noise of a tracker."""
     iterations: int = 8
     """Solver iterations of a frame."""
     first_iterations: int = 40
@@ -88,7 +87,7 @@ class FollowedPose(NamedTuple):
     """A robot hand at one frame."""
 
     wrist_pose: np.ndarray
-    """Of the palm body, world frame, shape [7]."""
+    """Pose of the palm body, world frame, shape [7]."""
     joint_positions: np.ndarray
     """Every joint of the hand's model [rad], shape [M]."""
 
@@ -125,14 +124,13 @@ class OneEuroFilter:
 
 
 class Retargeter:
-    """Follows a human hand, which may be near one object; the object may move as well.
+    """Follows a human hand, free or near one object, which may move.
 
-    The human joints are smoothed first, in the object's frame if there is one. Each frame starts from the
-    last one's result and stays near it, and the change is bounded, so that a small motion of the person is a
-    small motion of the robot. Fingertips and joints go where the human's are, within the limits of the joints
-    and without the hand touching itself; near the object, onto the surface where the human's touch it.
-    ``fungrasp.retarget`` takes more time over a single grasp, with
-    wanted contacts and the balance of forces.
+    The human joints are smoothed, in the object's frame if there is one. Each frame starts from the previous
+    result, and the change is bounded: small human motions cause small robot motions. Fingertips and joints
+    follow the human's, within joint limits and without self-collision. Near the object, they move to its
+    surface where the human touches it. For single grasps, ``fungrasp.retarget`` takes more time and also
+    optimizes contacts and the balance of forces.
     """
 
     def __init__(
@@ -148,13 +146,13 @@ class Retargeter:
             hand: the robot hand, or its name.
             model: the object; None for a free hand.
             settings: weights and iterations; the defaults if None.
-            order: of the joints that ``follow`` gets: "mediapipe", "openpose", "mano" and others.
+            order: joint order of the input of ``follow``: "mediapipe", "openpose", "mano" and others.
 
         Raises:
-            FungraspError: no such hand or order.
+            FungraspError: unknown hand or order.
         """
         self.hand = as_hand(hand)
-        """The robot hand; results are in the order of its ``joint_names``."""
+        """The robot hand. Results follow its ``joint_names``."""
         self._settings, self._order = settings or RetargeterSettings(), joint_order(order)
         self._points = HandPoints(HandKinematics(self.hand, 1))
         self._scene = None
@@ -166,7 +164,7 @@ class Retargeter:
         self._smooth = self._filter()
 
     def reset(self) -> None:
-        """Forget the last frame: the next one is solved anew."""
+        """Forget the previous frame; the next one is solved from scratch."""
         self._last, self._smooth = None, self._filter()
 
     def _filter(self) -> Callable[[np.ndarray], np.ndarray]:
@@ -177,13 +175,13 @@ class Retargeter:
         """The robot hand at the next frame.
 
         Args:
-            hand_joints: human joints of the robot hand's side [m], world frame, shape [21, 3]. Any frame
-                that stays will do for a free hand.
+            hand_joints: human joints of the robot hand's side [m], world frame, shape [21, 3]. For a free
+                hand, any fixed frame works.
             object_pose: world frame, shape [7]; the table is the plane z = 0. None for a free hand.
 
         Raises:
-            FungraspError: an array of another shape, or one that is not finite; a pose without an object, or
-                an object without its pose.
+            FungraspError: wrong shape, values that are not finite, a pose without an object, or an object
+                without a pose.
         """
         if (object_pose is None) != (self._scene is None):
             raise FungraspError("object_pose is given where the retargeter has an object, and only there")
@@ -241,8 +239,8 @@ class Retargeter:
     def _bounded(
         self, last: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray], motion: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """As much of the way from the last frame as is allowed: where another posture has become better,
-        the hand gets there over several frames.
+        """The allowed part of the change from the previous frame. A better posture far away is reached over
+        several frames.
 
         Args:
             last, found: wrist pose [1, 7] and independent joints [1, U].
@@ -278,7 +276,7 @@ class Retargeter:
         return objective
 
     def _targets(self, problem: RetargetingProblem) -> np.ndarray:
-        """Where the far key points of the links should be [m], shape [1, S, 3]."""
+        """Targets of the links' far key points [m], shape [1, S, 3]."""
         s, human = self._settings, self._points.match.human_far
         if self._scene is None:
             return problem.joints[:, human]

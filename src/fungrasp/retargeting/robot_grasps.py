@@ -1,4 +1,4 @@
-"""What verbs about robot grasps take: human grasps are retargeted first."""
+"""Input of functions on robot grasps: human grasps are retargeted first."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fungrasp.retargeting.settings import RetargetSpec
 
 
 class RobotGrasps(NamedTuple):
-    """Robot grasps with all that belongs to them."""
+    """Robot grasps with objects and hand."""
 
     robot: RobotGraspSet
     """N grasps."""
@@ -23,22 +23,22 @@ class RobotGrasps(NamedTuple):
     hand: Hand
     """Their hand."""
     human: HumanGraspSet | None
-    """What they were made of, where they were made here."""
+    """The human grasps, if they were retargeted here."""
 
 
 def as_robot_grasps(
     grasps: AnyGrasps, objects: Objects = None, hand: Hand | str | Path | None = None, threads: int = 0
 ) -> RobotGrasps:
-    """Robot grasps, whatever was given.
+    """Robot grasps from robot or human grasps.
 
     Args:
-        grasps: of a robot hand, or of people: these are retargeted with the defaults of ``retarget``.
+        grasps: robot grasps, or human grasps, which are retargeted with the defaults of ``retarget``.
         objects: as for ``retarget``.
-        hand: of human grasps, allegro if None; it must be that of robot grasps.
+        hand: for human grasps; allegro if None. For robot grasps, it must be their own.
         threads: 0 means all processors.
 
     Raises:
-        FungraspError: something else than grasps, a missing object, no such hand, or grasps of another.
+        FungraspError: not grasps, a missing object, an unknown hand, or grasps of another hand.
     """
     found = as_grasp_set(grasps)
     known = resolve_objects(found, objects)

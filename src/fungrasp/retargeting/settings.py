@@ -1,4 +1,4 @@
-"""How human grasps are retargeted: settings, without what retargets."""
+"""Settings of retargeting, without heavy imports."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import dataclass, field
 from fungrasp.core.errors import UnknownNameError
 
 METHODS = ("contact", "angle-copy", "dexgraspnet")
-"""Methods of retargeting: our own by contacts and forces, and two baselines."""
+"""Retargeting methods: our own (contacts and forces) and two baselines."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """How a start differs from the hand that is laid along the person's. Axes are those of a right hand's
-    palm: along the fingers, out of the palm, and across; those of a left hand are mirrored."""
+    """A start of the solver, relative to the robot hand aligned with the human's. Axes of a right palm: along
+    the fingers, out of the palm, across it; mirrored for a left hand."""
 
     turn: tuple[float, float, float]
     """Rotation vector about the mean fingertip [rad]."""
     shift: tuple[float, float, float]
-    """Of the wrist, afterwards [m]."""
+    """Shift of the wrist after the rotation [m]."""
     contact_unit: float = 0.002
-    """Distance of where a link touches from where the person does [m]."""
+    """Distance between contact points of robot and human [m]."""
     closure_unit: float = 0.03
-    """Unbalanced part of contact forces that sum to one [-]."""
+    """Unbalanced part of contact forces with a sum of one [-]."""
 
 
 STARTS = (
@@ -31,21 +31,21 @@ STARTS = (
     Start((0.07, 0.03, -0.21), (0.0, -0.024, -0.014), 0.002, 0.03),
     Start((0.24, 0.0, 0.23), (0.017, -0.008, 0.002), 0.002, 0.1),
 )
-"""Of 69 near the person's hand those that, one after another, lowered the cost of five hands' grasps most."""
+"""Four of 69 starts: each in turn reduced the cost most, over the grasps of five hands."""
 
 
 @dataclass(frozen=True)
 class RetargetSettings:
-    """The size at which each term of the objective counts as one unit, and numbers of iterations."""
+    """Scale of each cost term (the value that counts as one unit), and iterations."""
 
     fingertip_unit: float = 0.01
-    """Distance of a fingertip from the human one, first stage [m]."""
+    """Distance between robot and human fingertip, first stage [m]."""
     direction_unit: float = 0.5
-    """Difference of the unit vectors along a link, first and second stage [-]."""
+    """Difference between unit vectors along a link, first and second stage [-]."""
     gap_unit: float = 0.001
-    """Gap between a link that should touch and the object [m]."""
+    """Gap between the object and a link that should touch it [m]."""
     soft_object_unit: float = 0.003
-    """Penetration of the object, second stage [m]: links on the wrong side of a wall can still pass it."""
+    """Penetration of the object, second stage [m]: loose, so that links can still pass through a wall."""
     object_unit: float = 0.0003
     """Penetration of the object [m]."""
     table_unit: float = 0.0002
@@ -53,22 +53,22 @@ class RetargetSettings:
     table_margin: float = 0.001
     """Distance to keep from the table [m]."""
     self_unit: float = 0.0005
-    """Penetration of the hand by itself [m]."""
+    """Self-penetration of the hand [m]."""
     closure_friction: float = 0.2
-    """Friction coefficient that the balance may use; well below the nominal one [-]."""
+    """Friction coefficient in the force balance; well below the nominal one [-]."""
     posture_unit: float = 0.4
-    """Difference of the unit vectors along a link, third stage [-]."""
+    """Difference between unit vectors along a link, third stage [-]."""
     iterations: tuple[int, int, int] = (6, 5, 12)
     """Solver iterations of the three stages."""
     starts: tuple[Start, ...] = STARTS
-    """Grasps that are not firm or not as shown are solved again from the second on, until they are."""
+    """Starts of the solver. Grasps that are not firm or not as shown are solved again from the next start."""
 
 
 def method_name(name: str) -> str:
-    """The name of a retargeting method, checked.
+    """Check the name of a retargeting method.
 
     Raises:
-        FungraspError: there is none of this name.
+        FungraspError: unknown method.
     """
     if name not in METHODS:
         raise UnknownNameError("retargeting method", name, METHODS)
@@ -89,6 +89,6 @@ class RetargetSpec:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: no such method.
+            FungraspError: unknown method.
         """
         object.__setattr__(self, "method", method_name(self.method))

@@ -1,4 +1,4 @@
-"""From simulation to reality: worlds that differ from the nominal ones."""
+"""Simulation to reality: randomized worlds and identified dynamics."""
 
 from fungrasp.sim2real.episode_sample import (
     EpisodeSample,

@@ -1,4 +1,4 @@
-"""Scenes, and engines that step many worlds of one at once."""
+"""Scenes, and engines that simulate many worlds of a scene in parallel."""
 
 from fungrasp.simulation.devices import BufferSizes, Device, found_device
 from fungrasp.simulation.engine import Engine, make_engine

@@ -1,4 +1,4 @@
-"""Human grasps written as specifications (object, part, task, kind of grasp) and solved."""
+"""Synthesis of human grasps from specifications (object, part, task, kind of grasp)."""
 
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, GraspKind, GraspSpecification
 from fungrasp.synthesis.synthesize import SynthesisSettings, synthesize_grasps

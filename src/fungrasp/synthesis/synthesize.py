@@ -119,7 +119,7 @@ def synthesize_grasps(
             specifications and seeds give the same grasps.
         settings: the defaults if None.
         objects: by name; built-in ones that are not in it are found by themselves.
-        store: keeps finished parts, and knows those of an interrupted run; who calls removes it.
+        store: keeps finished parts so that an interrupted run can continue. The caller removes it.
         ray: solves the parts on a cluster. The result is the same.
         progress: called with the share that is done, 0 to 1.
 

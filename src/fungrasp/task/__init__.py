@@ -1,4 +1,4 @@
-"""What a policy observes, does and is rewarded for; the lift test; when a grasp has succeeded."""
+"""Observations, actions and rewards of policies; the lift test; success criteria."""
 
 from __future__ import annotations
 

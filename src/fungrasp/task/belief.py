@@ -1,4 +1,4 @@
-"""What is known before acting: all that a planner may use."""
+"""Knowledge before acting: the input of planners."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Belief(BatchRecord):
-    """Nominal state and parameters of N scenes when a grasp is planned. World frame: z up."""
+    """Estimated state and nominal parameters of N scenes at planning time. World frame: z up."""
 
     object_pose: np.ndarray
     """Pose of the object at rest on the table, shape [N, 7]."""
     object_mass: np.ndarray
     """Mass of the object [kg], shape [N]."""
     palm_pose: np.ndarray
-    """Where the palm is, shape [N, 7]."""
+    """Pose of the palm, shape [N, 7]."""
     joint_positions: np.ndarray
-    """Where the independent joints are [rad], shape [N, U]."""
+    """Positions of the independent joints [rad], shape [N, U]."""
     friction: np.ndarray
     """Sliding friction of hand, object and table, shape [N]."""
     table_height: np.ndarray
@@ -47,7 +47,7 @@ class Belief(BatchRecord):
         palm_pose: np.ndarray,
         joint_positions: np.ndarray,
     ) -> Belief:
-        """Belief with the nominal friction and a table at z = 0. Arguments: the fields of the same names."""
+        """A belief with nominal friction and a table at z = 0. Arguments: fields of the same names."""
         count = len(object_pose)
         friction, table = np.full(count, NOMINAL_FRICTION), np.zeros(count)
         return cls(object_pose, object_mass, palm_pose, joint_positions, friction, table)

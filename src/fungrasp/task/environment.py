@@ -1,5 +1,4 @@
-"""Episodes of the lift test as a policy meets them: worlds that differ from the nominal ones, seen by
-sensors."""
+"""Episodes of the lift test: randomized worlds, observed by sensors."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ _log = logging.getLogger(__name__)
 
 
 class LiftEnvironment:
-    """W episodes. They begin with ``settle`` as the lift test does, or with ``begin`` in the midst of
-    plans."""
+    """W episodes. ``settle`` begins them like the lift test, ``begin`` at any step of a plan."""
 
     def __init__(
         self,
@@ -48,12 +46,12 @@ class LiftEnvironment:
             scene: with the hand and the objects, in all sizes of the randomization
                 (``fungrasp.objects.with_sizes``).
             count: W.
-            randomization: how worlds may differ from the nominal ones, and sensors err.
+            randomization: of worlds and sensor errors.
             protocol: the published one if None.
-            rng: of the sensors' jitter, one for all worlds or one for each; seeded with zero if None.
-            threads: 0 means all processors. Results do not depend on it.
-            engine: with W worlds of the scene; that of the scene's device if None. What an episode is made of
-                is on the device of its arrays.
+            rng: of sensor noise: one for all worlds or one per world; seed 0 if None.
+            threads: 0 means all processors. Results are the same for any number.
+            engine: with W worlds of the scene; made for the scene's device if None. Its device holds the
+                arrays of the episodes.
         """
         self.scene, self.randomization = scene, randomization
         self.engine: Engine = engine or make_engine(scene, count, threads)
@@ -73,7 +71,7 @@ class LiftEnvironment:
 
     @property
     def sample(self) -> EpisodeSample:
-        """What was drawn for the episode in each world; NumPy arrays."""
+        """Random parameters of each world; NumPy arrays."""
         return self._sample
 
     @sample.setter
@@ -211,7 +209,7 @@ class LiftEnvironment:
         self.sensors.begin(ids)
 
     def step(self, action: Action, watch: Callable[[], None] = lambda: None) -> None:
-        """Advance by one control period. watch: called after each setpoint, to record."""
+        """Advance by one control period. watch: called after each setpoint, for recording."""
 
         def after() -> None:
             self.sensors.record()
@@ -220,11 +218,11 @@ class LiftEnvironment:
         self.task.step(action, self._push, after)
 
     def observe(self) -> Observation:
-        """What the sensors say now."""
+        """Current sensor data."""
         return self.sensors.observe(self._felt)
 
     def privileged(self) -> Privileged:
-        """What only a simulation knows."""
+        """Current privileged state."""
         engine = self.engine
         return Privileged(
             contacts=engine.link_contacts,
@@ -341,17 +339,17 @@ def play(
     watch: Callable[[], None] = lambda: None,
     look: Callable[[Observation], None] = lambda observation: None,
 ) -> Outcomes:
-    """Let a policy act until all episodes are over.
+    """Run a policy until all episodes end.
 
     Args:
-        policy: what acts; one that takes privileged information gets it.
-        plan: to follow, one for each world.
-        end_lost: episodes end as soon as their object is lost, as failures.
+        policy: a policy; teachers also get the privileged state.
+        plan: one plan per world.
+        end_lost: end an episode as failed as soon as its object is lost.
         watch: called after each setpoint, to record.
         look: called with each observation.
 
     Raises:
-        FungraspError: the policy lacks a method, or its first action is none.
+        FungraspError: the policy lacks a method, or its first action is invalid.
     """
     check_policy(policy)
     task, lost = environment.task, np.zeros(len(environment), dtype=bool)

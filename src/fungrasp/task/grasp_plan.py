@@ -1,4 +1,4 @@
-"""What a policy follows: where wrist and fingers should be at every control step, and what that aims at."""
+"""Plans: targets of wrist and fingers at every control step, and the intended grasp."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from fungrasp.geometry.poses import clip
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GraspPlan(BatchRecord):
-    """Plans of N grasps, T control steps each; from the last step on everything stays the same.
+    """Plans of N grasps with T control steps each. After the last step, targets stay constant.
 
-    Motions are in the frame of the object as it rests on the table, so that a plan moves along with an object
-    that is seen elsewhere.
+    Motions are in the frame of the resting object, so a plan moves with the object.
     """
 
     SCALARS: ClassVar[tuple[str, ...]] = ("hand", "control_period")
@@ -37,9 +36,9 @@ class GraspPlan(BatchRecord):
     object_name: np.ndarray
     """Name of each object, shape [N] str."""
     object_mass: np.ndarray
-    """Mass of the object that was planned for [kg], shape [N]."""
+    """Assumed mass of the object [kg], shape [N]."""
     object_pose: np.ndarray
-    """Pose of the object at rest that was planned for, world frame, shape [N, 7]."""
+    """Assumed pose of the resting object, world frame, shape [N, 7]."""
     link_contacts: np.ndarray
     """Links that should touch the object, shape [N, L] bool."""
     keypoints: np.ndarray
@@ -53,26 +52,26 @@ class GraspPlan(BatchRecord):
     finger_targets: np.ndarray
     """Targets of the finger servos at each step [rad], shape [N, T, U]."""
     palm_setpoint_object: np.ndarray
-    """Where the palm's setpoint is when the step begins, object frame, shape [N, T, 7]."""
+    """Setpoint of the palm at the start of each step, object frame, shape [N, T, 7]."""
     palm_velocity: np.ndarray
     """Velocity of that setpoint, world frame [m/s], shape [N, T, 3]."""
     closing_step: np.ndarray
-    """First step at which the fingers close, shape [N] int."""
+    """Step at which the fingers start to close, shape [N] int."""
     lift_step: np.ndarray
     """First step of the lift, shape [N] int."""
     path_collision: np.ndarray
-    """Deepest intrusion of the planned path into the margins around object and table [m], shape [N]."""
+    """Largest violation of the margins around object and table along the path [m], shape [N]."""
     shown_places: np.ndarray | None = None
-    """Where the person touched, by finger link (``RobotGraspSet``), object frame [m], shape [N, L - 1, 3];
-    None if not known."""
+    """The person's contacts by finger link (``RobotGraspSet``), object frame [m], shape [N, L - 1, 3]; None
+    if unknown."""
     shown_normals: np.ndarray | None = None
     """Outward unit normals of the surface there, shape [N, L - 1, 3]."""
     expected_success: np.ndarray | None = None
-    """Probability of success that the planner expects, shape [N]; None if it did not estimate one."""
+    """Planner's estimate of the success probability, shape [N]; None without estimate."""
     expected_as_shown: np.ndarray | None = None
-    """Probability that the object is held as shown, shape [N]; None if it was not estimated."""
+    """Planner's estimate of the probability to hold as shown, shape [N]; None without estimate."""
     rollouts: np.ndarray | None = None
-    """Simulated episodes that were spent on planning each grasp, shape [N] int; None for none."""
+    """Simulated episodes used to plan each grasp, shape [N] int; None for none."""
 
     def at(self, step: np.ndarray, rows: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """Palm goals, object frame [I, 7], and finger targets [rad], [I, U], of some rows at their steps.
@@ -93,7 +92,7 @@ class GraspPlan(BatchRecord):
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """One after the other; motions that end earlier stay where they end."""
+        """Concatenate plans; shorter motions stay at their end."""
         length = max(part.palm_goal_object.shape[1] for part in parts)
         return super().join([part._padded(length) for part in parts])
 

@@ -1,4 +1,4 @@
-"""When a grasp has succeeded, and what else is measured during the hold (docs/evaluate.md)."""
+"""Success criteria, and other measurements during the hold (docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -14,21 +14,20 @@ from fungrasp.simulation import Engine
 from fungrasp.task.protocol import LiftProtocol
 
 PARKED = np.array([0.0, 0.0, 3.0, 1.0, 0.0, 0.0, 0.0])
-"""A palm far from any object."""
+"""Pose of a palm far from any object."""
 
 DIVERGED = "the simulation diverged"
-"""Reason of an episode, or of a use test, whose physics has broken down."""
+"""Reason of failure if the simulation became unstable."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(BatchRecord):
-    """Outcomes of W episodes, a number each, shape [W]."""
+    """Outcomes of W episodes; all arrays have shape [W]."""
 
     success: np.ndarray
-    """Whether the object stayed up, in the hand, and touched nothing but the hand during the whole hold,
-    bool."""
+    """Whether the object stayed up, touching only the hand, during the whole hold, bool."""
     lifted_height_m: np.ndarray
-    """Smallest height of the center of mass above where it settled, during the hold [m]."""
+    """Smallest height of the center of mass above its settled height during the hold [m]."""
     contact_ratio: np.ndarray
     """Share of the target links in contact, mean over the hold."""
     contact_precision: np.ndarray
@@ -36,7 +35,7 @@ class Outcomes(BatchRecord):
     contact_f1: np.ndarray
     """Harmonic mean of the two at each sample, mean over the hold."""
     sim_distance_world_mm_s: np.ndarray
-    """Displacement of the object per second of the hold, in the world [mm/s]; what is dropped counts until it
+    """Displacement of the object per second of the hold, world frame [mm/s]; a dropped object counts until it
     rests."""
     sim_distance_hand_mm_s: np.ndarray
     """The same relative to the palm: slip [mm/s]."""
@@ -48,18 +47,18 @@ class Outcomes(BatchRecord):
     reason: np.ndarray
     """Why the episode failed, "" on success, str."""
     held_as_shown: np.ndarray
-    """Whether it succeeded with the object where and how the person held it (``grasps.as_shown``), bool;
-    false where the person's places are not known."""
+    """Whether the object was held as the person held it (``grasps.as_shown``), bool; false if the person's
+    contacts are unknown."""
     shown_share: np.ndarray
-    """Share of the wanted finger links that are as shown in the middle of the hold; NaN if not known."""
+    """Share of wanted finger links that touch as shown in the middle of the hold; NaN if unknown."""
     place_error_mm: np.ndarray
-    """Mean distance of their places from the person's then [mm]; NaN if not known."""
+    """Mean distance of their contacts from the person's at that time [mm]; NaN if unknown."""
     other_side: np.ndarray
-    """Share of them on the other side of the surface then; NaN if not known."""
+    """Share of them on another side of the object at that time; NaN if unknown."""
     strays: np.ndarray
-    """Number of links that touch far from every place of the person then; NaN if not known."""
+    """Number of links that touch far from all contacts of the person at that time; NaN if unknown."""
     not_as_shown: np.ndarray
-    """Why what was held was not held as shown, "" otherwise and where it is not known, str."""
+    """Why a held object was not held as shown; "" otherwise, str."""
 
     def fail(self, which: np.ndarray, reason: str) -> None:
         """Count episodes as failed. which: shape [W] bool; reason: of those that would have succeeded."""

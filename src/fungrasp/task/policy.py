@@ -1,5 +1,4 @@
-"""What a policy is, what it sees (``Observation``; a teacher and the reward also ``Privileged``), and what it
-does (``Action``)."""
+"""The policy interface: ``Observation``, ``Action``, and ``Privileged`` for teachers and rewards."""
 
 from __future__ import annotations
 
@@ -14,9 +13,9 @@ from fungrasp.task.grasp_plan import GraspPlan
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observation(BatchRecord):
-    """What W robots know at a control step. Simulated and real sensors produce the same.
+    """Sensor data of W robots at a control step, the same in simulation and on robots.
 
-    U is the number of the hand's independent joints, each with a servo.
+    U is the number of independent joints; each has a servo.
     """
 
     time: np.ndarray
@@ -26,7 +25,7 @@ class Observation(BatchRecord):
     joint_positions: np.ndarray
     """Measured independent joints [rad], shape [W, U]."""
     joint_setpoints: np.ndarray
-    """Last setpoints of the joints' servos [rad], shape [W, U]."""
+    """Last servo setpoints [rad], shape [W, U]."""
     palm_pose: np.ndarray
     """Measured pose of the palm body, world frame, shape [W, 7]."""
     palm_setpoint: np.ndarray
@@ -34,12 +33,12 @@ class Observation(BatchRecord):
     object_pose: np.ndarray
     """Tracked pose of the object, world frame, shape [W, 7]."""
     object_pose_age: np.ndarray
-    """How old the tracked pose is [s], shape [W]."""
+    """Age of the tracked pose [s], shape [W]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Privileged(BatchRecord):
-    """What only a simulation knows of W worlds; L contact links."""
+    """Simulation state that no sensor measures, for W worlds and L contact links."""
 
     contacts: np.ndarray
     """Which links touch the object, shape [W, L] bool."""
@@ -63,7 +62,7 @@ class Privileged(BatchRecord):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Action(BatchRecord):
-    """What a policy asks of W robots during the next control period."""
+    """Action of W robots for the next control period."""
 
     FORMER_NAMES: ClassVar = {"palm_goal": "palm_goal_world"}
 
@@ -73,37 +72,36 @@ class Action(BatchRecord):
     finger_targets: np.ndarray
     """Targets of the finger servos at the end of the period [rad], shape [W, U]."""
     lift: np.ndarray
-    """Whether the lift may begin (it can't be taken back), shape [W] bool."""
+    """Whether to begin the lift, which can't be undone, shape [W] bool."""
 
 
 @runtime_checkable
 class Policy(Protocol):
-    """Acts for W robots at the plan's control rate, in simulation and on robots alike."""
+    """Controls W robots at the plan's control rate, in simulation and on robots."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         """Begin new episodes.
 
         Args:
-            plan: what to follow, one for each robot.
-            observation: what is seen as the episodes begin.
+            plan: one plan per robot.
+            observation: at the start of the episodes.
         """
         ...
 
     def act(self, observation: Observation) -> Action:
-        """What to do in the next control period. observation: at its beginning; the first is that of
+        """The action for the next control period. observation: at its start; the first is the one of
         ``reset``."""
         ...
 
 
 @runtime_checkable
 class PrivilegedPolicy(Protocol):
-    """A policy that also gets the privileged state, which only a simulation knows: a teacher."""
+    """A policy that also gets the privileged state, which exists only in simulation: a teacher."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         """Begin new episodes, see ``Policy.reset``."""
         ...
 
     def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
-        """What to do in the next control period, see ``Policy.act``. privileged: at the beginning of the
-        control period."""
+        """The action for the next control period, see ``Policy.act``. privileged: at its start."""
         ...

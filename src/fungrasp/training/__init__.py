@@ -1,4 +1,4 @@
-"""Training: teachers by PPO, students by distillation."""
+"""Training: PPO for teachers, distillation for students."""
 
 import os
 

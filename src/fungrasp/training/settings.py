@@ -1,4 +1,4 @@
-"""How policies learn: settings, without what learns. The command line reads them without torch."""
+"""Settings of training, without importing torch."""
 
 from __future__ import annotations
 
@@ -14,43 +14,42 @@ from fungrasp.task.features import LayoutName
 from fungrasp.task.reward import RewardWeights
 
 Sees = Literal["contacts", "nothing", "history"]
-"""What an actor knows of the contacts."""
+"""Contact information of an actor."""
 
 HIDDEN = (256, 128)
-"""Units of the hidden layers of a policy."""
+"""Hidden layer sizes of a policy."""
 
 
 @dataclass(frozen=True)
 class EnvironmentSettings:
-    """How training episodes run."""
+    """Settings of training episodes."""
 
     worlds: int = 512
-    """Episodes that run at once."""
+    """Number of parallel worlds."""
     timestep: float = 0.01
-    """Physics step [s]; the lift test has 0.005."""
+    """Physics step [s]; 0.005 in the lift test."""
     hold_time: float = 1.5
-    """Time that the object has to be held [s]; the lift test has 3."""
+    """Duration of the hold [s]; 3 in the lift test."""
     early: tuple[int, int] = (4, 14)
-    """Fewest and most control steps before the fingers close at which episodes begin, on the planned path:
-    with an open hand, a few centimeters from the grasp."""
+    """Start of episodes on the planned path: fewest and most control steps before the fingers close. The hand
+    is open, a few centimeters from the grasp."""
     whole: float = 0.1
-    """Share of episodes that begin where the lift test does."""
+    """Share of episodes that start like the lift test."""
     widen: tuple[int, int] | None = None
-    """Control steps of the training between which this share grows to all; it stays if not given."""
+    """Range of training steps in which this share grows to 1. Default: it stays constant."""
     lift_goal: float = 0.14
-    """Height of the object that is paid in full [m]; above the test's 0.1, as what swings hangs lower."""
+    """Height for the full lift reward [m]; above the test's 0.1, because swinging objects hang lower."""
     randomization: Randomization = MODERATE
-    """How worlds differ from the nominal ones, drawn anew in each episode."""
+    """Randomization of worlds in each episode."""
     layout: LayoutName = "full"
-    """What networks get of what a robot has. "paper": what the paper names (section IV.B.1); "full": besides,
-    distances from the object's surface, errors of servos and joints, the plan's phase, size and mass of the
-    object."""
+    """Network inputs. "paper": as in the paper (section IV.B.1). "full": also distances from the object's
+    surface, errors of servos and joints, phase of the plan, size and mass of the object."""
     history: bool = False
-    """Whether observations hold a student's history."""
+    """Whether observations include a student's history."""
     residual: ResidualSettings = field(default_factory=ResidualSettings)
-    """How far actions may depart from the plan."""
+    """Scale of corrections to the plan."""
     reward: RewardWeights = field(default_factory=RewardWeights)
-    """Weights of the reward's terms."""
+    """Weights of the reward terms."""
 
     def __post_init__(self) -> None:
         """
@@ -71,12 +70,12 @@ class EnvironmentSettings:
 
 @dataclass(frozen=True)
 class Variety:
-    """How many variations of a grasp there are, and how they differ."""
+    """Variations of each grasp."""
 
     copies: int = 8
-    """Of each grasp: as it is, and variations of it."""
+    """Copies of each grasp: the original and its variations."""
     spread: VariationSpread = field(default_factory=VariationSpread)
-    """How far the variations differ from the grasp."""
+    """Spread of the variations."""
 
     def __post_init__(self) -> None:
         if self.copies < 1:
@@ -88,12 +87,12 @@ class PpoSettings:
     """Settings of PPO."""
 
     hidden: tuple[int, ...] = HIDDEN
-    """Units of the hidden layers, of actor and value network."""
+    """Hidden layer sizes of actor and value network."""
     sees: Sees = "contacts"
-    """What the actor knows of the contacts: the truth (a teacher), nothing, or what an encoder infers from
-    the last steps, learned along the way (a student from scratch)."""
+    """Contact information of the actor: the truth (a teacher), nothing, or estimates of an encoder from the
+    last steps, trained at the same time (a student from scratch)."""
     steps: int = 24
-    """Control steps of each world between two updates."""
+    """Control steps per world between two updates."""
     epochs: int = 4
     """Passes over each batch."""
     minibatches: int = 4
@@ -107,39 +106,36 @@ class PpoSettings:
     entropy: float = 0.001
     """Weight of the entropy bonus."""
     kl: float = 0.02
-    """Change of the policy per update that the actor's learning rate adapts to."""
+    """Target KL divergence per update; the actor's learning rate adapts to it."""
     learning_rate: float = 1e-4
-    """Learning rate of the actor at the beginning."""
+    """Initial learning rate of the actor."""
     value_learning_rate: float = 1e-3
-    """Learning rate of the value network; it stays the same."""
+    """Constant learning rate of the value network."""
     reward_scale: float = 0.1
-    """Factor on the reward, which makes returns of the order of one."""
+    """Factor on the reward, for returns around one."""
     noise: float = 0.15
-    """Standard deviation of the exploration noise at the beginning, in units of the action."""
+    """Initial standard deviation of the exploration noise, in action units."""
     noise_correlation: float | None = None
-    """Correlation of the noise from one control step to the next. By default 0.95 where planned motions are
-    corrected: white noise shakes the object out of the hand, slowly changing noise tries out other grasps.
-    0 without a planned motion: fingers move from where they are, so that their noise adds up by itself."""
+    """Correlation of the noise between control steps. Default: 0.95 for corrections of planned motions,
+    because white noise shakes the object out of the hand; 0 without a planned motion, where noise accumulates
+    by itself."""
     warm_up: int = 48
-    """Control steps before learning, in which only the normalisation is learned."""
+    """Control steps before learning, which only set the normalization."""
     imitate: float = 0.0
-    """Control steps at the beginning in which the actor imitates the planned motions, where its actions
-    change something else."""
+    """Control steps at the start in which the actor imitates planned motions (only for "guided" actions)."""
 
 
 @dataclass(frozen=True)
 class CurveSettings:
-    """What a training's learning curve is measured on, and how often. It does not change the training, but
-    for the grasps that are held out."""
+    """Learning curve. It does not affect the training, except for held-out grasps."""
 
     every: float = 1e5
-    """Control steps between two points of the curve; 0 for no curve."""
+    """Control steps between two points; 0 for no curve."""
     held_out: float = 0.0
-    """Share of the grasps that are not trained on, and that the curve is measured on; without, those that are
-    trained on."""
+    """Share of grasps held out from training to measure the curve on. 0: use the training grasps."""
     seed: int = 0
-    """Seed of the grasps and worlds that it is measured on; not of the training, so that trainings with other
-    seeds can be compared."""
+    """Seed of the grasps and worlds of the curve. It is independent of the training seed, so runs can be
+    compared."""
 
     def __post_init__(self) -> None:
         """
@@ -160,69 +156,66 @@ class DistillSettings:
     """Settings of distillation."""
 
     steps: int = 24
-    """Control steps of each world between two rounds of learning."""
+    """Control steps per world between two rounds of learning."""
     teacher_rounds: int = 3
-    """Rounds at the beginning in which the teacher acts."""
+    """Rounds at the start in which the teacher acts."""
     kept_rounds: int = 40
-    """Number of last rounds whose episodes are learned from."""
+    """Number of recent rounds to learn from."""
     minibatch: int = 1024
     """Control steps in a minibatch."""
     updates: int = 60
     """Minibatches in each round."""
     learning_rate: float = 1e-3
-    """Learning rate at the beginning; it falls to a tenth."""
+    """Initial learning rate; it falls to a tenth."""
     reconstruction: float = 1.0
     """Weight of L_re against L_act."""
     noise: float = 0.05
-    """Standard deviation of the noise on the actions that are played."""
+    """Standard deviation of the action noise."""
     estimates_contacts: bool = True
-    """Whether the student infers the contacts; if not, it acts as if nothing touched, which shows what the
-    inference is worth."""
+    """Whether the student infers contacts. If not, it assumes no contacts (an ablation)."""
 
 
 @dataclass(frozen=True)
 class TrainSpec:
-    """How ``train`` trains a policy. A folder's training goes on with the same spec, but for ``steps``,
-    ``licence``, ``shrink``, the curve and what the result does not depend on."""
+    """Settings of ``train``. To continue a training, use the same spec; only ``steps``, ``licence``,
+    ``shrink``, the curve, and settings without effect on the result may change."""
 
     steps: float = 3e6
-    """Control steps of all worlds together, earlier runs of this training included."""
+    """Control steps of all worlds together, including earlier runs of this training."""
     search: bool = False
-    """Whether the finished policy follows, at work, the best of many plans, which rollouts decide
-    (``planning.selection``), and not the grasp's own."""
+    """After training, let the policy follow the best of many plans, selected by rollouts, instead of one plan
+    per grasp."""
     plan_file: Path | None = None
-    """File of the plans to train on, which several trainings may share; in the training's folder by
-    default."""
+    """File of the plans to train on, which several trainings can share. Default: in the training's folder."""
     initial: Path | None = None
-    """Folder of another training, whose networks this one begins with."""
+    """Folder of another training; start from its networks."""
     shrink: float = 1.0
-    """Factor on the finished policy's corrections, and on those of its students. A policy that has seen
-    little is right about their direction more often than about their size."""
+    """Factor on the corrections of the finished policy and its students. After little training, their
+    direction is more reliable than their size."""
     seed: int = 0
     """Seed of all random numbers."""
     threads: int = 0
-    """Threads of the simulation; 0 means all processors. The result does not depend on it."""
+    """Threads of the simulation; 0 means all processors. Results are the same for any number."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
-    """Where the worlds are simulated: an NVIDIA GPU, the GPU code on the CPU (slow), or the CPU.
+    """Where to simulate: an NVIDIA GPU, the GPU code on the CPU (slow), or the CPU.
     Default: a GPU if one is found and the extra "gpu" is installed."""
     buffers: tuple[int, int] | None = None
     """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: found by a probe."""
     licence: str = ""
-    """Licence of the policy, for its card."""
+    """License of the policy, for its card."""
     curve: CurveSettings = field(default_factory=CurveSettings)
-    """Of the learning curve, curve.csv and its drawing curve.svg in the training's folder."""
+    """Settings of the learning curve (curve.csv and curve.svg in the training's folder)."""
     environment: EnvironmentSettings = field(default_factory=EnvironmentSettings)
-    """Settings of the worlds that the policy is trained in."""
+    """Settings of the training worlds."""
     ppo: PpoSettings = field(default_factory=PpoSettings)
     """Settings of PPO."""
     variety: Variety = field(default_factory=Variety)
-    """How the grasps are varied that the policy is trained on."""
+    """Variations of the training grasps."""
 
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a value is impossible, or actions that change planned motions, which are to be
-                imitated.
+            FungraspError: invalid value, or imitation with corrections of planned motions.
         """
         check_numbers(self.steps, self.seed, self.threads)
         if self.ppo.imitate and self.environment.residual.base == "plan":
@@ -239,12 +232,12 @@ class TrainSpec:
 
 @dataclass(frozen=True)
 class StudentSpec:
-    """How ``train_student`` distills a student from a teacher."""
+    """Settings of the distillation of a student."""
 
     steps: float = 5e5
     """Control steps of all worlds together."""
     objects: Path | None = None
-    """Folder of meshes <name>.obj; where they were when the teacher was trained by default."""
+    """Folder of meshes <name>.obj. Default: the folder used to train the teacher."""
     seed: int = 0
     """Seed of all random numbers."""
     threads: int = 0

@@ -1,4 +1,4 @@
-"""The page in a browser: grasps that follow the mouse, episodes that play, results, logs, captures and hands.
+"""The interactive viewer: grasps, episodes, results, logs, captures and hands in a browser.
 
-Extra ``viewer``. ``view`` (``fungrasp.view``) decides between it and a page on disk.
+Needs the extra ``viewer``. ``fungrasp.view`` opens it or writes a static page.
 """

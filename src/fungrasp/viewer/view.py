@@ -1,4 +1,4 @@
-"""``view``: what a verb returns or a command writes, as a page on disk or in a browser; its server."""
+"""The function ``view``: results of functions and commands in a browser or as a static page."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
-"""Address that only this machine reaches."""
+"""Loopback address."""
 
 PORTS = range(8080, 8100)
-"""Where the page is by default: at the first that is free."""
+"""Default ports; the first free one is used."""
 
 WIDE = 700
 """Width of a browser's window from which on the controls stand beside the scene [pixels]."""
@@ -51,7 +51,7 @@ MISSING = 'the interactive page needs packages that are not installed: pip insta
 
 
 class Viewer:
-    """A running server. ``close`` it, or use it as a context."""
+    """A running server. Call ``close``, or use it as a context manager."""
 
     def __init__(
         self,
@@ -64,8 +64,8 @@ class Viewer:
         Args:
             make_page: what a browser sees; called when it connects.
             title: of the browser's tab and of the panel.
-            host: address to listen at; by default this machine alone reaches it.
-            port: 0 for any that is free; the first free one of ``PORTS`` if None.
+            host: address to listen on. Default: reachable from this machine only.
+            port: 0 for any free port; the first free one of ``PORTS`` if None.
 
         Raises:
             FungraspError: the extra is not installed, or the port can't be used.
@@ -201,8 +201,8 @@ def _free_port(host: str, port: int) -> int:
 
 
 Viewable: TypeAlias = "AnyGrasps | GraspPlan | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
-"""What can be looked at; a path is that of a file of grasps, plans, a result, a recorded episode, a
-deployment's log, a capture or a hand."""
+"""Types that can be viewed. A path may be a file of grasps or plans, a result, a recorded episode, a
+deployment log, a capture or a hand."""
 
 
 def view(
@@ -216,27 +216,26 @@ def view(
     browser: bool = False,
     wait: bool | None = None,
 ) -> Viewer | Path:
-    """Look at something in a browser, where it can be dragged, played and compared; or write a page.
+    """Show something in a browser, or write a page. In a browser, it can be dragged, played and compared.
 
     Args:
-        what: grasps (a set or one alone), plans, a result, a recorded episode, what ``perceive`` returned, a
-            hand, or the path of one of their files, of a deployment's log or of a capture; the built-in
-            grasps if None.
-        objects: those of grasps or plans, as for ``retarget``. A result has its own.
-        out: HTML file to write in place of it, which needs no other file and no server; of grasps, a result
-            or what was perceived.
-        hand: that imitates human grasps at first.
-        host: address to listen at; by default only this machine reaches the page.
-        port: 0 for any that is free; the first free one from 8080 on if None.
-        browser: whether to open a browser.
-        wait: whether to go on only when Ctrl-C is pressed; if None, where this is a script at a terminal.
+        what: grasps (a set or a single one), plans, a result, a recorded episode, the result of ``perceive``,
+            a hand, or the path of one of their files, a deployment log or a capture. None: the built-in
+            grasps.
+        objects: of grasps or plans, as for ``retarget``. A result has its own.
+        out: HTML file to write instead (self-contained). For grasps, results and perceived grasps.
+        hand: initial robot hand for human grasps.
+        host: address to listen on. Default: reachable from this machine only.
+        port: 0 for any free port; the first free one from 8080 if None.
+        browser: open a browser.
+        wait: block until Ctrl-C. None: only in scripts in a terminal.
 
     Returns:
-        The running server, which is closed with ``close``; or the path of the page that was written.
+        The running server (call ``close``), or the path of the written page.
 
     Raises:
-        FungraspError: something that can't be viewed, an object that is missing, a port in use, a file that
-            can't be read or written, or the extra ``viewer`` is not installed.
+        FungraspError: wrong type, a missing object, a port in use, a file that can't be read or written, or
+            the extra ``viewer`` is missing.
     """
     if out is not None:
         from fungrasp.media.grasp_pages import write_view
