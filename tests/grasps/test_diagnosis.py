@@ -289,7 +289,7 @@ TABLE = {
     "joints_in_object_frame": "--joints-frame object",
     "joints_normalised": "relative to the wrist, and in no unit",
     "left_hand_plain": "--side left",
-    "no_contacts": "can be used",
+    "no_contacts": "usable grasps",
     "object_in_mm": "--object-unit mm",
     "order_frankmocap": "--joint-order frankmocap",
     "order_interhand": "--joint-order interhand",
@@ -299,7 +299,7 @@ TABLE = {
     "pose_inverted": "--pose world-in-object",
     "rest_is_held": "--table-height 0.25",
     "rotation_transposed": "--rotation transposed",
-    "turned_right": "can be used",
+    "turned_right": "usable grasps",
     "unit_dm": "--unit dm",
     "unknown_object": "not tested: whether fingers touch",
     "world_camera": "--up -y --table-height",
@@ -320,7 +320,7 @@ def test_grasp_files_of_others(tmp_path, capsys, name):
         return
     options = out.split(f"convert {path} ")[1].split(" --out")[0].split()
     run(capsys, "convert", path, *options, "--out", tmp_path / "y.npz")
-    assert "can be used" in run(capsys, "check", tmp_path / "y.npz")[1]
+    assert "usable grasps" in run(capsys, "check", tmp_path / "y.npz")[1]
     if name != "left_hand_plain":  # Retargeting takes some of a second.
         assert (
             run_command(capsys, "retarget", "--grasps", tmp_path / "y.npz", "--out", tmp_path / "r.npz")[0]

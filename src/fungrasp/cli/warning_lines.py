@@ -34,7 +34,8 @@ class WarningLines(logging.Handler):
 
     def __exit__(self, *_: object) -> None:
         logging.getLogger("fungrasp").removeHandler(self)
-        for words, (_, *others) in self._subjects.items():
+        for words, subjects in self._subjects.items():
+            others = subjects[1:]
             if others:
                 more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
                 print(f"fungrasp: warning: also {', '.join(others[:NAMED])}{more}: {words}", file=sys.stderr)
