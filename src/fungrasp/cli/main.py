@@ -168,7 +168,7 @@ def _choices(commands: Mapping[str, Any]) -> Any:
 
 def _run(command: Any) -> int:
     # Imported here because `--help` does not need logging.
-    from fungrasp.cli.warning_lines import WarningLines
+    from fungrasp.core.warning_lines import WarningLines
 
     as_json = getattr(command, "json", None) in (True, STDOUT)
     with WarningLines(), redirect_stdout(sys.stderr) if as_json else nullcontext():
