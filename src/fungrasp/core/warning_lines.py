@@ -24,7 +24,7 @@ class WarningLines(logging.Handler):
             subject = str(record.args[0])
         subjects = self._subjects.setdefault(message.removeprefix(f"{subject}: "), [])
         if not subjects:
-            print(f"fungrasp: warning: {message}", file=sys.stderr)
+            sys.stderr.write(f"fungrasp: warning: {message}\n")
         if subject not in subjects:
             subjects.append(subject)
 
@@ -38,4 +38,4 @@ class WarningLines(logging.Handler):
             others = subjects[1:]
             if others:
                 more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
-                print(f"fungrasp: warning: also {', '.join(others[:NAMED])}{more}: {words}", file=sys.stderr)
+                sys.stderr.write(f"fungrasp: warning: also {', '.join(others[:NAMED])}{more}: {words}\n")
