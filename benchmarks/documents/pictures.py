@@ -45,7 +45,7 @@ CHOICE = (
 
 HANDS = ("allegro", "shadow", "faive", "inspire", "leap")
 
-FILMED = (0, 71, 102, 20, 76)
+FILMED = (0, 72, 21, 79, 102)
 """Rows of the built-in grasps in the film: mug, spray bottle, scissors, teapot, hammer."""
 
 BESIDE = ("allegro", "shadow")
@@ -103,8 +103,8 @@ def film() -> None:
         person = captioned(render(model, qpos, camera)[0], grasp_title(grasp))
         for at in range(max(map(len, clips))):
             frames.append(np.hstack([person, *(clip[min(at, len(clip) - 1)] for clip in clips)]))
-        if row == 0:
-            _save(frames[len(frames) * 2 // 5], "demo.jpg")
+        if row == 1:
+            _save(frames[-1], "demo.jpg")
     write_video(IMAGES / "demo.mp4", frames, PANEL.fps, quality=QUALITY)
 
 
@@ -116,13 +116,10 @@ def _filmed(human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand
         result = evaluate(human, objects, default_policy(hand.name), spec=spec, hand=hand, record=folder)
         episodes = sorted(map(replay, Path(folder).glob("*.npz")), key=lambda e: (e.index, e.is_use_test))
         for each in episodes:
-            clip = clips[each.index]
-            clip.extend(episode_film(each, hand, objects[each.object_name], PANEL, title=hand.title))
-    for row, clip in enumerate(clips):
-        held, shown = result.outcomes.success[row], result.outcomes.held_as_shown[row]
-        print(hand.name, human.object_name[row], held, shown, result.use and bool(result.use.success[row]))
-        words = "held as shown" if shown else "held, but not as shown" if held else "not held"
-        clip += [captioned(clip[-1], f"{hand.title} · {words}")] * round(PANEL.fps)
+            held, shown = (getattr(result.outcomes, key)[each.index] for key in ("success", "held_as_shown"))
+            words = "held as shown" if shown else "held in another way" if held else "not held"
+            title = f"{hand.name.title()}, {words}"
+            clips[each.index] += episode_film(each, hand, objects[each.object_name], PANEL, title=title)
     return clips
 
 
