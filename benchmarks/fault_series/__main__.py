@@ -81,7 +81,7 @@ class BenchFaultSeries:
         from itertools import islice
 
         from benchmarks.fault_series.moments import scene
-        from fungrasp.deployment.preparation import reachable_placement
+        from fungrasp.deployment.preparation import reachable_placements
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
 
@@ -89,7 +89,7 @@ class BenchFaultSeries:
         hand = load_hand(cell.hand)
         grasp, objects = self.choice.robot(hand)
         obj = objects[str(grasp.object_name[0])]
-        placement = reachable_placement(cell, hand, obj, grasp)
+        placement = next(reachable_placements(cell, hand, obj, grasp))
         tried = (scene(cell, hand, obj, grasp, placement, twin) for twin in range(MOST_TWINS))
         found = list(islice((one for one in tried if one is not None), self.twins))
         if not found:

@@ -23,10 +23,13 @@ import numpy as np
 from fungrasp.robots.device import RobotError
 from fungrasp.robots.hands import hand_joint_limits
 from fungrasp.robots.hands import inspire_link as codec
-from fungrasp.robots.hands.inspire import COMMAND_DELAY
 from fungrasp_emulators import modbus
 from fungrasp_emulators.emulator import COMMON, Emulator, Fault, Plant, PlantCommand
 
+COMMAND_DELAY = 0.066
+"""From a command to the first motion, median over a real hand's steps [s]."""
+LEAVE = 65535
+"""Written to a motor's angle: leave as it is."""
 ANSWER_TIME = 0.006
 """Of a real hand [s]."""
 LATE = 0.05
@@ -299,7 +302,7 @@ class InspireEmulator(Emulator):
     def _write(self, first: int, values: Sequence[int]) -> None:
         for address, value in enumerate(values, first):
             known = self._registers.get(address, 0)
-            leave = value == codec.LEAVE and codec.ANGLE_SET <= address < codec.FORCE_SET
+            leave = value == LEAVE and codec.ANGLE_SET <= address < codec.FORCE_SET
             self._registers[address] = known if leave else value
         if first == codec.CLEAR_ERRORS:
             self._registers |= {codec.ERRORS + i: 0 for i in range(3)}

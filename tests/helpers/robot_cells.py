@@ -13,7 +13,7 @@ from ideal_twin import IDEAL
 from fungrasp.deployment.deploy import DeploymentTask, deploy_on_twin
 from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.preparation import GraspPreparer, reachable_placement
+from fungrasp.deployment.preparation import GraspPreparer, reachable_placements
 from fungrasp.deployment.spec import DeploymentSpec, Phase, Until
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
@@ -48,7 +48,7 @@ def grasp_and_object(row: int = ROW) -> tuple[RobotGraspSet, ObjectModel]:
 def placed(row: int = ROW) -> np.ndarray:
     cell, hand = cell_and_hand()
     grasp, obj = grasp_and_object(row)
-    return reachable_placement(cell, hand, obj, grasp)
+    return next(reachable_placements(cell, hand, obj, grasp))
 
 
 @cache

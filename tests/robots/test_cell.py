@@ -112,9 +112,3 @@ def test_a_wired_cell_that_says_how_its_hand_is_mounted(tmp_path: Path) -> None:
     mount = "[mount]\npose_flange_hand = [0, 0, 0.156, 0.7071, 0, 0, 0.7071]\n"
     path.write_text(GOOD + "[arm]\ndriver = 'ur-rtde'\naddress = '192.168.0.10'\n" + mount)
     assert load_cell(path).mount.pose_flange_hand[2] == 0.156
-
-
-def test_a_cell_of_before_may_say_limits_that_nothing_measures(tmp_path: Path) -> None:
-    path = tmp_path / "cell.toml"
-    path.write_text(GOOD + "[limits]\narm_torque = 100\n[arm]\noptions = { torque_limits = [1, 2] }\n")
-    assert load_cell(path).arm.options == {}

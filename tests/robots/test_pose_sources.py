@@ -18,12 +18,12 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.robots.assembly import pose_source
 from fungrasp.robots.cell import RobotCell, TrackerSettings
 from fungrasp.robots.device import RobotError, TrackedPose, TrackingStatus
-from fungrasp.robots.pose.stream import PoseMessage, PosePublisher, PoseStream, message_entries, read_message
+from fungrasp.robots.pose.stream import PoseMessage, PosePublisher, PoseStream, read_message
 from fungrasp.robots.safety import check_pose
 
 IDENTITY = np.array([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
 MESSAGE = PoseMessage(
-    3, "c", 1.0, 1.05, "mug", "world", (0.0,) * 3 + (1.0, 0, 0, 0), 0.9, TrackingStatus.TRACKING
+    3, "c", 1.0, 1.05, "mug", "world", (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), 0.9, TrackingStatus.TRACKING
 )
 CELL = RobotCell("allegro")
 ADDRESS = f"ipc:///tmp/fungrasp-test-pose-{os.getpid()}"
@@ -75,7 +75,7 @@ def tracked() -> Iterator[tuple[Tracker, PoseStream]]:
 
 
 def test_a_message_comes_back():
-    assert read_message(message_entries(MESSAGE)) == MESSAGE
+    assert read_message(MESSAGE.entries()) == MESSAGE
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_a_message_comes_back():
 )
 def test_a_wrong_message_is_refused(change: dict, match: str):
     with pytest.raises(RobotError, match=match):
-        read_message(message_entries(MESSAGE) | change)
+        read_message(MESSAGE.entries() | change)
 
 
 def test_the_newest_pose_arrives_with_its_capture_time():
@@ -156,7 +156,7 @@ class Elsewhere:
                 wall=time.time() + self.skew if self.wall else None,
             )
             if not self.silent:
-                self.waiting.append((now + self.travel, self.msgpack.packb(message_entries(said))))
+                self.waiting.append((now + self.travel, self.msgpack.packb(said.entries())))
             while self.waiting and self.waiting[0][0] <= time.monotonic():
                 self.socket.send(self.waiting.pop(0)[1])
 
@@ -171,7 +171,7 @@ def test_a_pose_of_another_machine_ages_though_nobody_looks_and_though_the_netwo
     address = f"{ADDRESS}-elsewhere-{wall}"
     tracker = Elsewhere(address, wall)
     try:
-        with PoseStream(address, MESSAGE.object_name, timeout=10.0) as stream:
+        with PoseStream(address, MESSAGE.object, timeout=10.0) as stream:
             assert wait_for(lambda: 0.02 < time.monotonic() - stream.read().captured < 0.2)
             # Dead for a while, in which nobody reads: planning takes seconds.
             tracker.silent = True
@@ -193,7 +193,7 @@ def test_machines_with_another_time_of_day_are_refused():
     tracker.skew = 2.0
     try:
         with pytest.raises(RobotError, match=r"2\.0\d s ahead of ours"):
-            PoseStream(address, MESSAGE.object_name, timeout=10.0).connect()
+            PoseStream(address, MESSAGE.object, timeout=10.0).connect()
     finally:
         tracker.close()
 

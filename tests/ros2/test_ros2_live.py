@@ -23,7 +23,7 @@ from loop_thread import LoopThread
 from robot_cells import Told
 
 from fungrasp.deployment.deploy import deploy_on_robot, deployment_task
-from fungrasp.deployment.preparation import reachable_placement
+from fungrasp.deployment.preparation import reachable_placements
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice, Phase
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
@@ -173,7 +173,7 @@ def test_a_bowl_is_grasped_on_a_twin_with_everything_over_ros(tmp_path: Path) ->
     # Of the package's own drivers, by name; these two are not installed here.
     arm, side, poses = make_arm(cell), make_hand(cell), make_pose_source(cell)
     said = tmp_path / "task"
-    said.write_bytes(pickle.dumps((cell, obj, reachable_placement(cell, hand, obj, grasp))))
+    said.write_bytes(pickle.dumps((cell, obj, next(reachable_placements(cell, hand, obj, grasp)))))
     worker = Path(__file__).with_name("twin_over_ros.py")
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, worker, said], env=worker_environment(), **pipes) as twin:

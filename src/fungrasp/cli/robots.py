@@ -170,7 +170,7 @@ class Emulate:
     def run(self) -> None:
         import time
 
-        from fungrasp.deployment.preparation import reachable_placement
+        from fungrasp.deployment.preparation import reachable_placements
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import load_cell
         from fungrasp.robots.device import import_emulators
@@ -185,7 +185,7 @@ class Emulate:
         obj = objects[str(grasp.object_name[0])]
         truth = cell_twin(cell, hand, self.twin)
         world = TwinWorld(cell, hand, obj, truth)
-        world.settle(reachable_placement(cell, hand, obj, grasp))
+        world.settle(next(reachable_placements(cell, hand, obj, grasp)))
         rest = world.center_of_mass()[2]
         with emulators.CellEmulation(cell, world, obj.name) as emulation:
             print(f"{cell.name}: emulators are ready, with '{obj.name}' on the table", flush=True)

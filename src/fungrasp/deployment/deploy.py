@@ -17,7 +17,7 @@ from fungrasp.deployment.deployment_result import DeploymentResult
 from fungrasp.deployment.hold_after_stop import endings_as_interrupts, hold_until_told
 from fungrasp.deployment.log import McapLog
 from fungrasp.deployment.observer import DeploymentObserver
-from fungrasp.deployment.preparation import GraspPreparer, reachable_placement
+from fungrasp.deployment.preparation import GraspPreparer, reachable_placements
 from fungrasp.deployment.spec import DeploymentSpec, Phase
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
@@ -36,7 +36,6 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import RealTimeTwin, TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
-from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.robots.twin.world import TwinJudge, TwinWorld, held_as_shown
 from fungrasp.task import GraspPlan, Policy
 
@@ -83,16 +82,10 @@ def deployment_task(
     spec: DeploymentSpec,
     plans: GraspPlan | None = None,
 ) -> DeploymentTask:
-    """Load what a specification names.
-
-    Args:
-        robot: one grasp, of the cell's hand.
-        plans: one plan for it, to be followed in the place of one that the policy's planner makes.
-
-    Raises:
-        FungraspError: several grasps, grasps of another hand, no such cell or policy, a cell that is not
-            calibrated, or several attempts or another speed with a policy for which these make no sense.
-    """
+    """Load what a specification names. robot: one grasp, of the cell's hand; plans: one plan for it, to be
+    followed in the place of one that the policy's planner makes. Raises: FungraspError: several grasps,
+    grasps of another hand, no such cell or policy, a cell that is not calibrated, or several attempts or
+    another speed with a policy for which these make no sense."""
     if len(robot) != 1:
         raise FungraspError(f"one grasp is deployed at a time, not {len(robot)}: select one, as in robot[:1]")
     check_objects(robot.object_name.tolist(), objects)
@@ -129,11 +122,8 @@ def deployment_task(
 
 def robot_planner(name: str, hand: Hand, objects: Mapping[str, ObjectModel], threads: int = 0) -> Planner:
     """The planner of the policy of a name on a robot: a robot differs from its model, so that candidates are
-    tried in the worlds of the reality protocol. threads: 0 means all processors.
-
-    Raises:
-        FungraspError: no such policy, or one for another hand.
-    """
+    tried in the worlds of the reality protocol. threads: 0 means all processors. Raises: FungraspError: no
+    such policy, or one for another hand."""
     return make_planner(name, hand, objects, SelectionSettings.for_protocol("reality"), threads=threads)
 
 
@@ -203,7 +193,7 @@ def deploy(
         if not is_twin(task.cell):
             return deploy_on_robot(task, observers, switch)
         given = None if plans is None else task.planner
-        placement = reachable_placement(task.cell, task.hand, task.obj, robot, spec.seed, given)
+        placement = next(reachable_placements(task.cell, task.hand, task.obj, robot, spec.seed, given))
         truth = cell_twin(task.cell, task.hand, spec.twin)
         result = deploy_on_twin(task, placement, truth, observers, switch=switch)
         if spec.until in ("plan", "approach", "grasp"):
@@ -270,7 +260,6 @@ def deploy_on_twin(
     observers: Sequence[DeploymentObserver] = (),
     *,
     switch: StopSwitch | None = None,
-    physics: TwinPhysics | None = None,
     advise: bool = True,
 ) -> DeploymentResult:
     """Deploy one grasp on a fresh twin. Its seed is of the tracker's noise as well.
@@ -280,7 +269,6 @@ def deploy_on_twin(
         truth: what is true of the twin.
         observers: told of everything in this order.
         switch: stops the robot; that of the cell's stop file if None.
-        physics: of the twin; the default if None.
         advise: whether a grasp that can't be reached is refused with a placement that would do.
 
     Returns:
@@ -291,7 +279,7 @@ def deploy_on_twin(
         FungraspError: the grasp can't be planned or reached.
     """
     cell, hand, spec = task.cell, task.hand, task.spec
-    world = TwinWorld(cell, hand, task.obj, truth, seed=spec.seed, physics=physics)
+    world = TwinWorld(cell, hand, task.obj, truth, seed=spec.seed)
     world.settle(placement)
     watch = _TwinWatch(world)
     with ExitStack() as stack:

@@ -66,12 +66,8 @@ class Deployment:
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
         """Grasp, lift, hold, put down, go home, with one grasp. Never raises for what goes wrong with the
-        robot.
-
-        Raises:
-            FungraspError: the grasp can't be planned or reached, or this one ran already: a fault is latched.
-                Nothing has moved.
-        """
+        robot. Raises: FungraspError: the grasp can't be planned or reached, or this one ran already: a fault
+        is latched. Nothing has moved."""
         if self.phase is not Phase.IDLE:
             said = f" ({self.fault})" if self.fault else ""
             raise RobotError(f"the robot is in the state of {self.phase}{said}: look at it, then start anew")

@@ -47,11 +47,7 @@ class HoldWatch:
     """Watches a robot that has stopped, and says what its devices say, as soon as it changes."""
 
     def __init__(self, robot: Robot, say: Callable[[str], None]):
-        """
-        Args:
-            robot: connected and stopped.
-            say: told each change in words.
-        """
+        """robot: connected and stopped; say: told each change in words."""
         self.robot, self._say = robot, say
         self._places: dict[str, np.ndarray] = {}
         self._said = ""
@@ -111,12 +107,7 @@ class HoldWatch:
 def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: None) -> None:
     """Hold, watched, until a person says open at the keyboard of the robot's switch and the hand has opened.
     Ctrl-C ends holding without opening: where the hand would let go then (``lets_go``) only a second one
-    does.
-
-    Args:
-        robot: connected and stopped.
-        note: told whatever is said on the terminal.
-    """
+    does. robot: connected and stopped; note: told whatever is said on the terminal."""
 
     def say(words: str) -> None:
         note(words)

@@ -49,13 +49,8 @@ class McapLog(DeploymentObserver):
     """Writes a log file; a context manager. A file that is there already is not touched."""
 
     def __init__(self, path: str | Path, about: Mapping[str, str] | None = None):
-        """
-        Args:
-            about: what it says beside the plan and the cell's name.
-
-        Raises:
-            FungraspError: mcap is not installed, the file exists, or it can't be written.
-        """
+        """about: what it says beside the plan and the cell's name. Raises: FungraspError: mcap is not
+        installed, the file exists, or it can't be written."""
         try:
             from mcap.writer import Writer
         except ImportError as error:

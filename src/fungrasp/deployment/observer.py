@@ -86,14 +86,8 @@ class PhaseQuestions(DeploymentObserver):
 
 
 def ask_before_motion(switch: StopSwitch, what: str) -> None:
-    """Ask at the keyboard of a switch before a device moves, and say how to stop it.
-
-    Args:
-        what: will be done, as a phrase.
-
-    Raises:
-        FungraspError: any other answer than yes, or no terminal.
-    """
+    """Ask at the keyboard of a switch before a device moves, and say how to stop it. what: will be done, as a
+    phrase. Raises: FungraspError: any other answer than yes, or no terminal."""
     question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type '{YES}': "
     try:
         answer = switch.ask(question)

@@ -296,19 +296,6 @@ def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarra
     return quaternion_multiply(quaternion_from_rotation_vector(share[:, None] * turn), start)
 
 
-def reachable_placement(
-    cell: RobotCell,
-    hand: Hand,
-    obj: ObjectModel,
-    grasp: RobotGraspSet,
-    seed: int = 0,
-    planner: Planner | None = None,
-) -> np.ndarray:
-    """Where a person would put the object so that the arm can grasp it: the first of
-    ``reachable_placements``. Arguments and errors: as there. Returns: the object, world frame, shape [7]."""
-    return next(reachable_placements(cell, hand, obj, grasp, seed, planner))
-
-
 def reachable_placements(
     cell: RobotCell,
     hand: Hand,

@@ -59,14 +59,8 @@ class Motion:
 
 def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Motion:
     """Carry a plan out without moving a robot, from the way to the start to the way home. What a policy that
-    watches corrects on the way is not in it.
-
-    Args:
-        robot: connected; it stands where the plan begins, and is only read.
-
-    Raises:
-        FungraspError: the safety filter would stop it.
-    """
+    watches corrects on the way is not in it. robot: connected; it stands where the plan begins, and is only
+    read. Raises: FungraspError: the safety filter would stop it."""
     cell, hand = robot.cell, robot.hand
     arm, fingers = robot.arm.read().positions, robot.hand_driver.read().positions
     clock, plan = _SteppedClock(), prepared.plan

@@ -104,12 +104,8 @@ class ScriptedMotion:
 
     def move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
         """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
-        arm is clear for the fingers as they are then.
-
-        Args:
-            corners: postures of the arm, the first one where it is [rad], each of shape [A].
-            fingers: independent joints [rad], shape [U].
-        """
+        arm is clear for the fingers as they are then. corners: postures of the arm, the first one where it is
+        [rad], each of shape [A]; fingers: independent joints [rad], shape [U]."""
         robot, period = self._robot, self._robot.setpoints.period
         robot.guard.reset()
         when = robot.now()

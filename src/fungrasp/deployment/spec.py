@@ -120,14 +120,9 @@ class GraspChoice:
         return self.grasp if self.image is None else f"image {self.image}"
 
     def human(self, seed: int = 0) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
-        """The grasp as a person showed it, and its object by name.
-
-        Args:
-            seed: of what is drawn on the way from an image.
-
-        Raises:
-            FungraspError: no such grasp or image, no hand is seen in it, or what is seen is too uncertain.
-        """
+        """The grasp as a person showed it, and its object by name. seed: of what is drawn on the way from an
+        image. Raises: FungraspError: no such grasp or image, no hand is seen in it, or what is seen is too
+        uncertain."""
         if self.image is not None:
             return self._of_image(self.image, seed)
         from fungrasp.grasps import load_human_grasps, load_objects

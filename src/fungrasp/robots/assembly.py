@@ -19,7 +19,6 @@ from fungrasp.robots.cell import DeviceSettings, RobotCell, check_calibrated
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import JointDriver, PoseSource, WallClock
 from fungrasp.robots.robot import Robot
-from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.sim2real.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
 
@@ -152,11 +151,8 @@ def pose_source(cell: RobotCell) -> PoseSource:
 
 def driver_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
     """Largest torques that a cell's driver asks of its hand's servos [N m], shape [U]; infinite where it
-    leaves that to the hand. Nothing is connected.
-
-    Raises:
-        FungraspError: the cell's driver of the hand, or its options, can't be.
-    """
+    leaves that to the hand. Nothing is connected. Raises: FungraspError: the cell's driver of the hand, or
+    its options, can't be."""
     if cell.hand_device.driver == TWIN:
         return twin_torque_limits(cell, hand)
     return hand_driver(cell, hand).limits.torque
@@ -220,18 +216,10 @@ class HandDynamics:
 def identified_dynamics(
     cell: RobotCell, hand: Hand, file: str | Path = ""
 ) -> tuple[Hand, HandDynamics | None]:
-    """What a cell says of its hand beyond the model: for planner, policy and gravity compensation.
-
-    Args:
-        file: of identified dynamics, in place of the cell's.
-
-    Returns:
-        The hand for planners, whose servos make no more torque than the robot's; and what was identified,
-        None where nothing was.
-
-    Raises:
-        FungraspError: the file can't be read, or the cell's driver of the hand can't be.
-    """
+    """What a cell says of its hand beyond the model: for planner, policy and gravity compensation. file: of
+    identified dynamics, in place of the cell's. Returns: the hand for planners, whose servos make no more
+    torque than the robot's; and what was identified, None where nothing was. Raises: FungraspError: the file
+    can't be read, or the cell's driver of the hand can't be."""
     path = file or cell.hand_dynamics
     if not path:
         return limited_hand(cell, hand), None
@@ -239,38 +227,11 @@ def identified_dynamics(
     return limited_hand(cell, hand, found), HandDynamics.of(hand, found)
 
 
-def wired_robot(
-    cell: RobotCell,
-    hand: Hand,
-    *,
-    stiffness: np.ndarray | None = None,
-    compensate: bool = True,
-    dry_run: bool = False,
-    switch: StopSwitch | None = None,
-) -> Robot:
-    """The robot of a cell, not connected.
-
-    Args:
-        cell: the robot; no twin.
-        stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
-        compensate: whether the hand's own weight is carried.
-        switch: stops the robot; that of the cell's stop file if None.
-
-    Raises:
-        FungraspError: an unknown driver, bad options, or another hand.
-    """
-    return Robot(
-        cell,
-        hand,
-        arm_driver(cell),
-        hand_driver(cell, hand),
-        pose_source(cell),
-        WallClock(),
-        stiffness=stiffness,
-        compensate=compensate,
-        dry_run=dry_run,
-        switch=switch,
-    )
+def wired_robot(cell: RobotCell, hand: Hand, **options: Any) -> Robot:
+    """The robot of a cell that is no twin, not connected. options: of ``Robot``. Raises: FungraspError: an
+    unknown driver, bad options of a device, or another hand."""
+    devices = arm_driver(cell), hand_driver(cell, hand), pose_source(cell)
+    return Robot(cell, hand, *devices, WallClock(), **options)
 
 
 def _own(module: str, name: str, part: str, address: str = "address") -> Callable[..., Any]:

@@ -25,9 +25,6 @@ SHIPPED = Path(__file__).parent / "cells"
 """Folder of the cells that come with the package."""
 
 
-RETIRED = ("limits.arm_torque", "arm.options.torque_limits")
-"""What cells of before may say and nothing measures: no driver of an arm reads its torques."""
-
 NEW_CELL = SHIPPED / "new.template"
 """What ``write_new_cell`` fills in."""
 
@@ -242,20 +239,14 @@ def cell_files() -> dict[str, Path]:
 
 @guarded("cell file")
 def load_cell(name: str | Path) -> RobotCell:
-    """Read a cell and check it.
-
-    Args:
-        name: of a cell that comes with the package, or a TOML file.
-
-    Raises:
-        FungraspError: no such cell, or one that can't be: the message says what and what is allowed.
-    """
+    """Read a cell and check it. name: of a cell that comes with the package, or a TOML file. Raises:
+    FungraspError: no such cell, or one that can't be: the message says what and what is allowed."""
     path = Path(name)
     if path.suffix != ".toml":
         if str(name) not in cell_files():
             raise UnknownNameError("robot cell", str(name), cell_files())
         path = cell_files()[str(name)]
-    cell = record_from_json(RobotCell, _without_retired(read_toml(path, "cell file")), str(path))
+    cell = record_from_json(RobotCell, read_toml(path, "cell file"), str(path))
     if cell.tracker.calibration:
         file = path.parent / cell.tracker.calibration
         known = {**vars(cell.tracker), **_calibration(file)}
@@ -276,14 +267,9 @@ def load_cell(name: str | Path) -> RobotCell:
 
 
 def write_new_cell(path: str | Path, hand: str) -> None:
-    """Write a slow cell for a real robot to begin with: what has to be measured is empty, and refused.
-
-    Args:
-        path: TOML file, which must not exist.
-
-    Raises:
-        FungraspError: the file exists, is no TOML file, or no device is known for the hand.
-    """
+    """Write a slow cell for a real robot to begin with: what has to be measured is empty, and refused. path:
+    TOML file, which must not exist. Raises: FungraspError: the file exists, is no TOML file, or no device is
+    known for the hand."""
     path = Path(path)
     # "#: name" begins the lines of a hand, "#: end" the rest.
     head, *parts = re.split(r"^#: (\w+)\n", NEW_CELL.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -462,15 +448,6 @@ def _obstacle_faults(cell: RobotCell) -> list[str]:
 
 def _unit(quaternion: Vector) -> bool:
     return bool(np.isclose(np.linalg.norm(quaternion), 1.0, atol=1e-3))
-
-
-def _without_retired(tree: dict[str, Any], where: str = "") -> dict[str, Any]:
-    """What a file says, without what it may say of before."""
-    return {
-        key: _without_retired(value, f"{where}{key}.") if isinstance(value, dict) else value
-        for key, value in tree.items()
-        if f"{where}{key}" not in RETIRED
-    }
 
 
 def _calibration(path: Path) -> dict[str, Any]:

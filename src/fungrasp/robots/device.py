@@ -102,20 +102,14 @@ class JointDriver(Protocol):
 
     def connect(self) -> None:
         """Open the connection and verify type, generation and side of the device, which stays as it is:
-        torque, settings, errors and a program that runs on it.
-
-        Raises:
-            RobotError: nobody answers, or another device than the one configured does.
-        """
+        torque, settings, errors and a program that runs on it. Raises: RobotError: nobody answers, or another
+        device than the one configured does."""
         ...
 
     def take_control(self) -> None:
         """Make the device ready to follow; a program that runs on it ends. Nothing moves. ``command`` does
-        so, too, where nobody did, which may take seconds.
-
-        Raises:
-            RobotError: the device can't be controlled now.
-        """
+        so, too, where nobody did, which may take seconds. Raises: RobotError: the device can't be controlled
+        now."""
         ...
 
     def read(self) -> JointState:
@@ -266,15 +260,8 @@ class WallClock(Clock):
 
 
 def import_client(module: str, extra: str, device: str) -> ModuleType:
-    """Import a client library.
-
-    Args:
-        extra: the extra of this package that installs it.
-        device: what needs it, for the message.
-
-    Raises:
-        RobotError: it is not installed.
-    """
+    """Import a client library. extra: the extra of this package that installs it; device: what needs it, for
+    the message. Raises: RobotError: it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -284,14 +271,8 @@ def import_client(module: str, extra: str, device: str) -> ModuleType:
 
 
 def import_emulators(module: str) -> ModuleType:
-    """Import a module of the emulated devices, a package of its own beside this one (``emulators/``).
-
-    Args:
-        module: of the package ``fungrasp_emulators``.
-
-    Raises:
-        RobotError: it is not installed.
-    """
+    """Import a module of the emulated devices, a package of its own beside this one (``emulators/``). module:
+    of the package ``fungrasp_emulators``. Raises: RobotError: it is not installed."""
     try:
         return importlib.import_module(f"fungrasp_emulators.{module}")
     except ModuleNotFoundError as error:

@@ -108,11 +108,8 @@ class Robot:
 
     def connect(self) -> None:
         """Connect to all devices. Nothing moves. A cell without a guard is warned of, and a hand that may let
-        go though nobody said so.
-
-        Raises:
-            RobotError: one of them is not there or not the one configured; the others are closed again.
-        """
+        go though nobody said so. Raises: RobotError: one of them is not there or not the one configured; the
+        others are closed again."""
         warn_unguarded(self.cell)
         if self.hand_driver.lets_go:
             _log.warning("%s lets go of an object %s", self.hand_driver.name, self.hand_driver.lets_go)
@@ -168,25 +165,15 @@ class Robot:
         return self.clock.now() - self._paused
 
     def begin(self, state: RobotState, lift_height: float = 0.0) -> float:
-        """Begin a plan where the robot stands: its clock is zero from now on.
-
-        Args:
-            lift_height: by how much the palm's goal rises once an action lifts [m].
-
-        Returns:
-            time of the motion at which it begins [s].
-        """
+        """Begin a plan where the robot stands: its clock is zero from now on. lift_height: by how much the
+        palm's goal rises once an action lifts [m]. Returns: time of the motion at which it begins [s]."""
         self._began = state.time - self._paused
         self.lift_time, self.lift_height = np.inf, lift_height
         return self._began
 
     def place_setpoints(self, arm: np.ndarray, fingers: np.ndarray) -> None:
-        """Setpoints are at rest here, as after a motion of joints.
-
-        Args:
-            arm: joints of the arm [rad], shape [A].
-            fingers: independent joints of the hand [rad], shape [U].
-        """
+        """Setpoints are at rest here, as after a motion of joints. arm: joints of the arm [rad], shape [A];
+        fingers: independent joints of the hand [rad], shape [U]."""
         if self._follower is None:
             self._follower = PalmFollower(self.kinematics, self.cell.limits.arm_speed)
         self._follower.begin(arm)
@@ -311,14 +298,8 @@ class Robot:
 
     def wait(self, when: float) -> None:
         """Wait for a setpoint's turn. One that is sent later than ``watchdog.late_tick`` is not caught up:
-        all that follows is as much later.
-
-        Args:
-            when: time of the motion [s].
-
-        Raises:
-            SafetyStop: it is later than ``watchdog.overrun``; the robot was stopped.
-        """
+        all that follows is as much later. when: time of the motion [s]. Raises: SafetyStop: it is later than
+        ``watchdog.overrun``; the robot was stopped."""
         dog = self.cell.watchdog
         self.sleep_until(when)
         self.due(when + self._paused)

@@ -65,14 +65,8 @@ that was [s]."""
 
 
 def check_reading(part: str, state: JointState, silence: float, cell: RobotCell) -> None:
-    """Refuse what a device says of itself.
-
-    Args:
-        part: "arm" or "hand".
-        silence: for how long its time stamp has stood still [s].
-
-    Raises:
-        SafetyStop: a value is not finite or beyond its limit, or the device is silent.
+    """Refuse what a device says of itself. part: "arm" or "hand"; silence: for how long its time stamp has
+    stood still [s]. Raises: SafetyStop: a value is not finite or beyond its limit, or the device is silent.
     """
     # Comparisons with limits don't notice what is not finite.
     values = state.positions, state.velocities, state.device_time, state.torques

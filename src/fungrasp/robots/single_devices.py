@@ -220,14 +220,8 @@ def read_joints(driver: JointDriver, seconds: float) -> Iterator[JointState]:
 
 
 def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
-    """Joints of a cell's arm, which is looked at until it is known to stand still [rad], shape [A].
-
-    Args:
-        cell: the robot; no twin.
-
-    Raises:
-        FungraspError: no arm answers, or it moves.
-    """
+    """Joints of a cell's arm, which is looked at until it is known to stand still [rad], shape [A]. cell: the
+    robot; no twin. Raises: FungraspError: no arm answers, or it moves."""
     with arm_driver(cell) as driver:
         rows = np.array([state.positions for state in read_joints(driver, 2 * READ_PERIOD)])
     if np.ptp(rows, axis=0).max() > AT_REST:

@@ -50,14 +50,9 @@ class StopSwitch:
         return " or ".join(ways)
 
     def ask(self, question: str, meanwhile: Callable[[], None] | None = None) -> str:
-        """Ask the person at the keyboard; the next line is the answer, and stops nothing.
-
-        Args:
-            meanwhile: called again and again until there is an answer; what it raises ends the question.
-
-        Raises:
-            EOFError: there is no keyboard.
-        """
+        """Ask the person at the keyboard; the next line is the answer, and stops nothing. meanwhile: called
+        again and again until there is an answer; what it raises ends the question. Raises: EOFError: there is
+        no keyboard."""
         if not self.keyboard:
             raise EOFError("no terminal")
         self._asking = True

@@ -112,8 +112,6 @@ class URLoop(DeviceLoop):
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
-        self.takes_feedforward = False
-        self.lets_go = ""
         reach = np.full(JOINTS, settings.range)
         speed = np.full(JOINTS, settings.velocity)
         self.limits = JointLimits(-reach, reach, speed, np.full(JOINTS, np.inf))

@@ -62,15 +62,9 @@ def check_touched_base(path: str | Path, cell: RobotCell, hand: Hand) -> TouchCh
 
 
 def check_base(computed: np.ndarray, touched: np.ndarray) -> TouchCheck:
-    """Compare where the flange is by the cell with where it was.
-
-    Args:
-        computed: by forward kinematics, world frame [m], shape [K, 3].
-        touched: the marked points, world frame [m], shape [K, 3].
-
-    Raises:
-        FungraspError: too few points, or too near to one another.
-    """
+    """Compare where the flange is by the cell with where it was. computed: by forward kinematics, world frame
+    [m], shape [K, 3]; touched: the marked points, world frame [m], shape [K, 3]. Raises: FungraspError: too
+    few points, or too near to one another."""
     if computed.shape != touched.shape or touched.ndim != 2 or len(touched) < LEAST_POINTS:
         raise FungraspError(
             f"the base is checked with {LEAST_POINTS} touched points or more, of 3 numbers each"
@@ -146,14 +140,8 @@ def _on_flange(hand_point: np.ndarray, cell: RobotCell) -> np.ndarray:
 
 def load_touched(path: str | Path, what: str, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Postures of the arm [rad], shape [K, M], and the points that were touched in them, world frame [m],
-    shape [K, 3]; none where ``what`` has touched nothing.
-
-    Args:
-        what: touched them: "flange" or "hand".
-
-    Raises:
-        FungraspError: the file is none of these.
-    """
+    shape [K, 3]; none where ``what`` has touched nothing. what: touched them: "flange" or "hand". Raises:
+    FungraspError: the file is none of these."""
     tree, names = _read(path), (POSTURES[what], what)
     if what not in tree:
         return np.zeros((0, count)), np.zeros((0, 3))

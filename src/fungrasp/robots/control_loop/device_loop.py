@@ -58,9 +58,9 @@ class DeviceLoop(Protocol):
     """Type and address of the device."""
     limits: JointLimits
     """What is accepted."""
-    takes_feedforward: bool
+    takes_feedforward: bool = False
     """Whether feed-forward torques have an effect."""
-    lets_go: str
+    lets_go: str = ""
     """See ``JointDriver.lets_go``."""
     stale_after: float
     """A state older than this is no state: the device counts as disconnected [s]."""
@@ -118,22 +118,15 @@ class ConfirmedWrites:
     heard look alike: the value is not shown, and is written again."""
 
     def __init__(self, write: Callable[[str, Any], bool]):
-        """
-        Args:
-            write: writes a value once and says whether the device shows it, by an acknowledgment or by what
-                is read back; takes the name and the value.
-        """
+        """write: writes a value once and says whether the device shows it, by an acknowledgment or by what is
+        read back; takes the name and the value."""
         self._write = write
         self._shown: dict[str, Any] = {}
         self._open: dict[str, tuple[Any, float, float]] = {}
 
     def put(self, name: str, value: Any, anew: bool = False) -> None:
-        """Want a value from now on; the newest counts.
-
-        Args:
-            name: of what is written, for messages.
-            anew: write it though it was shown before.
-        """
+        """Want a value from now on; the newest counts. name: of what is written, for messages; anew: write it
+        though it was shown before."""
         if anew or self.wanted(name) != value:
             since = self._open[name][1] if name in self._open else time.monotonic()
             self._open[name] = (value, since, 0.0)
@@ -168,14 +161,8 @@ class ConfirmedWrites:
         return f"it does not take what it is told: {', '.join(late)}" if late else ""
 
     def finish(self, device: str) -> None:
-        """Write until all is shown.
-
-        Args:
-            device: type and address, for messages.
-
-        Raises:
-            RobotError: the device does not take it.
-        """
+        """Write until all is shown. device: type and address, for messages. Raises: RobotError: the device
+        does not take it."""
         while self._open:
             late = self.work()
             if late:

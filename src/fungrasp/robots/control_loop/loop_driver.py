@@ -165,14 +165,8 @@ class LoopDriver(JointDriver):
 
     def torque_limit(self, share: float) -> None:
         """Tell the device to make no more than a share of its torque, before it is connected. A loop without
-        a method of this name, which returns such a loop, stays as it is.
-
-        Args:
-            share: above 0, at most 1.
-
-        Raises:
-            RobotError: the share is none.
-        """
+        a method of this name, which returns such a loop, stays as it is. share: above 0, at most 1. Raises:
+        RobotError: the share is none."""
         if not 0 < share <= 1:
             raise RobotError(f"a share of the torque is above 0 and at most 1, not {share:g}")
         limited = getattr(self._loop, "torque_limit", None)
@@ -210,7 +204,8 @@ class LoopDriver(JointDriver):
             if values.shape != (self._count,):
                 raise RobotError(f"{self.name}: the {what} has shape {values.shape}, not ({self._count},)")
             if not np.isfinite(values).all():
-                raise RobotError(f"{self.name}: the {what} of joint {_first_bad(values)} is not finite")
+                joint = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise RobotError(f"{self.name}: the {what} of joint {joint} is not finite")
         with self._lock:
             self._check_ready()
             self._take_control()
@@ -239,7 +234,9 @@ class LoopDriver(JointDriver):
         state = self._read()
         if self._stopped is not None:
             raise RobotError(f"{self.name} was stopped ({self._stopped}): call connect() first")
-        if state.status is not DeviceStatus.READY and not _waits_for_driver(state, self._goal):
+        # It may hold only because its driver was not heard of.
+        waits = state.status is DeviceStatus.STOPPED and self._goal["mode"] in FOLLOWING
+        if state.status is not DeviceStatus.READY and not waits:
             raise RobotError(f"{self.name} takes no command, {state.status}: {state.message}")
 
     def _take_control(self) -> None:
@@ -356,12 +353,3 @@ class LoopDriver(JointDriver):
                 # It goes on telling the device for a while (``HALTING``).
                 _log.warning("%s does not show that it obeys: it may keep its torque", self.name)
         self._host = None
-
-
-def _waits_for_driver(state: JointState, goal: np.ndarray) -> bool:
-    """Whether the device holds only because the driver was not heard of."""
-    return state.status is DeviceStatus.STOPPED and goal["mode"] in FOLLOWING
-
-
-def _first_bad(values: np.ndarray) -> int:
-    return int(np.flatnonzero(~np.isfinite(values))[0])

@@ -18,7 +18,7 @@ import numpy as np
 from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
 from fungrasp.robots.hands import allegro_bus as codec
-from fungrasp.robots.hands import hand_joint_limits
+from fungrasp.robots.hands import hand_joint_limits, next_setpoint
 
 ANSWER_TIMEOUT = 1.0
 """A hand that doesn't answer a request for so long does not [s]."""
@@ -43,8 +43,6 @@ SERVOS = "servos"
 SURE = 10
 """A hand that is heard but does not say whether its servos are off was told often enough, after so many
 times."""
-OPEN_SPEED = 0.5
-"""Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
 
 
 @dataclass(frozen=True)
@@ -277,23 +275,13 @@ class AllegroLoop(DeviceLoop):
         self._bus = codec.open_can_bus(s.interface, s.channel, s.bitrate)
 
     def _torques(self, goal: LoopGoal, state: JointState, elapsed: float) -> np.ndarray:
-        if goal.mode is LoopMode.POWER_OFF:
-            self._setpoint = None
-            self._writes.put(SERVOS, False)
-            return np.zeros(16)
+        step = min(elapsed, 0.02)
+        self._setpoint = next_setpoint(self._setpoint, goal, state.positions, self.limits, step)
         if self._setpoint is None:
-            if goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY):
-                return np.zeros(16)
-            self._setpoint = np.clip(state.positions, self.limits.lower, self.limits.upper)
+            if goal.mode is LoopMode.POWER_OFF:
+                self._writes.put(SERVOS, False)
+            return np.zeros(16)
         self._writes.put(SERVOS, True)
-        wanted, speed = self._setpoint, self.settings.speed
-        if goal.mode is LoopMode.FOLLOW:
-            wanted = goal.positions
-        elif goal.mode is LoopMode.OPEN:
-            # The flat hand; the thumb's first joint does not reach zero.
-            wanted, speed = np.clip(np.zeros(16), self.limits.lower, self.limits.upper), OPEN_SPEED
-        largest = speed * min(elapsed, 0.02)
-        self._setpoint = self._setpoint + _within(wanted - self._setpoint, largest)
         spring = self.settings.kp * (self._setpoint - state.positions)
         torques = spring - self.settings.kd * state.velocities + goal.feedforward
         return np.minimum(np.maximum(torques, self._least_torque), self.limits.torque)
@@ -435,8 +423,3 @@ class AllegroLoop(DeviceLoop):
             raise RobotError(f"{self.name}: the hand says that it is a {'left' if left else 'right'} one")
         if generation == 5 and serial[2:3] != "A":
             self._units = codec.ALLEGRO_V5_GEARED
-
-
-def _within(values: np.ndarray, largest: float) -> np.ndarray:
-    """Values no larger than allowed, as ``np.clip`` in a third of its time."""
-    return np.minimum(np.maximum(values, -largest), largest)

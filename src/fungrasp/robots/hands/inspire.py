@@ -17,8 +17,6 @@ from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotE
 from fungrasp.robots.hands import hand_joint_limits
 from fungrasp.robots.hands import inspire_link as codec
 
-COMMAND_DELAY = 0.066
-"""From a command to the first motion, median over a real hand's steps [s]."""
 ERROR_INTERVAL = 0.2
 """Errors are read so often [s]; they change slowly, and every read takes a real hand 6 ms."""
 OPEN_SPEED_SETTING = 250
@@ -92,8 +90,6 @@ class InspireLoop(DeviceLoop):
         port = "" if settings.port == InspireSettings.port else f":{settings.port}"
         self.name = f"Inspire RH56 at {settings.address}{port}"
         self.stale_after = settings.stale_after
-        self.takes_feedforward = False
-        self.lets_go = ""
         lower, upper = hand_joint_limits(settings.hand, codec.MOTORS)
         self._range = upper - lower
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range

@@ -43,8 +43,6 @@ SINGLE_BYTES = frozenset({HAND_ID, CLEAR_ERRORS})
 written to the next one, which after CLEAR_ERRORS is SAVE."""
 
 OPEN_ANGLE = 1000
-LEAVE = 65535
-"""Written to a motor's angle: leave as it is."""
 MODEL_ORDER = np.array([3, 2, 1, 0, 5, 4])
 """Motor of each joint of the hand's model: index, middle, ring, pinky, thumb yaw, pitch. Its own inverse."""
 
@@ -178,11 +176,7 @@ class ModbusLink(InspireLink):
     """Modbus, by pymodbus. Over TCP values have no checksum."""
 
     def __init__(self, client: Any, device: int, line: bool):
-        """
-        Args:
-            client: of pymodbus, not connected.
-            line: whether on a serial line.
-        """
+        """client: of pymodbus, not connected; line: whether on a serial line."""
         self._client, self._device, self._line = client, device, line
         error = import_client("pymodbus.exceptions", "inspire", "an Inspire hand").ModbusException
         self._errors: tuple[type[Exception], ...] = (error, OSError)
@@ -235,11 +229,7 @@ class SerialLink(InspireLink):
     """The maker's own protocol, frames EB 90, by pyserial."""
 
     def __init__(self, port: str, baud: int, device: int, answer_timeout: float):
-        """
-        Args:
-            baud: of the line [bit/s].
-            answer_timeout: an answer that takes longer is lost [s].
-        """
+        """baud: of the line [bit/s]; answer_timeout: an answer that takes longer is lost [s]."""
         self._serial = import_client("serial", "inspire", "an Inspire hand on a serial port")
         self._options = {"port": port, "baudrate": baud, "timeout": 0.0, "write_timeout": answer_timeout}
         self._device, self._answer_timeout = device, answer_timeout

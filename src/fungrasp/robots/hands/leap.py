@@ -13,7 +13,7 @@ import numpy as np
 
 from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
-from fungrasp.robots.hands import hand_joint_limits
+from fungrasp.robots.hands import hand_joint_limits, next_setpoint
 
 MODEL_NUMBER, OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, HARDWARE_ERROR = 0, 11, 38, 64, 70
 D_GAIN, I_GAIN, P_GAIN, GOAL_CURRENT, GOAL_POSITION = 80, 82, 84, 102, 116
@@ -54,8 +54,6 @@ WRITTEN = {
 }
 """What is written to each servo and read back: address and size. Servos do not acknowledge what all of them
 are told at once."""
-OPEN_SPEED = 0.5
-"""Of opening after a fault [rad/s]."""
 ERROR_INTERVAL = 0.5
 """Hardware errors are read so often [s]."""
 LARGEST_JUMP = 0.3
@@ -120,7 +118,6 @@ class LeapLoop(DeviceLoop):
         self.settings = settings
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after
-        self.takes_feedforward = False
         self.lets_go = "when a servo is overloaded or too hot, and switches itself off"
         from fungrasp.hands import load_hand
 
@@ -258,21 +255,12 @@ class LeapLoop(DeviceLoop):
         self._port.ser.timeout = 0.002
 
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
-        if goal.mode is LoopMode.POWER_OFF:
-            self._setpoint = None
-            self._put(TORQUE, 0)
-            return
+        step = min(elapsed, 2 * self.settings.period)
+        self._setpoint = next_setpoint(self._setpoint, goal, state.positions, self.limits, step)
         if self._setpoint is None:
-            if goal.mode in (LoopMode.IDLE, LoopMode.STAND_BY):
-                return
-            self._setpoint = np.clip(state.positions, self.limits.lower, self.limits.upper)
-        wanted, speed = self._setpoint, self.settings.speed
-        if goal.mode is LoopMode.FOLLOW:
-            wanted = goal.positions
-        elif goal.mode is LoopMode.OPEN:
-            wanted, speed = np.clip(np.zeros(SERVOS), self.limits.lower, self.limits.upper), OPEN_SPEED
-        largest = speed * min(elapsed, 2 * self.settings.period)
-        self._setpoint = self._setpoint + np.clip(wanted - self._setpoint, -largest, largest)
+            if goal.mode is LoopMode.POWER_OFF:
+                self._put(TORQUE, 0)
+            return
         self._writer.clearParam()
         for servo, counts in zip(self._servos, position_counts(self._setpoint), strict=True):
             self._writer.addParam(servo, struct.pack("<i", counts))

@@ -27,11 +27,7 @@ class ArmKinematics:
     """The arm of a cell with the palm on its flange, without fingers: M joints."""
 
     def __init__(self, cell: RobotCell, hand: Hand):
-        """
-        Args:
-            cell: with the arm and its base.
-            hand: whose palm is on the flange.
-        """
+        """cell: with the arm and its base; hand: whose palm is on the flange."""
         spec = arm_spec(cell.arm.model)
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]

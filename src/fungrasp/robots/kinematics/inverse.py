@@ -86,13 +86,7 @@ class PalmFollower:
     singularities."""
 
     def __init__(self, kinematics: ArmKinematics, speed: float):
-        """
-        Args:
-            speed: largest speed of a joint [rad/s].
-
-        Raises:
-            FungraspError: mink is not installed.
-        """
+        """speed: largest speed of a joint [rad/s]. Raises: FungraspError: mink is not installed."""
         try:
             import mink
         except ImportError as error:
@@ -118,15 +112,9 @@ class PalmFollower:
         return self._configuration.q.copy()
 
     def follow(self, pose: np.ndarray, period: float) -> tuple[np.ndarray, float, float]:
-        """Joints a setpoint later.
-
-        Args:
-            pose: of the palm, world frame, shape [7].
-            period: time until it should be there [s].
-
-        Returns:
-            joints [rad], shape [M]; what is left of the error: position [m] and rotation [rad].
-        """
+        """Joints a setpoint later. pose: of the palm, world frame, shape [7]; period: time until it should be
+        there [s]. Returns: joints [rad], shape [M]; what is left of the error: position [m] and rotation
+        [rad]."""
         mink = self._mink
         self._task.set_target(mink.SE3(np.concatenate([pose[3:], pose[:3]])))
         place = turn = np.inf

@@ -71,11 +71,8 @@ class ReachChecker:
 
     def possible(self, path: PalmPath, home: np.ndarray) -> str:
         """What is in the way of a path from every posture, whatever the hand does to the table, as a phrase;
-        "" if it can be followed from some posture. Quicker than ``best``.
-
-        Args:
-            home: a posture that solutions are sought from beside random ones [rad], shape [M].
-        """
+        "" if it can be followed from some posture. Quicker than ``best``. home: a posture that solutions are
+        sought from beside random ones [rad], shape [M]."""
         beyond = outside(path.palm, self._cell.workspace)
         if beyond:
             return beyond
@@ -88,14 +85,9 @@ class ReachChecker:
         return nearest.obstacle
 
     def best(self, path: PalmPath, home: np.ndarray) -> tuple[list[Reach], str]:
-        """The postures from which the path can be followed, the best first.
-
-        Args:
-            home: where the arm is now [rad], shape [M]; of two that do as well, the nearer is better.
-
-        Returns:
-            Those that can, and what is in the way of the best of the others, "" if some can.
-        """
+        """The postures from which the path can be followed, the best first. home: where the arm is now [rad],
+        shape [M]; of two that do as well, the nearer is better. Returns: those that can, and what is in the
+        way of the best of the others, "" if some can."""
         beyond = outside(path.palm, self._cell.workspace)
         if beyond:
             return [], beyond
@@ -128,12 +120,8 @@ class ReachChecker:
         return arm_postures(self._kinematics, path.palm[0], starts)
 
     def follow(self, path: PalmPath, posture: np.ndarray, hand_matters: bool = True) -> Reach:
-        """Follow a path from a posture.
-
-        Args:
-            posture: at its beginning [rad], shape [M].
-            hand_matters: whether the hand must not press into the table.
-        """
+        """Follow a path from a posture. posture: at its beginning [rad], shape [M]; hand_matters: whether the
+        hand must not press into the table."""
         k, c, box = self._kinematics, self._cell, self._cell.workspace
         follower, margin, joints = self._follower, np.inf, posture
         follower.begin(posture)

@@ -6,34 +6,20 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Protocol, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.objects import ObjectModel
-from fungrasp.perception.io.capture import CameraFrame
 from fungrasp.perception.object_pose.estimate import estimate_object_pose
 from fungrasp.perception.object_pose.tracker import FOLLOWED, ObjectTracker
 from fungrasp.robots.device import PoseSource, RobotError, TrackedPose, TrackingStatus
 
-
-class FrameSource(Protocol):
-    """A depth camera, opened by ``with camera:``; ``perception.io.realsense.RealSenseCamera`` is one."""
-
-    name: str
-    """Type and address, for messages and logs."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *error: object) -> None: ...
-
-    def newest(self, timeout: float) -> CameraFrame | None:
-        """The newest frame that was not given yet; waits for it, so long at most [s]. None if none comes in
-        time. Raises: FungraspError: the camera fails."""
-        ...
-
+if TYPE_CHECKING:
+    from fungrasp.perception.io.capture import CameraFrame
+    from fungrasp.perception.io.realsense import RealSenseCamera
 
 WAIT = 0.2
 """Longest wait for a frame before it is looked whether to end [s]."""
@@ -49,7 +35,7 @@ class CameraTracker(PoseSource):
 
     def __init__(
         self,
-        frames: FrameSource,
+        frames: RealSenseCamera,
         obj: ObjectModel,
         pose_world_camera: np.ndarray,
         *,

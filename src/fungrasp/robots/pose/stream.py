@@ -30,76 +30,51 @@ SCHEMA, VERSION = "fungrasp.pose", 1
 
 @dataclass(frozen=True)
 class PoseMessage:
-    """What a tracker says."""
+    """What a tracker says: the entries of its map, but for schema and version."""
 
     sequence: int
-    """Count of the tracker's answers."""
     clock: str
-    """Identifies the sender's clock."""
     captured: float
-    """When the image was taken, sender's clock [s]."""
     sent: float
-    """When the message was sent, sender's clock [s]."""
-    object_name: str
-    """Name of the object."""
+    object: str
     frame: str
-    """Frame that the pose is in: "world", "camera"."""
-    pose: tuple[float, ...]
-    """Pose of the object in the frame, length 7."""
+    position: tuple[float, ...]
+    rotation: tuple[float, ...]
     score: float
-    """Confidence, 0 to 1."""
     status: TrackingStatus
-    """Whether the pose may be used."""
     wall: float | None = None
-    """When the message was sent, by the time of day [s since 1970]; None where the sender does not say it."""
+
+    def entries(self) -> dict[str, Any]:
+        """The map."""
+        return {"schema": SCHEMA, "version": VERSION, **vars(self)}
 
 
-def message_entries(message: PoseMessage) -> dict[str, Any]:
-    """What is packed."""
-    return {
-        "schema": SCHEMA,
-        "version": VERSION,
-        "sequence": message.sequence,
-        "clock": message.clock,
-        "captured": message.captured,
-        "sent": message.sent,
-        "object": message.object_name,
-        "frame": message.frame,
-        "position": list(message.pose[:3]),
-        "rotation": list(message.pose[3:]),
-        "score": message.score,
-        "status": message.status.value,
-        "wall": message.wall,
-    }
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(map(float, values))
+
+
+KINDS = {"sequence": int, "clock": str, "captured": float, "sent": float, "object": str, "frame": str}
+KINDS |= {"position": _floats, "rotation": _floats, "score": float, "status": TrackingStatus}
+"""How the entries are read that no message may lack."""
 
 
 def read_message(entries: Any) -> PoseMessage:
-    """The message that was packed. Raises: RobotError: it is none, of another version, or holds impossible
-    values."""
+    """The message of a map. Raises: RobotError: it is none, of another version, or impossible."""
     if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
         raise RobotError(f"a message of another kind came instead of '{SCHEMA}'")
     if entries.get("version") != VERSION:
         raise RobotError(f"the tracker sends version {entries.get('version')} of '{SCHEMA}', not {VERSION}")
     try:
-        pose = tuple(float(v) for v in (*entries["position"], *entries["rotation"]))
-        message = PoseMessage(
-            int(entries["sequence"]),
-            str(entries["clock"]),
-            float(entries["captured"]),
-            float(entries["sent"]),
-            str(entries["object"]),
-            str(entries["frame"]),
-            pose,
-            float(entries["score"]),
-            TrackingStatus(entries["status"]),
-            None if entries.get("wall") is None else float(entries["wall"]),
-        )
+        values: dict[str, Any] = {name: kind(entries[name]) for name, kind in KINDS.items()}
+        wall = None if entries.get("wall") is None else float(entries["wall"])
     except (KeyError, TypeError, ValueError) as error:
         raise RobotError(f"a pose message is incomplete or wrong: {error!r}") from error
+    message = PoseMessage(**values, wall=wall)
+    pose = message.position + message.rotation
     numbers = (*pose, message.captured, message.sent, message.score, message.wall or 0.0)
-    if len(pose) != 7 or not all(math.isfinite(v) for v in numbers):
+    if len(message.position) != 3 or len(pose) != 7 or not all(math.isfinite(v) for v in numbers):
         raise RobotError("a pose message holds values that are not finite, or not seven of them")
-    if abs(math.hypot(*pose[3:]) - 1.0) > 1e-3:
+    if abs(math.hypot(*message.rotation) - 1.0) > 1e-3:
         raise RobotError("the rotation of a pose message is no unit quaternion")
     return message
 
@@ -208,8 +183,8 @@ class PoseStream(PoseSource):
             # The library raises errors of many kinds for bytes that are no MessagePack.
             raise RobotError(f"a message is no MessagePack ({type(error).__name__})") from error
         message = read_message(entries)
-        if self._object and message.object_name != self._object:
-            raise RobotError(f"the tracker follows '{message.object_name}', not '{self._object}'")
+        if self._object and message.object != self._object:
+            raise RobotError(f"the tracker follows '{message.object}', not '{self._object}'")
         if message.frame != self._frame:
             raise RobotError(f"the tracker's poses are in the frame '{message.frame}', not '{self._frame}'")
         delay = message.sent - message.captured
@@ -223,7 +198,7 @@ class PoseStream(PoseSource):
         if captured > now + FUTURE:
             raise RobotError("the tracker's clock is ahead of ours")
         self._sent = message.sent
-        pose = np.array(message.pose)
+        pose = np.array(message.position + message.rotation)
         if self._camera is not None:
             pose = compose(self._camera, pose)
         return TrackedPose(pose, captured, message.score, message.status)
@@ -249,13 +224,8 @@ class PosePublisher:
     """The other end: what a tracker's process calls for each of its answers."""
 
     def __init__(self, address: str, object_name: str, frame: str = "world"):
-        """
-        Args:
-            address: to publish on, "tcp://127.0.0.1:5556".
-
-        Raises:
-            RobotError: the address is in use or is none.
-        """
+        """address: to publish on, "tcp://127.0.0.1:5556". Raises: RobotError: the address is in use or is
+        none."""
         zmq = import_client("zmq", "pose", "a pose publisher")
         self._msgpack = import_client("msgpack", "pose", "a pose publisher")
         self._object, self._frame, self._sequence = object_name, frame, 0
@@ -283,21 +253,13 @@ class PosePublisher:
             score: confidence, 0 to 1.
             status: whether the pose may be used.
         """
-        numbers = tuple(float(v) for v in pose)
+        place, turn, now = _floats(pose[:3]), _floats(pose[3:]), time.monotonic()
+        names = self._object, self._frame
         message = PoseMessage(
-            self._sequence,
-            self._clock,
-            captured,
-            time.monotonic(),
-            self._object,
-            self._frame,
-            numbers,
-            score,
-            status,
-            time.time(),
+            self._sequence, self._clock, captured, now, *names, place, turn, score, status, time.time()
         )
         self._sequence += 1
-        self.send_bytes(self._msgpack.packb(message_entries(message)))
+        self.send_bytes(self._msgpack.packb(message.entries()))
 
     def send_bytes(self, data: bytes) -> None:
         """Send a message that is packed already."""

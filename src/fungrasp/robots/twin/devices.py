@@ -4,6 +4,7 @@ own in place of a wire."""
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from threading import Event, Thread
 from typing import Self
 
@@ -91,8 +92,14 @@ class _TwinJoints(JointDriver):
     takes_feedforward = False
     lets_go = ""
 
-    def __init__(self, world: TwinWorld):
-        self._world = world
+    def __init__(
+        self,
+        world: TwinWorld,
+        measured: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
+        send: Callable[[np.ndarray, np.ndarray | None], None],
+    ):
+        """measured: positions, velocities and torques; send: takes targets and feed-forward torques."""
+        self._world, self._measured, self._send = world, measured, send
         self._status = DeviceStatus.DISCONNECTED
         self._last: np.ndarray | None = None
         self.fault = ""
@@ -131,21 +138,11 @@ class _TwinJoints(JointDriver):
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
         if self._status is DeviceStatus.READY:
             self._status = DeviceStatus.STOPPED
-        self._end_motion(kind)
 
     def close(self) -> None:
         if self._status is not DeviceStatus.DISCONNECTED:
             self.stop()
         self._status = DeviceStatus.DISCONNECTED
-
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        raise NotImplementedError
-
-    def _send(self, positions: np.ndarray, feedforward: np.ndarray | None) -> None:
-        raise NotImplementedError
-
-    def _end_motion(self, kind: StopKind) -> None:
-        raise NotImplementedError
 
 
 class TwinArm(_TwinJoints):
@@ -153,20 +150,15 @@ class TwinArm(_TwinJoints):
 
     def __init__(self, world: TwinWorld, cell: RobotCell):
         """cell: with the arm's model and limits."""
-        super().__init__(world)
+        super().__init__(world, world.arm_state, lambda positions, _: world.command_arm(positions))
         model = arm_spec(cell.arm.model).compile()
         speed = np.full(model.nu, cell.limits.arm_speed)
         self.name = f"twin of {cell.arm.model}"
         low, high = model.jnt_range.T
         self.limits = JointLimits(low, high, speed, model.actuator_forcerange[:, 1])
 
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self._world.arm_state()
-
-    def _send(self, positions: np.ndarray, feedforward: np.ndarray | None) -> None:
-        self._world.command_arm(positions)
-
-    def _end_motion(self, kind: StopKind) -> None:
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        super().stop(kind)
         # The servos brake: the position shortly ahead is where a joint can come to rest.
         q, v, _ = self._world.arm_state()
         self._world.command_arm(q + 0.05 * v)
@@ -176,7 +168,7 @@ class TwinHand(_TwinJoints):
     """The twin's hand."""
 
     def __init__(self, world: TwinWorld, cell: RobotCell, hand: Hand):
-        super().__init__(world)
+        super().__init__(world, world.hand_state, world.command_hand)
         self.name = f"twin of {hand.name}"
         # Most hands take positions only.
         self.takes_feedforward = bool(cell.hand_device.options.get("torque", False))
@@ -191,13 +183,8 @@ class TwinHand(_TwinJoints):
         super().connect()
         self._world.powered = True
 
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self._world.hand_state()
-
-    def _send(self, positions: np.ndarray, feedforward: np.ndarray | None) -> None:
-        self._world.command_hand(positions, feedforward)
-
-    def _end_motion(self, kind: StopKind) -> None:
+    def stop(self, kind: StopKind = StopKind.HOLD) -> None:
+        super().stop(kind)
         if kind is StopKind.POWER_OFF:
             self._world.powered = False
         elif kind is StopKind.OPEN:

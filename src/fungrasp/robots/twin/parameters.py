@@ -173,13 +173,8 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
 
 
 def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None = None) -> TwinParameters:
-    """The truth of the twin of a cell with a seed. The cell may say ``gain`` of its hand's device.
-
-    Args:
-        spread: of all else; the default if None.
-
-    Raises:
-        FungraspError: the cell's ``gain`` is no range of positive factors.
+    """The truth of the twin of a cell with a seed. The cell may say ``gain`` of its hand's device. spread: of
+    all else; the default if None. Raises: FungraspError: the cell's ``gain`` is no range of positive factors.
     """
     s, given = spread or TwinSpread(), cell.hand_device.options.get("gain")
     if given is not None:
@@ -196,11 +191,7 @@ def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None 
 def twin_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
     """Largest torques that the driver of a twin's hand asks of its servos, as a driver on a bus would [N m],
     shape [U]: the option ``torque_limits`` of the cell's hand, one number or one for each servo; infinite
-    without.
-
-    Raises:
-        FungraspError: the option is something else.
-    """
+    without. Raises: FungraspError: the option is something else."""
     given, count = cell.hand_device.options.get("torque_limits", np.inf), len(hand.actuators)
     numbers = given if isinstance(given, list) else [given] * count
     if len(numbers) != count or not all(isinstance(n, int | float) and n > 0 for n in numbers):

@@ -53,18 +53,9 @@ class TwinPhysics:
     """Convex pieces of objects."""
 
 
-def twin_model(
-    cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParameters, physics: TwinPhysics | None = None
-) -> mujoco.MjModel:
-    """The compiled model. World frame: that of the cell.
-
-    Args:
-        cell: with the arm and its base.
-        obj: the object as it is believed.
-        truth: what is true of hand, object and table.
-        physics: the default if None.
-    """
-    p = physics or TwinPhysics()
+def twin_model(cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParameters) -> mujoco.MjModel:
+    """The compiled model, in the cell's world frame. obj: as it is believed."""
+    p = TwinPhysics()
     spec = mount(hand, cell.arm.model, cell.mount)
     option = spec.option
     option.timestep, option.impratio = p.timestep, p.impratio

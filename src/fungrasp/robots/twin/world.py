@@ -19,7 +19,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import TrackedPose, TrackingStatus
 from fungrasp.robots.twin.parameters import TwinParameters
-from fungrasp.robots.twin.twin_model import OBJECT, TABLE, TwinPhysics, twin_model
+from fungrasp.robots.twin.twin_model import OBJECT, TABLE, twin_model
 from fungrasp.sim2real import random_stream
 from fungrasp.task import LiftProtocol
 from fungrasp.task.outcome import HoldMiddle, lifted_and_held
@@ -56,22 +56,11 @@ class TwinWorld:
     """One cell. Every method may be called from any thread."""
 
     def __init__(
-        self,
-        cell: RobotCell,
-        hand: Hand,
-        obj: ObjectModel,
-        truth: TwinParameters,
-        *,
-        seed: int = 0,
-        physics: TwinPhysics | None = None,
+        self, cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParameters, *, seed: int = 0
     ):
-        """
-        Args:
-            obj: the object as it is believed.
-            physics: the default if None.
-        """
+        """obj: the object as it is believed."""
         self.hand, self.truth = hand, truth
-        self.model = model = twin_model(cell, hand, obj, truth, physics)
+        self.model = model = twin_model(cell, hand, obj, truth)
         self.data = data = mujoco.MjData(model)
         self.lock = RLock()
         """Held while the world is read or changed."""
@@ -123,13 +112,7 @@ class TwinWorld:
 
     def settle(self, object_pose: np.ndarray, seconds: float = 1.0) -> np.ndarray:
         """Put the object somewhere and let it settle; the arm holds still. Time does not advance.
-
-        Args:
-            object_pose: world frame, shape [7].
-
-        Returns:
-            Where it rests, world frame, shape [7].
-        """
+        object_pose: world frame, shape [7]. Returns: where it rests, world frame, shape [7]."""
         with self.lock:
             before = self.data.time
             self.data.qpos[self._object_qpos : self._object_qpos + 7] = object_pose
