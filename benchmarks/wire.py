@@ -29,7 +29,6 @@ from fungrasp.robots.cell import RobotCell, load_cell
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.parameters import cell_twin
 from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_as_shown, held_throughout, hold_sample
-from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
 
 EDGES_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
@@ -194,7 +193,7 @@ def _run_at(task: DeploymentTask, twin: int, placement: np.ndarray) -> WireRun:
             raise FungraspError(f"twin {twin}: {error}") from error
         record = process.end()
     held = _held(result, record)
-    success = bool(held) and held_throughout(held, held[-1].time - held[0].time, LiftProtocol())
+    success = bool(held) and held_throughout(held, held[-1].time - held[0].time)
     shown = held_as_shown(held, task.hand, task.obj, task.grasp)
     return WireRun(
         object=task.obj.name,

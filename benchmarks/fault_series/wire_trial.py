@@ -32,7 +32,6 @@ from fungrasp.robots.hands.allegro import AllegroSettings
 from fungrasp.robots.hands.inspire import InspireSettings
 from fungrasp.robots.hands.leap import LeapSettings
 from fungrasp.robots.twin.world import HoldSample, TwinWorld, held_throughout, hold_sample
-from fungrasp.task import LiftProtocol
 from fungrasp_emulators.cell import CellEmulation
 from fungrasp_emulators.emulator import Fault
 from fungrasp_emulators.ur import URControllerEmulator
@@ -212,7 +211,7 @@ class _HoldWatch:
         samples = self._samples
         # Looks at its first and last moment may come late.
         seconds = samples[-1].time - samples[0].time + 4 * SAMPLE if samples else 0.0
-        return held_throughout(samples, seconds, LiftProtocol())
+        return held_throughout(samples, seconds)
 
 
 def wire_trial(scene: Scene, drawn: Drawn, patience: float) -> FaultTrial:

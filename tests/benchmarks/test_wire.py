@@ -18,7 +18,6 @@ from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.objects import load_object
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.world import HoldSample, held_throughout
-from fungrasp.task import LiftProtocol
 from fungrasp.task.outcome import HoldMiddle
 
 HAND = HoldMiddle(np.zeros((1, 7)), np.zeros((1, 16)), np.ones((1, 17), dtype=bool))
@@ -26,7 +25,7 @@ HELD = [HoldSample(0.1 * i, 0.12, True, True, HAND) for i in range(31)]
 
 
 def test_an_object_that_stays_up_in_the_hand_is_held() -> None:
-    assert held_throughout(HELD, 3.0, LiftProtocol())
+    assert held_throughout(HELD, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +40,7 @@ def test_an_object_that_stays_up_in_the_hand_is_held() -> None:
     ids=["nothing seen", "too short", "too low", "touches the table", "not in the hand"],
 )
 def test_what_is_not_held(samples: list[HoldSample], seconds: float) -> None:
-    assert not held_throughout(samples, seconds, LiftProtocol())
+    assert not held_throughout(samples, seconds)
 
 
 def _emulation(address: str) -> EmulationTask:

@@ -25,7 +25,7 @@ def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def identified(setup, aside):
         ones = np.ones(len(setup.hand.joint_names))
-        return lambda truth: HandDynamics(ones, ones, ones)
+        return lambda truth: HandDynamics(ones, ones)
 
     monkeypatch.setattr(twin_series, "_identified", identified)
     monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)

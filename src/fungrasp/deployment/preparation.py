@@ -197,16 +197,11 @@ class GraspPreparer(Preparer):
         self, grasp: RobotGraspSet, object_pose: np.ndarray, start: np.ndarray, fingers: np.ndarray
     ) -> Belief:
         belief = Belief.nominal(object_pose[None], grasp.object_mass.copy(), start[None], fingers[None])
-        belief = replace(belief, object_mass_spread=grasp.object_mass_spread)
-        d = self._dynamics
-        if d is None:
-            return belief
-        return replace(
-            belief,
-            joint_damping=d.joint_damping[None],
-            servo_stiffness=d.servo_stiffness[None],
-            servo_damping=d.servo_damping[None],
-        )
+        d, factors = self._dynamics, {}
+        if d is not None:
+            damping, stiffness = d.damping[None], d.servo_stiffness[None]
+            factors = {"joint_damping": damping, "servo_stiffness": stiffness, "servo_damping": damping}
+        return replace(belief, object_mass_spread=grasp.object_mass_spread, **factors)
 
     def _path(self, plan: GraspPlan, start: np.ndarray, fingers: np.ndarray) -> PalmPath:
         """The plan's motion with the lift, as high as a policy may take it."""

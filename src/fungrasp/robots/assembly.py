@@ -188,12 +188,10 @@ def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = N
 class HandDynamics:
     """Identified dynamics of a hand, as factors on the model's."""
 
-    joint_damping: np.ndarray
-    """Damping of each joint, shape [M]."""
+    damping: np.ndarray
+    """Of each joint and of its servo, shape [M]: what is identified is the sum of both."""
     servo_stiffness: np.ndarray
     """Stiffness of each joint's servo, shape [M]."""
-    servo_damping: np.ndarray
-    """Damping of each joint's servo, shape [M]."""
 
     @classmethod
     def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
@@ -203,9 +201,8 @@ class HandDynamics:
         for j, name in enumerate(dynamics.joints):
             joint, row = hand.joint_names.index(name), model.joints.index(name)
             factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
-            # What is identified is the sum of both dampings.
             factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
-        return cls(factors[1], factors[0], factors[1].copy())
+        return cls(factors[1], factors[0])
 
     def stiffness(self, hand: Hand) -> np.ndarray:
         """Stiffness of the servos [N m/rad], shape [U]."""

@@ -28,8 +28,8 @@ SHIPPED = Path(__file__).parent / "cells"
 NEW_CELL = SHIPPED / "new.template"
 """What ``write_new_cell`` fills in."""
 
-PLANNED_SPEEDS = ("palm_speed", "palm_rotation_speed", "arm_speed", "hand_speed")
-PLANNED_ACCELERATIONS = ("palm_acceleration", "palm_rotation_acceleration")
+PLANNED = ("palm_speed", "palm_rotation_speed", "arm_speed", "hand_speed")
+PLANNED += ("palm_acceleration", "palm_rotation_acceleration")
 """Limits that decide how fast a plan is carried out."""
 
 LARGEST_LIMITS = {
@@ -299,18 +299,18 @@ def plan_speed(limits: MotionLimits) -> float:
     """Share of their own speed at which plans are carried out within a cell's limits. Plans are made at the
     speeds of the default limits: where a cell has lower ones, the same motion takes longer. Speeds go down
     with that share, accelerations with its square."""
-    full = MotionLimits()
-    shares = [getattr(limits, name) / getattr(full, name) for name in PLANNED_SPEEDS]
-    shares += [np.sqrt(getattr(limits, name) / getattr(full, name)) for name in PLANNED_ACCELERATIONS]
-    return float(min(1.0, *shares))
+    return min(1.0, *(_planned_share(limits, name) for name in PLANNED))
 
 
 def slowest_limit(limits: MotionLimits) -> str:
     """The limit that ``plan_speed`` follows from, as a phrase: "limits.palm_speed = 0.05"."""
-    full = MotionLimits()
-    names = (*PLANNED_SPEEDS, *PLANNED_ACCELERATIONS)
-    lowest = min(names, key=lambda n: plan_speed(replace(full, **{n: getattr(limits, n)})))
+    lowest = min(PLANNED, key=lambda name: _planned_share(limits, name))
     return f"limits.{lowest} = {getattr(limits, lowest):g}"
+
+
+def _planned_share(limits: MotionLimits, name: str) -> float:
+    share = getattr(limits, name) / getattr(MotionLimits, name)
+    return share**0.5 if name.endswith("acceleration") else share
 
 
 def is_wired(cell: RobotCell) -> bool:

@@ -230,16 +230,8 @@ def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
 
 
 def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
-    """Hold a connected device where it is; by how much a joint has moved at the end, the largest [rad].
-
-    Args:
-        driver: connected.
-        seconds: for so long [s].
-
-    Raises:
-        SafetyStop: the guard or the switch stopped the device.
-        RobotError: the device follows no more.
-    """
+    """Hold a connected device where it is for some time [s]; by how much a joint has moved at the end, the
+    largest [rad]. Raises what ``follow`` raises."""
     rest = driver.read().positions
     state = follow(driver, np.tile(rest, (max(1, int(seconds / GOAL_PERIOD)), 1)))
     return float(np.abs(state.positions - rest).max())
@@ -248,20 +240,9 @@ def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
 def jog(
     driver: GuardedDriver, joint: int, by: float, clock: Clock | None = None
 ) -> tuple[JointState, JointState]:
-    """Move one joint slowly by an angle, then back; the others hold where they are.
-
-    Args:
-        driver: connected.
-        by: angle [rad].
-        clock: of the device; that of the wall if None.
-
-    Returns:
-        the state at the far end, and at the end.
-
-    Raises:
-        SafetyStop: the guard or the switch stopped the device.
-        RobotError: the angle is too large or beyond the joint's limits, or the device follows no more.
-    """
+    """Move one joint of a connected device slowly by an angle [rad], then back; the others hold where they
+    are. clock: of the device; that of the wall if None. Returns: the state at the far end, and at the end.
+    Raises: RobotError: the angle is too large or beyond the joint's limits, and what ``follow`` raises."""
     if not 0 < abs(by) <= LARGEST_JOG:
         raise RobotError(f"a joint is moved by {LARGEST_JOG:g} rad at most, and not by nothing: {by:g}")
     rest = driver.read().positions
@@ -293,7 +274,8 @@ def after_stop(driver: GuardedDriver) -> str:
 
 
 def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None) -> JointState:
-    """Command goals, ``GOAL_PERIOD`` apart; the state after the last. As ``record_motion`` has it."""
+    """Command goals [rad], shape [T, U], ``GOAL_PERIOD`` apart; the state after the last. Raises: RobotError:
+    the device follows no more, or its guard or its switch stopped it (``SafetyStop``)."""
     *_, (_, _, state) = _commanded(driver, goals, GOAL_PERIOD, clock or WallClock())
     return state
 

@@ -32,7 +32,7 @@ VARIANTS = list(NAMED.values())
 def given(truth) -> HandDynamics:
     """What identification says of a twin."""
     ones = np.ones(len(HAND.joint_names))
-    return HandDynamics(ones, truth.gain * ones, ones)
+    return HandDynamics(ones, truth.gain * ones)
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ import struct
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -152,27 +152,7 @@ def registers_of(data: bytes) -> list[int]:
     return [v for (v,) in struct.iter_unpack("<H", data + bytes(len(data) % 2))]
 
 
-class InspireLink(Protocol):
-    """Reads and writes registers. Nothing is written that was not asked for."""
-
-    def connect(self) -> bool:
-        """Open the connection. Returns: whether that was possible."""
-        ...
-
-    def read(self, address: int, count: int) -> Sequence[int] | None:
-        """Registers, 0 to 65535 each; None: no answer, or one that can't be."""
-        ...
-
-    def write(self, address: int, values: list[int]) -> bool:
-        """Write registers. Returns: whether the hand says that it took them."""
-        ...
-
-    def close(self) -> None:
-        """End the connection. Never raises."""
-        ...
-
-
-class ModbusLink(InspireLink):
+class ModbusLink:
     """Modbus, by pymodbus. Over TCP values have no checksum."""
 
     def __init__(self, client: Any, device: int, line: bool):
@@ -182,16 +162,19 @@ class ModbusLink(InspireLink):
         self._errors: tuple[type[Exception], ...] = (error, OSError)
 
     def connect(self) -> bool:
+        """Open the connection. Returns: whether that was possible."""
         with contextlib.redirect_stderr(None):
             return bool(self._client.connect())
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
+        """Registers, 0 to 65535 each; None: no answer, or one that can't be."""
         answer = self._ask("read_holding_registers", address, count=count)
         if answer is not None and len(answer.registers) != count:
             return self._resume()
         return None if answer is None else answer.registers
 
     def write(self, address: int, values: list[int]) -> bool:
+        """Write registers. Returns: whether the hand says that it took them."""
         answer = self._ask("write_registers", address, values=values)
         if answer is not None and (answer.address, answer.count) != (address, len(values)):
             self._resume()
@@ -225,8 +208,8 @@ class ModbusLink(InspireLink):
                         self._client.socket.reset_input_buffer()
 
 
-class SerialLink(InspireLink):
-    """The maker's own protocol, frames EB 90, by pyserial."""
+class SerialLink:
+    """The maker's own protocol, frames EB 90, by pyserial; its methods are those of ``ModbusLink``."""
 
     def __init__(self, port: str, baud: int, device: int, answer_timeout: float):
         """baud: of the line [bit/s]; answer_timeout: an answer that takes longer is lost [s]."""
@@ -278,6 +261,10 @@ class SerialLink(InspireLink):
             self.close()
             self.connect()
         return None
+
+
+InspireLink = ModbusLink | SerialLink
+"""A way to a hand."""
 
 
 def open_link(address: str, port: int, baud: int, protocol: str, device: int, timeout: float) -> InspireLink:

@@ -18,19 +18,19 @@ LARGEST_STEP = 0.5
 STEPS = 40
 """Steps from each start; those that reach a pose do so in about ten."""
 
+TOLERANCE = 1e-4
+"""Largest error of a posture [m, rad]."""
+
 SAME = 0.05
 """Postures closer than this are the same [rad]."""
 
 
-def arm_postures(
-    kinematics: ArmKinematics, pose: np.ndarray, starts: np.ndarray, tolerance: float = 1e-4
-) -> np.ndarray:
+def arm_postures(kinematics: ArmKinematics, pose: np.ndarray, starts: np.ndarray) -> np.ndarray:
     """Postures with the palm at a pose, by damped least squares from each start.
 
     Args:
         pose: of the palm, world frame, shape [7].
         starts: joints to start from [rad], shape [S, M].
-        tolerance: largest error [m, rad].
 
     Returns:
         Different postures within the joint limits [rad], shape [P, M], all joints within a half turn of zero
@@ -41,14 +41,14 @@ def arm_postures(
         joints = start.copy()
         for _ in range(STEPS):
             error = _error(kinematics.palm_pose(joints), pose)
-            if np.abs(error).max() < 0.1 * tolerance:
+            if np.abs(error).max() < 0.1 * TOLERANCE:
                 break
             jacobian = kinematics.jacobian(joints)
             normal = jacobian @ jacobian.T + DAMPING**2 * min(1.0, float(error @ error)) * np.eye(6)
             step = jacobian.T @ np.linalg.solve(normal + 1e-9 * np.eye(6), error)
             joints = joints + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
         joints = _unwound(joints, kinematics)
-        if np.abs(_error(kinematics.palm_pose(joints), pose)).max() > tolerance:
+        if np.abs(_error(kinematics.palm_pose(joints), pose)).max() > TOLERANCE:
             continue
         if not any(np.abs(joints - other).max() < SAME for other in found):
             found.append(joints)

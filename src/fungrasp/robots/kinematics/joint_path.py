@@ -103,7 +103,6 @@ class FreePath:
         fingers: np.ndarray,
         object_pose: np.ndarray | None,
         rng: np.random.Generator,
-        tries: int = TRIES,
     ) -> list[np.ndarray] | None:
         """Corners of a path, ``start`` left out; None if none was found.
 
@@ -126,7 +125,7 @@ class FreePath:
             return [end]
         # Each tree: postures and the row of each one's parent.
         trees: tuple[_Tree, _Tree] = ([start], [-1]), ([end], [-1])
-        for number, goal in enumerate(random_starts(self._kinematics, tries, rng)):
+        for number, goal in enumerate(random_starts(self._kinematics, TRIES, rng)):
             # By turns each tree grows a step, and the other one follows as far as it can.
             near, far = trees[number % 2], trees[1 - number % 2]
             reached = _grow(near, goal, free)

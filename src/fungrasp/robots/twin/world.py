@@ -299,9 +299,10 @@ def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
     return HoldSample(world.time, height, not truth.on_table, truth.in_hand, hand)
 
 
-def held_throughout(samples: list[HoldSample], seconds: float, protocol: LiftProtocol) -> bool:
+def held_throughout(samples: list[HoldSample], seconds: float) -> bool:
     """Whether a twin's object was lifted and held (``fungrasp.task.outcome.lifted_and_held``), over a hold
-    that was not cut short. protocol: with height and time of the hold."""
+    that was not cut short."""
+    protocol = LiftProtocol()
     lowest = min((s.height for s in samples), default=-np.inf)
     share = sum(s.in_hand for s in samples) / max(len(samples), 1)
     touched = not all(s.alone for s in samples)
@@ -333,9 +334,8 @@ def held_as_shown(
 class TwinJudge:
     """Watches one deployment, at every setpoint."""
 
-    def __init__(self, world: TwinWorld, protocol: LiftProtocol | None = None):
-        """protocol: with the height; the published one if None."""
-        self._world, self._protocol = world, protocol or LiftProtocol()
+    def __init__(self, world: TwinWorld):
+        self._world = world
         self._settled = float(world.center_of_mass()[2])
         self.samples: list[HoldSample] = []
         """Of the hold so far."""
@@ -359,7 +359,7 @@ class TwinJudge:
     @property
     def success(self) -> bool:
         """``held_throughout``."""
-        return held_throughout(self.samples, SETPOINT_PERIOD * len(self.samples), self._protocol)
+        return held_throughout(self.samples, SETPOINT_PERIOD * len(self.samples))
 
 
 def _within(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
