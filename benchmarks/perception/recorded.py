@@ -119,7 +119,7 @@ def _print_rest(figures: dict[str, Any]) -> None:
     if hand["found"] is not None:
         print(
             f"hand found in {_counted(hand['found'])}, landmarks {_number(hand['pixel_error'])} px, joints "
-            f"{_number(hand['joint_error_mm'])} mm, {_number(hand['seconds'])} s (medians)"
+            f"{_number(hand['joint_error_mm'])} mm (medians)"
         )
     if plane["angle_deg"] is not None:
         print(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from fungrasp.perception import Capture, HandEstimate
 from fungrasp.perception.acceptance import ACCEPT
 from fungrasp.perception.hand.detected_hand import HandDetector
 from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
-from fungrasp.perception.perceived import Perceived, StageSeconds
+from fungrasp.perception.perceived import Perceived
 from fungrasp.perception.pipeline import perceive
 from fungrasp.perception.scene.table import in_world, put_down
 from fungrasp.retargeting import retarget
@@ -65,7 +66,7 @@ class HintResult:
     sure: bool
     """Whether hand and touch passed theirs as well."""
     seconds: float
-    """Wall time of the search [s]."""
+    """Processor time of ``perceive`` [s]."""
     pose: tuple[float, ...]
     """The answer, shape [7]; empty if there is none."""
     evidence: dict[str, float]
@@ -97,8 +98,6 @@ class RecordedResult:
     """Angle between the planes of the table [degrees]."""
     table_height_mm: float
     """Difference of the heights of the table under the object, or under the hand [mm]."""
-    hand_seconds: float
-    """Time for hand and table [s]."""
     held: bool
     """Whether the hand holds the object."""
     objects: tuple[HintResult, ...]
@@ -155,13 +154,16 @@ def measure_recorded(
     model = builtin_object(OTHER_OBJECT) if recorded.model is None else recorded.model
     obj = ResolvedObject(model, recorded.colored)
     hints = hinted_captures(recorded) if known else {"none": recorded.capture.with_object()}
-    seen = {hint: _perceived(capture, obj, detector) for hint, capture in hints.items()}
+    seen, seconds = {}, {}
+    for hint, capture in hints.items():
+        begun = process_time()
+        seen[hint] = _perceived(capture, obj, detector)
+        seconds[hint] = process_time() - begun
     alone = seen["none"]
-    hand = None if alone is None else alone.trace.candidate.hand
-    table = None if alone is None else alone.trace.candidate.table
+    hand = None if alone is None else alone.candidates[0].hand
+    table = None if alone is None else alone.candidates[0].table
     found, pixels, joints = _hand_error(recorded, hand)
     angle, height = _table_error(recorded, table)
-    seconds = float("nan") if alone is None else _seconds(alone, "detection", "hand", "table")
     accepted: list[bool] = []
     if known and wrong:
         for other in wrong_meshes(model):
@@ -176,9 +178,8 @@ def measure_recorded(
         joints,
         angle,
         height,
-        seconds,
         recorded.held,
-        tuple(_answer(recorded, hint, one) for hint, one in seen.items()) if known else (),
+        tuple(_answer(recorded, hint, one, seconds[hint]) for hint, one in seen.items()) if known else (),
         tuple(accepted),
     )
 
@@ -189,11 +190,6 @@ def _perceived(capture: Capture, obj: ResolvedObject, detector: HandDetector) ->
         return perceive(capture, obj, detector=detector)
     except FungraspError:
         return None
-
-
-def _seconds(seen: Perceived, *stages: str) -> float:
-    """Wall time of some stages [s]."""
-    return sum(seen.trace.seconds.get(stage, StageSeconds()).wall for stage in stages)
 
 
 def wrong_meshes(model: ObjectModel) -> list[ObjectModel]:
@@ -228,13 +224,13 @@ def lifted(recorded: RecordedCapture, detector: HandDetector, hand: str, policy:
     return bool(evaluate(robot, {model.name: model}, policy).outcomes.success[0])
 
 
-def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> HintResult:
+def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None, seconds: float) -> HintResult:
     model, truth = recorded.model, recorded.pose_camera_object
     assert model is not None and truth is not None
     if seen is None:
         nothing, nan = float("inf"), float("nan")
         return HintResult(hint, nothing, nothing, nan, 0.0, False, False, nan, (), {}, "no hand was found")
-    best = seen.trace.candidate
+    best = seen.candidates[0]
     pose = best.object.pose_camera_object
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, 3000, seed=0)[0])
     return HintResult(
@@ -245,7 +241,7 @@ def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None) -> Hin
         score=best.object.score,
         accepted=best.object.accepted,
         sure=seen.confident,
-        seconds=_seconds(seen, "object"),
+        seconds=seconds,
         pose=tuple(pose.tolist()),
         evidence={} if best.object.evidence is None else best.object.evidence.as_dict(),
         note="; ".join(seen.acceptance.help),
@@ -323,7 +319,6 @@ def recorded_figures(results: Sequence[RecordedResult], lifts: Sequence[bool] = 
                 "found": rate_of([bool(result.hand_found) for result in known]),
                 "pixel_error": _median([result.pixel_error for result in known]),
                 "joint_error_mm": _median([result.joint_error_mm for result in known]),
-                "seconds": _median([result.hand_seconds for result in results]),
             },
             "lifted": rate_of(lifts),
             "wrong_meshes_accepted": rate_of([flag for result in results for flag in result.wrong]),

@@ -282,7 +282,8 @@ def test_mano_gives_rotations_and_contacts(tmp_path, mano_model):
     hand = ManoHand(mano_model)
     model = pickle.loads((mano_model / "MANO_RIGHT.pkl").read_bytes())
     pose = np.random.default_rng(1).normal(scale=0.3, size=51)
-    vertices, wrist, rotations = hand.pose(np.zeros(10), pose)
+    joints, vertices, rotations = hand.posed(np.zeros(10), pose[:3], pose[3:48], pose[48:], pca=True)
+    wrist = joints[0]
     fingers = pose[3:48] @ model["hands_components"] + model["hands_mean"]
     wanted = np.concatenate([pose[None, :3], fingers.reshape(15, 3)])[MANO_TO_OURS]
     np.testing.assert_allclose(rotations, wanted, atol=1e-6)
@@ -353,7 +354,7 @@ def test_labels_with_mano(tmp_path, mano_model):
         with np.load(path) as data:
             fields = dict(data)
         pose[48:] = 0
-        pose[48:] = fields["joint_3d"][0, 0] - hand.pose(betas, pose)[1]
+        pose[48:] = fields["joint_3d"][0, 0] - hand.joints(betas, pose[:3], pose[3:48], pca=True)[0]
         np.savez(path, **(fields | {"pose_m": pose[None].astype(np.float32)}))
     grasps: HumanGraspSet = import_dexycb(root, mano=mano_model)
     assert grasps.hand_qpos is not None

@@ -38,16 +38,14 @@ def link_contacts(
     object_pose: np.ndarray,
     vertices: np.ndarray,
     faces: np.ndarray,
-    tolerance: float = TRACKED_CONTACT_GAP,
 ) -> np.ndarray:
-    """Links, as capsules about their bones, nearer to the object's surface than the tolerance or inside it.
+    """Links, as capsules about their bones, within ``TRACKED_CONTACT_GAP`` of the object or inside it.
 
     Args:
         hand_joints: [m], shape [N, 21, 3], world frame.
         object_pose: of one object in N grasps, shape [N, 7], world frame.
         vertices: of its mesh [m], shape [V, 3], object frame.
         faces: outward, shape [F, 3].
-        tolerance: [m].
 
     Returns:
         bool, shape [N, 16].
@@ -55,7 +53,7 @@ def link_contacts(
     points = link_points(hand_joints)
     distance = _distance(points.reshape(len(points), -1, 3), object_pose, vertices, faces)
     distance = distance.reshape(points.shape[:3])
-    return distance.min(axis=2) < LINK_RADII + tolerance
+    return distance.min(axis=2) < LINK_RADII + TRACKED_CONTACT_GAP
 
 
 def surface_contacts(
@@ -64,9 +62,8 @@ def surface_contacts(
     object_pose: np.ndarray,
     vertices: np.ndarray,
     faces: np.ndarray,
-    tolerance: float = TRACKED_CONTACT_GAP,
 ) -> np.ndarray:
-    """Links of which a vertex of the hand's surface is nearer to the object than the tolerance or inside it.
+    """Links of which a vertex of the hand's surface is so near to the object or inside it.
 
     Args:
         surface: of the hand [m], shape [N, V, 3], world frame.
@@ -74,13 +71,12 @@ def surface_contacts(
         object_pose: of one object in N grasps, shape [N, 7], world frame.
         vertices: of its mesh [m], shape [W, 3], object frame.
         faces: outward, shape [F, 3].
-        tolerance: [m].
 
     Returns:
         bool, shape [N, 16].
     """
     distance = _distance(surface, object_pose, vertices, faces)
-    near = distance < tolerance
+    near = distance < TRACKED_CONTACT_GAP
     return np.stack([(near & (vertex_links == link)).any(axis=1) for link in range(len(LINK_RADII))], axis=1)
 
 

@@ -101,53 +101,45 @@ class ManoHand:
         Raises:
             FungraspError: a number of parameters that can't be.
         """
+        return self.posed(
+            betas, global_orient, hand_pose, transl, pca=pca, flat_hand=flat_hand, template=template
+        )[0]
+
+    def posed(
+        self,
+        betas: ArrayLike,
+        global_orient: ArrayLike,
+        hand_pose: ArrayLike,
+        transl: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        pca: bool | None = None,
+        flat_hand: bool = False,
+        template: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``joints``; the surface's vertices [m], shape [778, 3]; and rotation vectors [rad] of wrist and 15
+        joints in the order of ``HUMAN_LINKS``, shape [16, 3]. Arguments and errors as of ``joints``."""
+        a: Any = self._arrays
         numbers = np.asarray(hand_pose, dtype=float).ravel()
         if len(numbers) > COMPONENTS or (pca is False and len(numbers) != COMPONENTS):
             raise FungraspError(
                 f"a hand's pose has {COMPONENTS} numbers, or fewer components: not {len(numbers)}"
             )
         if pca or (pca is None and len(numbers) < COMPONENTS):
-            numbers = numbers @ self._arrays["hands_components"][: len(numbers)]
+            numbers = numbers @ a["hands_components"][: len(numbers)]
         if not flat_hand:
-            numbers = numbers + self._arrays["hands_mean"]
+            numbers = numbers + a["hands_mean"]
         vectors = np.concatenate([np.asarray(global_orient, dtype=float).ravel(), numbers])
-        joints, vertices = self._posed(betas, vectors, transl, template)
-        return np.concatenate([joints, vertices[TIP_VERTICES]])[MANO]
-
-    def pose(self, betas: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose the hand by DexYCB's ``pose_m``.
-
-        Args:
-            betas: shape [10].
-            pose: rotation vector, 45 pose components, translation [m], shape [51].
-
-        Returns:
-            vertices: [m], shape [778, 3], frame of ``pose``.
-            wrist: position of the wrist joint [m], shape [3].
-            rotations: of wrist and 15 joints as rotation vectors [rad], in the order of ``HUMAN_LINKS``,
-                shape [16, 3].
-        """
-        fingers = pose[3:48] @ self._arrays["hands_components"] + self._arrays["hands_mean"]
-        vectors = np.concatenate([pose[:3], fingers])
-        joints, vertices = self._posed(betas, vectors, pose[48:])
-        return vertices, joints[0], vectors.reshape(16, 3)[MANO_TO_OURS]
-
-    def _posed(
-        self, betas: ArrayLike, vectors: np.ndarray, transl: ArrayLike, template: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """MANO's 16 joints and 778 vertices [m]: linear blend skinning with corrections by shape and pose."""
         shape = np.asarray(betas, dtype=float).ravel()
         if vectors.shape != (48,) or len(shape) > 10 or np.shape(transl) != (3,):
             raise FungraspError(
                 "MANO takes 10 betas at most, 3 numbers of orientation and of translation each"
             )
-        a: Any = self._arrays
         if template is not None and np.shape(template) != _ARRAYS["v_template"]:
             raise FungraspError(f"a hand's vertices have shape {np.shape(template)}, expected (778, 3)")
-        template = (a["v_template"] if template is None else template) + a["shapedirs"][
-            ..., : len(shape)
-        ] @ shape
+        template = a["v_template"] if template is None else template
+        template = template + a["shapedirs"][..., : len(shape)] @ shape
         rest = a["J_regressor"] @ template
+        # Linear blend skinning with corrections by shape and pose.
         turns = Rotation.from_rotvec(vectors.reshape(16, 3)).as_matrix()
         bent = template + a["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
         world, place = turns.copy(), rest.copy()
@@ -157,4 +149,6 @@ class ManoHand:
             place[joint] = place[parent] + world[parent] @ (rest[joint] - rest[parent])
         moved = np.einsum("jab,vjb->vja", world, bent[:, None] - rest) + place
         shift = np.asarray(transl, dtype=float)
-        return place + shift, np.einsum("vj,vja->va", a["weights"], moved) + shift
+        vertices = np.einsum("vj,vja->va", a["weights"], moved) + shift
+        joints = np.concatenate([place + shift, vertices[TIP_VERTICES]])[MANO]
+        return joints, vertices, vectors.reshape(16, 3)[MANO_TO_OURS]

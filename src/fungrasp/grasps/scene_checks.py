@@ -64,12 +64,12 @@ class Remark:
         return f"{rows_in_words(self.rows)}: {self.words}"
 
 
-def rows_in_words(rows: np.ndarray, most: int = 6) -> str:
+def rows_in_words(rows: np.ndarray) -> str:
     """ "grasp 3" or "grasps 1, 4, 5 and 20 more"."""
     if len(rows) == 1:
         return f"grasp {rows[0]}"
-    shown = ", ".join(str(row) for row in rows[:most])
-    return f"grasps {shown}" + (f" and {len(rows) - most} more" if len(rows) > most else "")
+    shown = ", ".join(str(row) for row in rows[:6])
+    return f"grasps {shown}" + (f" and {len(rows) - 6} more" if len(rows) > 6 else "")
 
 
 def scene_is_sound(arrays: Mapping[str, np.ndarray]) -> bool:

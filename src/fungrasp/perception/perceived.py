@@ -1,11 +1,8 @@
-"""What perception makes of an image: the record that ``perceive`` returns, and what happened on the way."""
+"""What perception makes of an image: the record that ``perceive`` returns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from time import perf_counter, process_time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,19 +13,7 @@ from fungrasp.perception.acceptance import Acceptance
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning
-from fungrasp.perception.object_pose.estimate import PoseAnswers
 from fungrasp.perception.object_pose.shape_fit import FittedShape
-
-
-@dataclass(frozen=True)
-class StageSeconds:
-    """How long a stage took."""
-
-    wall: float = 0.0
-    """Wall time [s]."""
-    cpu: float = 0.0
-    """Processor time of all threads together [s]; less than ``wall`` where other programs had the
-    processors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +28,6 @@ class HandCandidate:
     """Plane ``[nx ny nz d]``, camera frame, shape [4]; None if none was seen."""
     object: ObjectEstimate
     """The object's pose, camera frame."""
-    answers: PoseAnswers | None
-    """All poses of the search, best first, and what their scores are made of; None for a given pose."""
     holds: bool
     """Whether the object's pose is rather right than wrong and the hand is at it."""
     warnings: tuple[PerceptionWarning, ...] = ()
@@ -55,46 +38,6 @@ class HandCandidate:
         """The product of the scores of hand and object: of candidates that hold the object, or of those that
         don't where none does, the highest is chosen."""
         return self.object.score * self.hand.score
-
-
-@dataclass(frozen=True, eq=False)
-class PerceptionTrace:
-    """What happened inside ``perceive``, by stage."""
-
-    detected: tuple[DetectedHand, ...] = ()
-    """All hands that the detector found in the image as it is; empty where a hand was given."""
-    candidates: tuple[HandCandidate, ...] = ()
-    """Hands that were looked at more closely, in the order in which this happened."""
-    chosen: int = 0
-    """Number of the candidate that the result is made of."""
-    seconds: Mapping[str, StageSeconds] = field(default_factory=dict)
-    """Time of each stage, candidates together: "mesh" (made ready, once for all images of it), "detection",
-    "hand" (in meters, without the object), "table", "object" (the search for its pose), "refinement" (the
-    hand at the object), "grasp" (contacts, world frame and figures)."""
-
-    @property
-    def candidate(self) -> HandCandidate:
-        """The one that was chosen."""
-        return self.candidates[self.chosen]
-
-
-class Stopwatch:
-    """Adds up the time of stages by their names."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, StageSeconds] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Count what happens inside ``with`` to a stage."""
-        wall, cpu = perf_counter(), process_time()
-        try:
-            yield
-        finally:
-            before = self.seconds.get(name, StageSeconds())
-            self.seconds[name] = StageSeconds(
-                before.wall + perf_counter() - wall, before.cpu + process_time() - cpu
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +70,8 @@ class Perceived:
     nearly symmetric object is."""
     notes: tuple[str, ...] = ()
     """Assumptions about the object, as sentences to print: a mass that was guessed."""
-    trace: PerceptionTrace = field(default_factory=PerceptionTrace)
-    """What happened by stage."""
+    candidates: tuple[HandCandidate, ...] = ()
+    """Hands that were looked at more closely; the result is made of the first."""
     mass_range: tuple[float, float] | None = None
     """Between which the object's mass lies in eight of ten cases, where it was guessed [kg]."""
     fitted: FittedShape | None = None

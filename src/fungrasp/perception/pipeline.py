@@ -13,7 +13,7 @@ Each step adds its warnings; a result of low confidence is still given, marked a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,16 +51,10 @@ from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, Perce
 from fungrasp.perception.io.image_files import check_hints
 from fungrasp.perception.io.image_source import ImageSource, as_capture
 from fungrasp.perception.io.scene_folders import BUILTIN, BUILTIN_CAPTURE, builtin_truth
-from fungrasp.perception.object_pose.estimate import best_estimate, score_given_pose, search_object_pose
-from fungrasp.perception.object_pose.object_template import object_template
+from fungrasp.perception.object_pose.estimate import estimate_object_pose, score_given_pose
 from fungrasp.perception.object_pose.pose_evidence import ambiguity
 from fungrasp.perception.object_pose.shape_fit import FittedShape, fit_shape
-from fungrasp.perception.perceived import (
-    HandCandidate,
-    Perceived,
-    PerceptionTrace,
-    Stopwatch,
-)
+from fungrasp.perception.perceived import HandCandidate, Perceived
 from fungrasp.perception.scene.table import (
     NO_TABLE,
     guessed_table,
@@ -138,9 +132,6 @@ def perceive(
     mesh = model if held.colored is None else held.colored
     given = object_estimate(capture, mesh) if callable(object_estimate) else object_estimate
     check_holdable(model)
-    if given is None or not given.judged:
-        with seen.watch.stage("mesh"):
-            object_template(mesh)
     near = object_box(capture, model, given)
 
     def scene_of(one: HandEstimate, of: HandHypothesis | None = None) -> HandCandidate:
@@ -148,38 +139,33 @@ def perceive(
 
     # 1, 2: the hand in the image and in meters. Where it is open which of two hands is meant, both go on.
     # 3, 4: the table and the object; the hand that holds the object more probably is the one.
-    detected: list[DetectedHand] = []
     if hand is not None:
         scenes = [scene_of(hand)]
     else:
-        with seen.watch.stage("detection"):
-            detected = find_hands(seen.detector, capture, near)
+        detected = find_hands(seen.detector, capture, near)
         scenes = [scene_of(one, of) for of, one in seen.fitted_hands(seen.hypotheses(detected, near))]
         if not any(scene.holds for scene in scenes):
             # The one that holds it may be harder to see than somebody else's.
             known = [scene.detected for scene in scenes if scene.detected is not None]
-            with seen.watch.stage("detection"):
-                others = hands_elsewhere(capture, known, side, seen.detector)
+            others = hands_elsewhere(capture, known, side, seen.detector)
             scenes += [scene_of(one, of) for of, one in seen.fitted_hands(others, needed=False)]
-    chosen = max(range(len(scenes)), key=lambda i: (scenes[i].holds, scenes[i].worth))
-    scene = scenes[chosen]
+    scenes.sort(key=lambda scene: (scene.holds, scene.worth), reverse=True)
+    scene = scenes[0]
     check_held(scene.hand, scene.object, model, hinted=near is not None)
     # 5: the hand again, touching the object.
-    with seen.watch.stage("refinement"):
-        refined = _refined_hand(seen, scene, model)
-        confidence = joint_probabilities(capture, scene.hand, refined, scene.object.accepted)
-        refined = replace(refined, confidence=confidence)
+    refined = _refined_hand(seen, scene, model)
+    confidence = joint_probabilities(capture, scene.hand, refined, scene.object.accepted)
+    refined = replace(refined, confidence=confidence)
     # 6: the grasp in the world.
-    with seen.watch.stage("grasp"):
-        plane = scene.table
-        if plane is None:
-            surface = transform_points(scene.object.pose_camera_object, model.vertices)
-            plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
-        center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
-        pose_world_camera = world_from_table(plane, center)
-        grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
-        gaps = link_gaps(scene.hand.joints_camera, model.signed_distance, scene.object.pose_camera_object)
-        warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model, capture))
+    plane = scene.table
+    if plane is None:
+        surface = transform_points(scene.object.pose_camera_object, model.vertices)
+        plane = guessed_table(np.concatenate([surface, refined.joints_camera]))
+    center = transform_points(scene.object.pose_camera_object, model.center_of_mass[None])[0]
+    pose_world_camera = world_from_table(plane, center)
+    grasp = _grasp(held, refined, scene.object, pose_world_camera, task)
+    gaps = link_gaps(scene.hand.joints_camera, model.signed_distance, scene.object.pose_camera_object)
+    warnings = (*capture.warnings, *scene.warnings, *_warnings(scene, refined, model, capture))
     side_score = None if scene.detected is None else scene.detected.side_score
     return Perceived(
         capture=capture,
@@ -203,7 +189,7 @@ def perceive(
         notes=held.notes,
         mass_range=held.mass_range,
         fitted=fitted,
-        trace=PerceptionTrace(tuple(detected), tuple(scenes), chosen, seen.watch.seconds),
+        candidates=tuple(scenes),
     )
 
 
@@ -246,7 +232,6 @@ class _Image:
     table: np.ndarray | None
     given_detector: HandDetector | None
     seed: int
-    watch: Stopwatch = field(default_factory=Stopwatch)
 
     @cached_property
     def detector(self) -> HandDetector:
@@ -266,12 +251,11 @@ class _Image:
             FungraspError: none has, and one is needed.
         """
         measured, problem = [], None
-        with self.watch.stage("hand"):
-            for one in found:
-                try:
-                    measured.append((one, fit_hand(one.detected, self.capture)))
-                except FungraspError as error:
-                    problem = error
+        for one in found:
+            try:
+                measured.append((one, fit_hand(one.detected, self.capture)))
+            except FungraspError as error:
+                problem = error
         if needed and problem is not None and not measured:
             raise problem
         return measured
@@ -280,8 +264,7 @@ class _Image:
         """The table that was given, else the largest plane below points, shape [P, 3]."""
         if self.table is not None:
             return self.table
-        with self.watch.stage("table"):
-            return table_under(self.capture, points, np.random.default_rng(self.seed))
+        return table_under(self.capture, points, np.random.default_rng(self.seed))
 
 
 def _fitted_shape(seen: _Image, hand: HandEstimate | None) -> FittedShape:
@@ -314,22 +297,20 @@ def _scene(
     improve: bool,
 ) -> HandCandidate:
     """The table under a hand and the object in it, unless they are known."""
-    obj, answers = given, None
+    obj = given
     table = seen.table_under(hand.joints_camera)
     under = NO_TABLE if table is None else table
-    with seen.watch.stage("object"):
-        if obj is None:
-            answers = search_object_pose(seen.capture, mesh, hand, under, seed=seen.seed)
-            obj = best_estimate(answers)
-        elif not obj.judged:
-            obj = score_given_pose(obj, seen.capture, mesh, hand, under, seed=seen.seed, improve=improve)
+    if obj is None:
+        obj = estimate_object_pose(seen.capture, mesh, hand, under, seed=seen.seed)
+    elif not obj.judged:
+        obj = score_given_pose(obj, seen.capture, mesh, hand, under, seed=seen.seed, improve=improve)
     vertices = np.asarray(mesh.vertices)
     if table is None and obj.accepted:
         # The object tells as well what is below it.
         table = seen.table_under(transform_points(obj.pose_camera_object, vertices))
     holds = may_hold(hand, obj, vertices)
     detected, warnings = (None, ()) if of is None else (of.detected, of.warnings)
-    return HandCandidate(detected, hand, table, obj, answers, holds, warnings)
+    return HandCandidate(detected, hand, table, obj, holds, warnings)
 
 
 def _refined_hand(seen: _Image, scene: HandCandidate, model: ObjectModel) -> HandEstimate:

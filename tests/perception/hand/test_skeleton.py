@@ -69,7 +69,7 @@ def test_flexion_bends_a_right_hand_and_size_scales_it():
 
 def test_it_can_take_the_postures_of_real_grasps():
     joints = load_human_grasps("builtin").hand_joints[::5]
-    off = [np.linalg.norm(skeleton_through(hand, 0.002, 15).joints() - hand, axis=1) for hand in joints]
+    off = [np.linalg.norm(skeleton_through(hand, 0.002).joints() - hand, axis=1) for hand in joints]
     assert np.mean(off) < 0.004
 
 

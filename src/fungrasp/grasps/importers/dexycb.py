@@ -172,9 +172,9 @@ def _mano(
     """
     from scipy.spatial.transform import Rotation
 
-    vertices, found, vectors = hand.pose(betas, params)
+    joints, vertices, vectors = hand.posed(betas, params[:3], params[3:48], params[48:], pca=True)
     turn, shift = camera[:3, :3], camera[:3, 3]
-    misfit = float(np.linalg.norm(turn @ found + shift - wrist))
+    misfit = float(np.linalg.norm(turn @ joints[0] + shift - wrist))
     if misfit > MISFIT:
         raise FungraspError(
             f"the MANO model's wrist is {misfit * 1000:.0f} mm from the label's: is it the right model?"

@@ -34,10 +34,9 @@ def grasp_from_motion(
     *,
     order: str = "fungrasp",
     up: str = "z",
-    moved: float = MOVED,
     task: str = "",
 ) -> HumanGrasp:
-    """The grasp of the first frame with a hand in which the object has moved by more than ``moved`` [m].
+    """The grasp of the first frame with a hand in which the object has moved by more than ``MOVED``.
 
     Args:
         joints: of a right hand [m], shape [T, 21, 3], world frame; or a function of the frame's number, which
@@ -54,12 +53,12 @@ def grasp_from_motion(
             ``human_grasp`` find something.
     """
     turn = np.array([0.0, 0.0, 0.0, *UP[up]])
-    for frame in moved_frames(object_pose[:, :3], moved):
+    for frame in moved_frames(object_pose[:, :3]):
         found = joints(int(frame)) if callable(joints) else np.asarray(joints)[frame]
         if found is not None:
             break
     else:
-        raise FungraspError(f"no tracked hand moves the object by {moved:g} m")
+        raise FungraspError(f"no tracked hand moves the object by {MOVED:g} m")
     obj = resolve_object(mesh)
     rest, pose = compose(turn, object_pose[0]), compose(turn, object_pose[frame])
     down = np.array([0.0, 0.0, transform_points(rest, obj.model.vertices)[:, 2].min()])
@@ -71,15 +70,15 @@ def grasp_from_motion(
     return grasp
 
 
-def moved_frames(positions: np.ndarray, moved: float = MOVED) -> np.ndarray:
-    """Frames in which an object is more than ``moved`` from where it was first seen.
+def moved_frames(positions: np.ndarray) -> np.ndarray:
+    """Frames in which an object is more than ``MOVED`` from where it was first seen.
 
     positions: [m], shape [T, 3]; NaN where the object was not tracked.
     """
     tracked = np.flatnonzero(np.isfinite(positions[:, 0]))
     if not len(tracked):
         return tracked
-    return np.flatnonzero(np.linalg.norm(positions - positions[tracked[0]], axis=1) > moved)
+    return np.flatnonzero(np.linalg.norm(positions - positions[tracked[0]], axis=1) > MOVED)
 
 
 def each(

@@ -47,6 +47,7 @@ HELD_STAGES = tuple(HandFitStage((0.02, 0.03), far, contact=True, late=True) for
 # How candidates are compared and the final estimate is judged.
 COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
 STAGE_ITERATIONS = 5  # Gauss-Newton steps of a stage.
+THROUGH_ITERATIONS = 8  # Gauss-Newton steps of ``skeleton_through``.
 REFINE_ITERATIONS = 10  # Gauss-Newton steps of ``refine_hand``.
 # Detections whose landmarks differ by less, on average and as a part of the hand's extent, are one.
 SAME_GUESS = 0.035
@@ -236,7 +237,7 @@ def initial_skeleton(seen: HandMeasurements) -> Skeleton:
     return skeleton_through(seen.intrinsics.deproject(seen.pixels, depth), 0.015)
 
 
-def skeleton_through(points: np.ndarray, spread: float, iterations: int = 8) -> Skeleton:
+def skeleton_through(points: np.ndarray, spread: float) -> Skeleton:
     """The skeleton of a right hand whose joints come nearest to given points.
 
     Args:
@@ -247,7 +248,7 @@ def skeleton_through(points: np.ndarray, spread: float, iterations: int = 8) -> 
     placed = points[_PALM_JOINTS] - points[_PALM_JOINTS].mean(axis=0)
     turn = Rotation.align_vectors(placed, template - template.mean(axis=0))[0].as_matrix()
     hand = Skeleton.usual(points[0], turn)
-    for _ in range(iterations):
+    for _ in range(THROUGH_ITERATIONS):
         joints, jacobian = hand.joints_and_derivatives()
         near = HandEvidence(((joints - points) / spread).ravel(), jacobian.reshape(63, SIZE) / spread)
         hand = hand.moved(damped_step(*normal_equations([near, *anatomy_evidence(hand)], SIZE)))

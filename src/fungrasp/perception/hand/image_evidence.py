@@ -24,6 +24,7 @@ from fungrasp.perception.io.capture import Intrinsics
 NEAR_BONES, FAR_BONES = np.transpose(BONES)
 
 FIELD_STEP = 2  # Distances are looked at so many pixels apart: silhouettes are not known better.
+AROUND = 40  # So much is looked at around the hand's parts [pixels].
 NO_BACKGROUND = -1e3  # Distance to the background of a level that has none [pixels].
 # Kind of every capsule and of the arm: 0 finger, 1 palm, 2 arm.
 _KIND = np.append(np.where(HAND_CAPSULES.finger < 0, 1, 0), 2)
@@ -205,7 +206,6 @@ class Silhouettes:
         parts: np.ndarray,
         levels: int,
         behind: float,
-        margin: int = 40,
     ) -> Silhouettes:
         """Look at the image around a hand.
 
@@ -215,11 +215,10 @@ class Silhouettes:
             parts: their depths [m], shape [P].
             levels: number of depth levels that parts are sorted into.
             behind: what is farther than a part by this [m] is background to it.
-            margin: looked at around the parts [pixels].
         """
         edge = np.array(depth.shape[::-1])
-        low = np.clip(np.floor(pixels.min(axis=0)) - margin, 0, edge - 2).astype(int)
-        high = np.clip(np.ceil(pixels.max(axis=0)) + margin, low + 2, edge).astype(int)
+        low = np.clip(np.floor(pixels.min(axis=0)) - AROUND, 0, edge - 2).astype(int)
+        high = np.clip(np.ceil(pixels.max(axis=0)) + AROUND, low + 2, edge).astype(int)
         crop = depth[low[1] : high[1] : FIELD_STEP, low[0] : high[0] : FIELD_STEP]
         depths = np.quantile(parts, np.arange(1, levels + 1) / levels)
         return cls(low, depths, np.stack([_field(crop > limit + behind) for limit in depths]))

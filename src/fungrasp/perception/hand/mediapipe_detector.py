@@ -9,7 +9,6 @@ answer counts.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -111,18 +110,14 @@ SAME_ANSWER = 0.12
 class MediaPipeHandDetector:
     """The two models, ready to run. Keeps the interpreters: one per thread of the caller."""
 
-    def __init__(self, weights: Mapping[str, bytes] | None = None, threads: int = 2):
+    def __init__(self) -> None:
         """
-        Args:
-            weights: content of the model files "palm" and "landmarks"; by default those in the cache.
-
         Raises:
             FungraspError: the weights are not set up, or ai-edge-litert is not installed.
         """
         model_runtime()  # Whoever lacks it is told before having fetched the weights.
-        weights = load_weights() if weights is None else weights
-        self._palm = MediaPipeModel(weights["palm"], threads)
-        self._landmarks = MediaPipeModel(weights["landmarks"], threads)
+        weights = load_weights()
+        self._palm, self._landmarks = MediaPipeModel(weights["palm"]), MediaPipeModel(weights["landmarks"])
         self._looks = 0
 
     def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:

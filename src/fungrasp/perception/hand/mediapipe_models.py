@@ -69,6 +69,7 @@ PACKAGE = "mediapipe==0.10.21"  # The release, on the package index, whose wheel
 SETUP_COMMAND = "fungrasp setup perception"  # What a user runs once.
 
 CACHE_KIND = "hand_models"
+THREADS = 2  # That a model is run in.
 
 LARGEST = 50_000_000  # Bytes of the largest file that is taken out of a wheel.
 
@@ -222,14 +223,14 @@ def model_runtime() -> Any:
 class MediaPipeModel:
     """A model file in an interpreter; called with one image."""
 
-    def __init__(self, content: bytes, threads: int):
+    def __init__(self, content: bytes):
         """
 
         Raises:
             FungraspError: ai-edge-litert is not installed.
         """
         with filtered_native_output():
-            self._interpreter = model_runtime().Interpreter(model_content=content, num_threads=threads)
+            self._interpreter = model_runtime().Interpreter(model_content=content, num_threads=THREADS)
             self._interpreter.allocate_tensors()
         self._input = self._interpreter.get_input_details()[0]["index"]
         # The runtime lists outputs in any order; their names tell it.

@@ -4,7 +4,7 @@ the depth as our own answers are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from fungrasp.objects import ObjectModel
 from fungrasp.perception.acceptance import ACCEPT, SIZES, object_score
 from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, PoseEvidence
-from fungrasp.perception.object_pose.object_template import ObjectTemplate, object_template
+from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.object_view import WIDEST, ObjectView, view_of_object
 from fungrasp.perception.object_pose.pose_error import add_s
 from fungrasp.perception.object_pose.pose_evidence import RIVAL_DISTANCE, best_rival, pose_evidence
@@ -41,22 +41,6 @@ ANSWERS = 5  # Most alternatives that are kept.
 ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not the object's.
 
 
-@dataclass(frozen=True, eq=False)
-class PoseAnswers:
-    """Different poses of the object, best first, and what speaks for each."""
-
-    poses: np.ndarray
-    """Object in the camera frame, shape [H, 7]."""
-    scores: PoseScores
-    """How well each of the H poses explains the image."""
-    residual_m: float
-    """Median distance of the object's measured points from the mesh in the first pose [m]."""
-    evidence: PoseEvidence | None = None
-    """What speaks for and against the first pose and the mesh; None where nothing was searched for."""
-    problem: PerceptionWarning | None = None
-    """Why nothing was searched for; the pose is then a guess of the place only."""
-
-
 def estimate_object_pose(
     capture: Capture,
     mesh: ObjectModel | trimesh.Trimesh,
@@ -79,23 +63,8 @@ def estimate_object_pose(
     Raises:
         FungraspError: the mesh has no faces.
     """
-    return best_estimate(search_object_pose(capture, mesh, hand, table, seed=seed))
-
-
-def search_object_pose(
-    capture: Capture,
-    mesh: ObjectModel | trimesh.Trimesh | ObjectTemplate,
-    hand: HandEstimate | None = None,
-    table: np.ndarray | None = None,
-    *,
-    seed: int = 0,
-) -> PoseAnswers:
-    """All that ``estimate_object_pose`` finds, with the scores of each pose."""
     capture = capture.reduced(WIDEST)
-    if isinstance(mesh, ObjectTemplate):
-        size = mesh.size
-    else:
-        size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
+    size = float(np.linalg.norm(np.ptp(np.asarray(mesh.vertices), axis=0))) if len(mesh.vertices) else 0.0
     joints = None if hand is None else hand.joints_camera
     if not SIZES[0] < size < SIZES[1]:
         unit = "; is it in millimeters?" if size >= SIZES[1] else ""
@@ -117,22 +86,25 @@ def search_object_pose(
     points = view.evidence[owner].points
     rival = best_rival(known, poses, scores.quality)
     evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, rival, rng)
-    return PoseAnswers(poses, scores, known.surface.median_distance(points, poses[0]), evidence)
+    return _best(poses, scores, known.surface.median_distance(points, poses[0]), evidence)
 
 
-def best_estimate(answers: PoseAnswers) -> ObjectEstimate:
-    """The best answer with its score, and the others."""
-    poses, first = answers.poses, answers.evidence
-    if first is None:
-        problem = () if answers.problem is None else (answers.problem,)
-        return ObjectEstimate(poses[0], 0.0, False, warnings=problem)
+def _best(poses: np.ndarray, scores: PoseScores, residual_m: float, first: PoseEvidence) -> ObjectEstimate:
+    """The best answer with its score, and the others.
+
+    Args:
+        poses: object in the camera frame, best first, shape [H, 7].
+        scores: of the H poses.
+        residual_m: of the first pose.
+        first: what speaks for and against it.
+    """
     score = object_score(first)
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
         # Poses of a near-symmetry share most of their pixels: the root of how well it fits, relative.
-        relative = float(answers.scores.quality[i] / max(answers.scores.quality[0], 1e-6))
+        relative = float(scores.quality[i] / max(scores.quality[0], 1e-6))
         others.append((poses[i], score * min(relative, 1.0) ** 0.5))
-    return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), answers.residual_m, evidence=first)
+    return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), residual_m, evidence=first)
 
 
 def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
@@ -154,7 +126,7 @@ def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses
     return found, many(found.poses, found.owner), color
 
 
-def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning) -> PoseAnswers:
+def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning) -> ObjectEstimate:
     """No answer: a pose in the middle of what is known, and the reason."""
     if joints is not None:
         middle = joints[list(TIPS)].mean(axis=0)
@@ -163,8 +135,7 @@ def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning
         points = capture.points()[shown if shown.any() else capture.measured]
         middle = np.median(points, axis=0)
     pose = np.concatenate([middle, [1.0, 0.0, 0.0, 0.0]])
-    none = PoseScores(*np.zeros((6, 1)))
-    return PoseAnswers(pose[None], none, float("nan"), problem=why)
+    return ObjectEstimate(pose, 0.0, False, warnings=(why,))
 
 
 def score_given_pose(
@@ -201,15 +172,7 @@ def score_given_pose(
     if view is None:
         warnings = (PerceptionWarning.of("not_comparable", problem=problem),)
         return replace(obj, score=0.0, accepted=False, alternatives=(), warnings=warnings, judged=True)
-    pose, answers = _scored(obj.pose_camera_object, view, view.scorer(RAYS), rng, improve)
-    return replace(best_estimate(answers), pose_camera_object=pose)
-
-
-def _scored(
-    pose: np.ndarray, view: ObjectView, scorer: PoseScorer, rng: np.random.Generator, improve: bool
-) -> tuple[np.ndarray, PoseAnswers]:
-    """A pose, or the best fit nearby; that fit and what near-symmetries make of it, with their scores."""
-    known = view.known
+    pose, scorer = obj.pose_camera_object, view.scorer(RAYS)
     proposals = np.arange(len(view.masks))
     given = found = PoseHypotheses(np.repeat(pose[None], len(proposals), axis=0), proposals)
     for step in FINE:
@@ -226,7 +189,7 @@ def _scored(
     answers = first.joined(others)
     scores = scorer(answers.poses, answers.owner)
     evidence = pose_evidence(view, scorer, poses[best], int(owners[best]), 0.0, rng)
-    return chosen, PoseAnswers(answers.poses, scores, residual, evidence)
+    return replace(_best(answers.poses, scores, residual, evidence), pose_camera_object=chosen)
 
 
 def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> PoseHypotheses:

@@ -143,17 +143,12 @@ class ObjectTemplate:
     """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colors other than one gray."""
 
 
-def object_template(mesh: ObjectModel | trimesh.Trimesh | ObjectTemplate) -> ObjectTemplate:
-    """Prepare a mesh; the result is kept for the next image.
-
-    Args:
-        mesh: the object [m]; one that is prepared stays as it is.
+def object_template(mesh: ObjectModel | trimesh.Trimesh) -> ObjectTemplate:
+    """Prepare a mesh [m]; the result is kept for the next image.
 
     Raises:
         FungraspError: the mesh has no faces.
     """
-    if isinstance(mesh, ObjectTemplate):
-        return mesh
     if not isinstance(mesh, ObjectModel):
         if len(mesh.faces) == 0:
             raise FungraspError("the object's mesh has no faces")
