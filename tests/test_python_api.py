@@ -65,7 +65,7 @@ def test_missing_objects_and_wrong_kinds_are_named(human):
             verb({"hand_joints": 0})  # type: ignore[arg-type]
     plans = fungrasp.plan(robot)
     for wrong, words in (
-        (robot, "expected plans .* not a RobotGraspSet"),
+        (robot, "expected the plans .* not a RobotGraspSet"),
         (plans.select(np.array([0])), "1 plans for 2 grasps"),
         (replace(plans, hand="leap"), "of the hand 'leap'"),
         (replace(plans, object_name=np.array(["mug", "can"])), "row 1: the plan is for the object 'can'"),

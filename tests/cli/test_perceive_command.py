@@ -216,5 +216,5 @@ def test_options_that_cannot_work_are_refused_before_any_work(
 
 
 def test_a_mass_in_grams_is_refused(folder):
-    with pytest.raises(FungraspError, match=r"300 kg in its size is .* denser than anything .*in grams\?"):
+    with pytest.raises(FungraspError, match=r"300 kg at this size is .* denser than any .*in grams\?"):
         resolve_object(folder / "thing.obj", 300.0)

@@ -28,7 +28,7 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--environment.early", 9, 4), "not 9 to 4"),
         (("train", "--environment.whole", 2), "from 0 to 1, not 2"),
         (("train", "--environment.widen", 9, 4), "to a later one, not 9 to 4"),
-        (("train", "--ppo.imitate", 100), "to imitate them, give --environment.residual.base guided"),
+        (("train", "--ppo.imitate", 100), "needs --environment.residual.base guided"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
     ],

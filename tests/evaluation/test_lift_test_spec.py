@@ -64,7 +64,7 @@ def test_what_earlier_versions_asked_is_read():
         ({"seeds": ()}, "at least one value"),
         ({"seeds": (-1,)}, "must not be negative"),
         ({"attempts": 0}, "1 attempt or more"),
-        ({"protocol": "reality", "randomization": Randomization(mass=(2.0, 2.0))}, "says how worlds differ"),
+        ({"protocol": "reality", "randomization": Randomization(mass=(2.0, 2.0))}, "already defines"),
     ],
 )
 def test_what_can_not_be_asked(asked, words):

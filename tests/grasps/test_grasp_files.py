@@ -154,7 +154,7 @@ def test_bad_files(tmp_path, human_grasps):
         ("text.npz", "not an .npz file"),
         ("empty.npz", "not an .npz file"),
         ("array.npy", "not an .npz file"),
-        ("zip.npz", "field 'hand_joints' can't be read: no array"),
+        ("zip.npz", "field 'hand_joints' can't be read: not a NumPy array"),
     ):
         with pytest.raises(FungraspError, match=words) as caught:
             load_human_grasps(tmp_path / name)

@@ -360,7 +360,7 @@ def test_meshes_that_cannot_be_read_say_why(tmp_path: Path):
     _, said = added(tmp_path, with_collada(tmp_path, "<COLLADA/>"))
     assert not any("no file is found" in message for message in said)
     (reason,) = [message for message in said if "the mesh 'link.dae' can't be read" in message]
-    assert find_spec("collada") is not None or 'pip install "fungrasp[collada]"' in reason
+    assert find_spec("collada") is not None or 'pip install ".[collada]"' in reason
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def test_mcap_loses_nothing(controls, tmp_path):
 def test_a_damaged_mcap_is_said(tmp_path):
     pytest.importorskip("mcap", reason="the extra deploy is not installed")
     (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n damaged")
-    with pytest.raises(FungraspError, match="no episode that was exported"):
+    with pytest.raises(FungraspError, match="not an exported episode"):
         read_mcap_episode(tmp_path / "bad.mcap")
 
 

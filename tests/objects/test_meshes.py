@@ -218,7 +218,7 @@ def test_loose_triangles_are_made_a_shell_or_refused_in_words(tmp_path):
     assert "shell" in repairs[0]
     corners = random.uniform(0, 0.2, (900, 3, 3))
     soup = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(2700).reshape(-1, 3), process=False)
-    with pytest.raises(FungraspError, match="are no surface"):
+    with pytest.raises(FungraspError, match="are not a surface"):
         load_mesh(saved(soup, tmp_path / "soup.stl"))
 
 

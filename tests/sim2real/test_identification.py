@@ -261,7 +261,7 @@ def test_bad_logs_are_refused(log: MotionLog, tmp_path):
         replace(log, weight=-0.1)
     for text in ("", "{}", '{"kind": "other"}', '{"kind": "fungrasp motion log", "joints": 3}', "\x00"):
         (tmp_path / "log.jsonl").write_text(text)
-        with pytest.raises(FungraspError, match="no motion log"):
+        with pytest.raises(FungraspError, match="not a motion log"):
             load_motion_log(tmp_path / "log.jsonl")
     (tmp_path / "steps.csv").write_text("a,b\n1,2\n")
     with pytest.raises(FungraspError, match="step response"):

@@ -42,7 +42,7 @@ def test_a_file_cut_short_is_found(kept, length):
 def test_another_file_is_refused(tmp_path):
     path = tmp_path / "other.pt"
     torch.save({"steps": 1}, path)
-    with pytest.raises(FungraspError, match="is no checkpoint of this version"):
+    with pytest.raises(FungraspError, match="is not a checkpoint of this version"):
         read_checkpoint(path)
     with pytest.raises(FungraspError, match=r"the checkpoint .* does not exist|cannot read the checkpoint"):
         read_checkpoint(tmp_path / "none.pt")

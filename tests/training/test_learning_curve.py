@@ -46,7 +46,7 @@ def test_a_training_does_not_notice_its_curve_which_goes_on_from_a_checkpoint(tm
     assert after[:2] == before and [point.steps for point in after] == [BATCH, 2 * BATCH, 3 * BATCH]
     assert after[1].seconds < after[2].seconds
     file.write_text("steps\nmany\n")
-    with pytest.raises(FungraspError, match=r"curve.csv is damaged, or no learning curve$"):
+    with pytest.raises(FungraspError, match=r"curve.csv is damaged, or not a learning curve$"):
         run(tmp_path / "with", 4, curve, sees=sees)
 
 

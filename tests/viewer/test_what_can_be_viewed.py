@@ -144,7 +144,7 @@ def test_a_result_without_recordings_or_grasps_says_why(tmp_path):
 
     shown = ShownResult.read(tmp_path / "result.json", read_result(tmp_path / "result.json"))
     assert shown.grasps is None and shown.recordings is None
-    assert "grasps is not where it was" in shown.missing
+    assert "the grasp file was moved" in shown.missing
 
 
 def test_curves_of_an_episode():

@@ -30,7 +30,7 @@ class DoctorCommand(Answering):
         ]
         missing = [e.name for e in found.extras if e.missing]
         if missing:
-            parts.append(f'to add an extra: pip install "fungrasp[{missing[0]}]"')
+            parts.append(f'to add an extra: pip install ".[{missing[0]}]" in the clone')
         return CommandResult(asdict(found), "\n\n".join(parts))
 
 

@@ -141,7 +141,7 @@ def prepare_torch() -> None:
             importlib.import_module(name)
     except ImportError as error:
         raise FungraspError(
-            f'training needs packages that are not installed ({error}): pip install "fungrasp[learning]"'
+            f'training needs more packages ({error}): pip install ".[learning]" in the clone'
         ) from error
     importlib.import_module("torch").set_num_threads(1)
 

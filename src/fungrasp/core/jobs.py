@@ -217,7 +217,7 @@ def _connected(address: str) -> tuple[Any, bool]:
     try:
         import ray
     except ImportError as error:
-        raise FungraspError('work on a cluster needs Ray: pip install "fungrasp[ray]"') from error
+        raise FungraspError('work on a cluster needs Ray: pip install ".[ray]" in the clone') from error
     if ray.is_initialized():
         return ray, False
     _check_reachable(address)

@@ -112,10 +112,7 @@ def evaluate(
     record = None if record is None else Path(record)
     job = LiftTestJob(robot, known, used, spec, own, given, record, threads)
     if (store is not None or ray is not None) and not job.is_named():
-        raise FungraspError(
-            "parts are kept, and sent to a cluster, only for a policy that is given by name and a planner "
-            "that has a key"
-        )
+        raise FungraspError("store= and ray= need a policy given by name, and a planner with a key")
     start = perf_counter()
     episodes = sum(len(part.rows) for part in job.parts())
     with shown_progress(progress, f"lifting with {used.name}", episodes) as show:

@@ -115,7 +115,7 @@ class LiftTestSpec:
             raise FungraspError("--seed must not be negative")
         if self.protocol != "nominal" and self.randomization != NOMINAL:
             raise FungraspError(
-                f"--protocol {self.protocol} says how worlds differ: give it or single options"
+                f"--protocol {self.protocol} already defines how worlds differ: leave out single options"
             )
         from fungrasp.planning.attempts import check_attempts
 

@@ -58,7 +58,7 @@ def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Map
     """
     path = Path(path)
     if path.suffix != ".json":
-        raise FungraspError(f"a result is written as .json, not {path}")
+        raise FungraspError(f"a result file must end in .json, not {path}")
     flat = [dict(_flattened(row)) for row in rows]
     names = dict.fromkeys(name for row in flat for name in row)
     kinds = {name: _kind([row.get(name) for row in flat]) for name in names}

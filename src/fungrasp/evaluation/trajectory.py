@@ -114,14 +114,15 @@ def replay(path: str | Path) -> Trajectory:
     arrays = read_npz(path, "recorded episode", names.__contains__)
     missing = sorted(names - set(_ADDED) - set(arrays))
     if missing:
-        raise FungraspError(f"{path} is no recorded episode: it lacks {', '.join(missing)}")
+        raise FungraspError(f"{path} is not a recorded episode: it lacks {', '.join(missing)}")
     for name, (kinds, axes) in _SHAPES.items():
         if name in arrays and (arrays[name].dtype.kind not in kinds or arrays[name].ndim != axes):
             raise FungraspError(
-                f"{path} is no recorded episode: {name} is {arrays[name].dtype} of shape {arrays[name].shape}"
+                f"{path} is not a recorded episode: {name} has type {arrays[name].dtype} and shape "
+                f"{arrays[name].shape}"
             )
     if len({len(array) for name, array in arrays.items() if array.ndim and name != "wrist_reference"}) > 1:
-        raise FungraspError(f"{path} is no recorded episode: its arrays are of different lengths")
+        raise FungraspError(f"{path} is not a recorded episode: its arrays are of different lengths")
     values: dict[str, Any] = {name: value if value.ndim else value.item() for name, value in arrays.items()}
     return Trajectory(**values)
 

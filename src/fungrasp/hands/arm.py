@@ -66,12 +66,12 @@ def arm_spec(arm: str) -> mujoco.MjSpec:
             raise UnknownNameError("arm", arm, arm_files())
         return mujoco.MjSpec.from_file(str(arm_files()[arm]))
     if not Path(arm).is_file():
-        raise FungraspError(f"there is no model of an arm '{arm}'")
+        raise FungraspError(f"there is not a model of an arm '{arm}'")
     try:
         spec = mujoco.MjSpec.from_file(arm)
         spec.copy().compile()
     except ValueError as error:
-        raise FungraspError(f"{arm} is no model of an arm: {' '.join(str(error).split())}") from error
+        raise FungraspError(f"{arm} is not a model of an arm: {' '.join(str(error).split())}") from error
     if spec.site(FLANGE_SITE) is None:
         raise FungraspError(f"{arm}: the site '{FLANGE_SITE}' is missing, where a hand is mounted")
     joints = [joint.name for joint in spec.joints]

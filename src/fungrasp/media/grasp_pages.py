@@ -97,8 +97,8 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
         write_page(path, Page("Grasps", reports, hand, words.strip(), page_provenance({}, 0)))
     else:
         raise FungraspError(
-            "a page on disk can be made of grasps, a result or what was perceived, not of "
-            f"{'nothing' if what is None else 'a ' + type(what).__name__}; without out= a browser shows more"
+            "out= writes pages of grasps, results and perceived grasps, not of "
+            f"{'nothing' if what is None else 'a ' + type(what).__name__}; a browser shows more"
         )
     return path
 
@@ -106,11 +106,10 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
 def _write_result(path: Path, result: LiftTestResult) -> None:
     grasps = result.grasps
     if grasps is None:
-        raise FungraspError("the result does not know its grasps: view what evaluate has returned")
+        raise FungraspError("the result has no grasps: view the object that evaluate returned")
     shown = result.outcomes.held_as_shown if result.knows_places else result.success
     rows: list[int] = []
-    # Failures are what one looks for, then what is held otherwise: a third of the pictures each, if there are
-    # as many.
+    # Up to a third of the pictures each: failures, then objects not held as shown.
     for share, flags in ((3, ~result.success), (2, result.success & ~shown), (1, shown)):
         which = np.flatnonzero(flags)
         some = spread_rows(result.object_name[which], (DRAWN_GRASPS - len(rows)) // share)

@@ -69,7 +69,7 @@ def human_hand_mesh(joints: np.ndarray, *, cell: float = 0.0022) -> HandMesh:
         )
     length = float(np.linalg.norm(joints[5] - joints[0]))
     if not 0.03 < length < 0.3:
-        raise FungraspError(f"the joints are no human hand: wrist to middle knuckle is {length:.3g} m")
+        raise FungraspError(f"the joints are not a human hand: wrist to middle knuckle is {length:.3g} m")
     scale = length / REFERENCE_PALM
     palm, fingers = _palm(joints, scale), _fingers(joints, scale)
     cones = [*palm, *(cone for chain in fingers for cone in chain)]

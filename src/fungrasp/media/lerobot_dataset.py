@@ -80,7 +80,7 @@ def write_lerobot_dataset(
         import pyarrow.parquet as pq
     except ImportError as error:
         raise FungraspError(
-            f'LeRobot data sets need a package: pip install "fungrasp[lerobot]" ({error})'
+            f'LeRobot data sets need a package: pip install ".[lerobot]" in the clone ({error})'
         ) from error
     folder = Path(folder)
     _check(episodes, folder)
@@ -134,7 +134,7 @@ def _check(episodes: Sequence[Trajectory], folder: Path) -> None:
     if not episodes:
         raise FungraspError("there are no episodes to export")
     if folder.exists():
-        raise FungraspError(f"{folder} exists already: give another name")
+        raise FungraspError(f"{folder} already exists: give another name")
     hands = sorted({episode.hand for episode in episodes})
     if len(hands) > 1:
         raise FungraspError(f"a data set is of one hand, not of {', '.join(hands)}")

@@ -31,7 +31,9 @@ def write_mcap_episodes(episodes: Sequence[Trajectory], folder: str | Path) -> l
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise FungraspError(f'MCAP files need a package: pip install "fungrasp[deploy]" ({error})') from error
+        raise FungraspError(
+            f'MCAP files need mcap: pip install ".[deploy]" in the clone ({error})'
+        ) from error
     folder, written = Path(folder), []
     folder.mkdir(parents=True, exist_ok=True)
     for episode in episodes:
@@ -63,7 +65,9 @@ def read_mcap_episode(path: str | Path) -> Trajectory:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
     except ImportError as error:
-        raise FungraspError(f'MCAP files need a package: pip install "fungrasp[deploy]" ({error})') from error
+        raise FungraspError(
+            f'MCAP files need mcap: pip install ".[deploy]" in the clone ({error})'
+        ) from error
     try:
         with Path(path).open("rb") as stream:
             reader = make_reader(stream)
@@ -72,7 +76,7 @@ def read_mcap_episode(path: str | Path) -> Trajectory:
         whole = {name: json.loads(value) for name, value in found["episode"].items()}
         columns = {name: [state[name] for state in states] for name in states[0]}
     except (OSError, McapError, KeyError, IndexError, ValueError) as error:
-        raise FungraspError(f"{path} is no episode that was exported: {error}") from error
+        raise FungraspError(f"{path} is not an exported episode: {error}") from error
     kinds = {"link_contacts": bool, "phase": np.int8}
     arrays: dict[str, Any] = {}
     for name, rows in columns.items():

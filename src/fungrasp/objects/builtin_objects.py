@@ -1,4 +1,4 @@
-"""Built-in objects, and plain shapes by their sizes."""
+"""Built-in objects, and plain shapes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ BUILTINS: Mapping[str, tuple[float, str]] = {
 
 
 def load_builtin(name: str, mass: float | None = None) -> ObjectModel:
-    """Read a built-in object. name: a key of ``BUILTINS``. mass: [kg], its own if None."""
+    """Read a built-in object. name: a key of ``BUILTINS``. mass: [kg]; the object's own if None."""
     own, source = BUILTINS[name]
     index = list(BUILTINS).index(name)
     of = {key: rows[index] for key, rows in _meshes().items()}
@@ -94,14 +94,14 @@ def is_plain_shape(name: str) -> bool:
 
 @lru_cache(maxsize=256)
 def plain_shape(name: str, mass: float) -> ObjectModel:
-    """The object that a name describes, its center at the origin, a cylinder's axis along z.
+    """A plain shape from its name, with its center at the origin; the axis of a cylinder is z.
 
     Args:
         name: "box:LENGTHxWIDTHxHEIGHT", "cylinder:DIAMETERxHEIGHT" or "sphere:DIAMETER", in millimeters.
         mass: [kg].
 
     Raises:
-        FungraspError: the name describes no shape, or a size is impossible.
+        FungraspError: not the name of a shape, or an invalid size.
     """
     sizes = _sizes(name)
     kind = name.split(":", 1)[0]
@@ -128,13 +128,13 @@ def lathe(profile: Sequence[tuple[float, float]], segments: int = 40) -> np.ndar
 
 
 def _sizes(name: str) -> list[float]:
-    """The sizes that a name says [m]."""
+    """Sizes in the name of a shape [m]."""
     kind, _, text = name.partition(":")
     wanted = SHAPES.get(kind, ())
     example = f"{kind}:{'x'.join(size.upper() for size in wanted)}" if wanted else "box:60x28x30"
     parts = text.split("x")
     if len(parts) != len(wanted) or not all(re.fullmatch(r"\d{1,4}(\.\d{1,6})?", part) for part in parts):
-        raise FungraspError(f"'{name[:60]}' is no shape: write {example}, sizes in millimeters")
+        raise FungraspError(f"'{name[:60]}' is not a shape: write {example}, sizes in millimeters")
     sizes = [float(part) for part in parts]
     if not SMALLEST <= min(sizes) <= max(sizes) <= LARGEST:
         raise FungraspError(f"'{name}': sizes must be {SMALLEST:g} to {LARGEST:g} mm")

@@ -1,4 +1,4 @@
-"""Reading a mesh file: checked, and repaired where that can be said in a sentence."""
+"""Reading, checking and repairing mesh files."""
 
 from __future__ import annotations
 
@@ -72,15 +72,16 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
 
     Args:
         path: the file, of one of ``MESH_SUFFIXES``; a scene's meshes are joined.
-        repair: mend a surface that is not closed; else that is an error.
+        repair: repair surfaces that are not closed; otherwise they are an error.
 
     Returns:
         vertices: [m], shape [V, 3] float64.
         faces: outward, shape [F, 3] int32.
-        repairs: what was changed, one phrase each; also logged as a warning.
+        repairs: one phrase per repair, also logged as a warning.
 
     Raises:
-        FungraspError: the file is missing, unreadable, empty, not finite, not in meters, or can't be mended.
+        FungraspError: the file is missing, unreadable, empty, not finite, not in meters, or can't be
+            repaired.
     """
     path = Path(path)
     check_file(path, "mesh file", LARGEST)
@@ -105,7 +106,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
 def mend_mesh(
     vertices: np.ndarray, faces: np.ndarray, name: str = "the mesh"
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """A closed surface in meters, from arrays; as ``load_mesh``.
+    """A closed surface in meters from arrays, like ``load_mesh``.
 
     Args:
         vertices: [m], shape [V, 3].
@@ -270,7 +271,7 @@ def _mend(path: Path | str, mesh: trimesh.Trimesh, repairs: list[str]) -> trimes
         if mesh.area > MOST_LAYERS * 2 * (size[0] * size[1] + size[1] * size[2] + size[2] * size[0]):
             length = float(np.max(size)) * 100
             raise FungraspError(
-                f"{path}: loose triangles of {mesh.area:.3g} m2 within {length:.0f} cm are no surface"
+                f"{path}: loose triangles of {mesh.area:.3g} m2 within {length:.0f} cm are not a surface"
             )
         rebuilt = rebuild(mesh)
         if rebuilt is None:

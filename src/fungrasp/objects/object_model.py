@@ -1,4 +1,4 @@
-"""A physical object: its mesh, mass, parts, and what follows from them, how it rests among it."""
+"""A physical object: mesh, mass, parts, and derived quantities such as resting poses."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ GRID_FORMAT = 2
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ObjectModel:
-    """An object. ``fungrasp.objects.load_object`` makes it."""
+    """An object, see ``fungrasp.objects.load_object``."""
 
     name: str
-    """Name by which grasps refer to the object."""
+    """Name of the object in grasps."""
     mass: float
     """Mass [kg]."""
     vertices: np.ndarray
@@ -48,17 +48,17 @@ class ObjectModel:
     faces: np.ndarray
     """Triangles, outward, shape [F, 3] int32."""
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Functional parts by name: which faces belong to it, shape [F] bool; empty for a user's mesh."""
+    """Faces of each functional part by name, shape [F] bool; empty for a user's mesh."""
     construction: tuple[ConvexPiece, ...] = ()
-    """The convex solids a built-in object is the union of; empty for a user's mesh."""
+    """Convex solids that make up a built-in object; empty for a user's mesh."""
     repairs: tuple[str, ...] = ()
-    """What was mended when the mesh was read."""
+    """Repairs made when the mesh was read."""
     source: str = ""
-    """Where the mass and the size come from."""
+    """Source of mass and size."""
     mirror_image: ObjectModel | None = None
-    """The object of which this is the reflection in the plane y = 0."""
+    """The original object, if this is its reflection in the plane y = 0."""
     scaled_from: tuple[ObjectModel, float] | None = None
-    """The object that this is another size of, and the factor."""
+    """The original object and the factor, if this is a scaled object."""
 
     def __repr__(self) -> str:
         return f"<ObjectModel: {self.name!r}, {self.mass:g} kg, {len(self.faces)} triangles>"
@@ -71,14 +71,15 @@ class ObjectModel:
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
-        """The surface, with density so that it has the object's mass; do not change it."""
+        """The surface, with the density set to give the object's mass. Do not modify it."""
         mesh = triangle_mesh(self.vertices, self.faces)
         mesh.density = self.mass / mesh.volume
         return mesh
 
     @cached_property
     def pieces(self) -> tuple[ConvexPiece, ...]:
-        """Convex pieces for physics: the construction of a built-in object, else CoACD's, cached on disk."""
+        """Convex pieces for physics: the solids of a built-in object, otherwise from CoACD, cached on
+        disk."""
         if self.mirror_image is not None:
             reflect = np.array([1.0, -1.0, 1.0])
             pieces = self.mirror_image.pieces
@@ -126,7 +127,7 @@ class ObjectModel:
 
     @cached_property
     def mesh_digest(self) -> str:
-        """SHA-256 of the mesh: the key of what is cached about it."""
+        """SHA-256 of the mesh, the key of its cached data."""
         return mesh_digest(self.vertices, self.faces)
 
     @cached_property

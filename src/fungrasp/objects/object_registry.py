@@ -1,4 +1,4 @@
-"""Finding objects by name: in a folder, ours, another package's (entry point ``fungrasp.objects``)."""
+"""Objects by name: from a folder, built-in, or from other packages (entry point ``fungrasp.objects``)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fungrasp.objects.object_model import ObjectModel
 from fungrasp.objects.object_variants import MIRRORED, mirrored_object
 
 YCB_MESH = "textured_simple.obj"
-"""The one of several meshes in an object's folder that is taken."""
+"""The mesh to use if an object's folder has several."""
 
 
 def object_names() -> tuple[str, ...]:
@@ -33,7 +33,7 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
         mass: [kg]; its own if None.
 
     Raises:
-        FungraspError: no such object, or a mass that is not positive.
+        FungraspError: unknown object, or a mass that is not positive.
     """
     if name not in BUILTINS:
         raise UnknownNameError("object", name, BUILTINS)
@@ -41,16 +41,16 @@ def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
 
 
 def load_object(name: str | Path, mass: float | None = None, folder: str | Path | None = None) -> ObjectModel:
-    """By name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else another package's;
-    ``<name>_mirrored`` is the mirror image of one of them. A name like "box:60x28x30" is the shape itself.
+    """Load an object by name: ``<name>.obj`` (.stl, .ply, .glb) in ``folder``, else built-in, else from
+    another package. ``<name>_mirrored`` is its mirror image. "box:60x28x30" is a plain shape.
 
     Args:
-        name: of the mesh file without suffix, of a built-in object, or of a shape (``plain_shape``); or a
-            ``Path``, of a mesh file (``object_from_file``). A string is never a path: names come from files.
-        mass: [kg]; needed for a mesh or a shape, a built-in object has its own.
+        name: of a mesh file without suffix, a built-in object or a shape (``plain_shape``). A ``Path`` is a
+            mesh file (``object_from_file``); a string is never a path, because names come from files.
+        mass: [kg]; required for a mesh or a shape.
 
     Raises:
-        FungraspError: no such folder or object, a bad mesh, or a missing or bad mass.
+        FungraspError: unknown folder or object, an invalid mesh, or a missing or invalid mass.
     """
     if isinstance(name, Path):
         return object_from_file(name, mass)
@@ -71,8 +71,8 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
 
 
 def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
-    """Mesh file of every object that is one, by name: other packages' and, before those, the folder's. An
-    object may also have a folder of its own there, with one mesh in it or ``textured_simple.obj`` (YCB).
+    """Mesh files by object name, from the folder and from other packages. An object may have its own
+    subfolder with a single mesh, or with ``textured_simple.obj`` (YCB).
 
     Raises:
         FungraspError: the folder does not exist.
@@ -82,10 +82,10 @@ def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
 
 
 def object_from_file(path: str | Path, mass: float | None, name: str = "") -> ObjectModel:
-    """An object from a mesh file; its name is the file's without suffix unless it is given.
+    """An object from a mesh file. Default name: that of the file without suffix.
 
     Raises:
-        FungraspError: a bad mesh, or a missing or bad mass.
+        FungraspError: invalid mesh, or missing or invalid mass.
     """
     path = Path(path)
     if mass is None:
@@ -129,14 +129,14 @@ def _packaged_meshes() -> dict[str, Path]:
 
 
 def check_objects(names: Iterable[str], objects: Mapping[str, ObjectModel]) -> None:
-    """Complain about objects that are missing.
+    """Check that all objects are given.
 
     Args:
-        names: of the objects that are needed.
-        objects: those that are given, by name.
+        names: of the required objects.
+        objects: the given objects by name.
 
     Raises:
-        FungraspError: names the first that is missing, and those that are given.
+        FungraspError: an object is missing.
     """
     if not isinstance(objects, Mapping):
         raise FungraspError(

@@ -1,4 +1,4 @@
-"""Objects in other sizes, with their mass elsewhere, and in a mirror."""
+"""Scaled and mirrored objects, and objects with a shifted center of mass."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fungrasp.objects.object_model import ObjectModel
 
 
 def scaled_name(name: str, factor: float) -> str:
-    """Name of an object of another size; the object's own for a factor of 1."""
+    """Name of a scaled object; unchanged for a factor of 1."""
     return name if factor == 1.0 else f"{name} x{factor:g}"
 
 
 def scaled_object(model: ObjectModel, factor: float) -> ObjectModel:
-    """The same object, all lengths times a factor, of the same mass.
+    """The object scaled by a factor, with the same mass.
 
     Args:
         factor: on its size, positive.
@@ -34,10 +34,10 @@ def scaled_object(model: ObjectModel, factor: float) -> ObjectModel:
 
 
 def with_sizes(objects: Mapping[str, ObjectModel], factors: Iterable[float]) -> dict[str, ObjectModel]:
-    """Each object in several sizes, by ``scaled_name``.
+    """Scaled versions of each object, by ``scaled_name``.
 
     Args:
-        factors: on their sizes; 1 is always among the results.
+        factors: on the size; 1 is always included.
     """
     return {
         scaled_name(name, factor): scaled_object(model, factor)
@@ -76,7 +76,7 @@ def shifted_mass(
 
 
 MIRRORED = "_mirrored"
-"""At the end of the name of an object that is the mirror image of another."""
+"""Suffix of the names of mirrored objects."""
 
 
 def mirrored_name(name: str) -> str:
@@ -85,9 +85,9 @@ def mirrored_name(name: str) -> str:
 
 
 def mirrored_object(model: ObjectModel) -> ObjectModel:
-    """The object reflected in the plane y = 0 of its frame, where it keeps its mass and its parts.
+    """The object reflected in the plane y = 0 of its frame, with the same mass and parts.
 
-    Convex pieces and the signed distance are reflections too, so that they are exactly alike.
+    Convex pieces and signed distances are exact reflections.
     """
     return ObjectModel(
         mirrored_name(model.name),

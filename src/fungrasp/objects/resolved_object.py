@@ -1,4 +1,4 @@
-"""The object that somebody holds in an image: a mesh file, a built-in object or a plain shape."""
+"""Objects from a mesh, a mesh file, a built-in object or a plain shape, with a guessed mass if necessary."""
 
 from __future__ import annotations
 
@@ -40,21 +40,20 @@ EIGHT_OF_TEN = 1.28
 
 @dataclass(frozen=True, eq=False)
 class ResolvedObject:
-    """An object, and what perception can make use of beyond its shape."""
+    """An object with additional data for perception."""
 
     model: ObjectModel
     """Mesh, mass and inertia of the object."""
     colored: trimesh.Trimesh | None = None
-    """The same with the colors of its mesh file, if it has any: they tell apart the sides of a nearly
-    symmetric object."""
+    """Mesh with the colors of the file, if any. They distinguish the sides of nearly symmetric objects."""
     notes: tuple[str, ...] = ()
-    """Assumptions that were made, as sentences to print."""
+    """Assumptions, as sentences to print."""
     mass_range: tuple[float, float] | None = None
-    """Between which the mass lies in eight of ten cases, where it was guessed [kg]."""
+    """80 % interval of a guessed mass [kg]."""
 
     @property
     def mass_spread(self) -> float | None:
-        """Standard deviation of the logarithm of the mass, where it was guessed."""
+        """Standard deviation of the logarithm of a guessed mass."""
         if self.mass_range is None:
             return None
         return float(np.log(self.mass_range[1] / self.mass_range[0])) / (2 * EIGHT_OF_TEN)
@@ -63,22 +62,22 @@ class ResolvedObject:
 def resolve_object(
     obj: ObjectModel | ResolvedObject | trimesh.Trimesh | str | Path, mass: float | None = None
 ) -> ResolvedObject:
-    """The object by its mesh file or its name.
+    """An object from a mesh file or a name.
 
     Args:
         obj: a mesh file [m], the name of a built-in object, or a shape, "box:60x28x30"; a file of that name
             comes first. Or the object itself, or its mesh as arrays.
-        mass: [kg]; None takes a built-in object's own, or guesses it from the size of the mesh.
+        mass: [kg]. None: known for built-in objects, otherwise guessed from the size of the mesh.
 
     Raises:
-        FungraspError: there is no such file or object, the mesh is bad, or the mass, or nothing is so dense;
-            or an object that has its mass is given another.
+        FungraspError: unknown file or object, an invalid mesh or mass, an impossible density, or a mass for
+            an object that already has one.
     """
     if isinstance(obj, ResolvedObject):
         return obj
     if isinstance(obj, ObjectModel):
         if mass is not None:
-            raise FungraspError(f"'{obj.name}' has its mass, {obj.mass:.4g} kg: give a mass with a mesh only")
+            raise FungraspError(f"'{obj.name}' already has a mass, {obj.mass:.4g} kg: leave out mass=")
         return ResolvedObject(obj)
     if not isinstance(obj, str | Path):
         model = object_from_mesh(obj, mass)
@@ -108,16 +107,16 @@ def resolve_object(
 def object_from_mesh(
     mesh: trimesh.Trimesh | str | Path, mass: float | None = None, name: str = ""
 ) -> ObjectModel:
-    """An object from a mesh, which is mended if it is not closed.
+    """An object from a mesh, which is repaired if it is not closed.
 
     Args:
         mesh: [m]: anything with ``vertices`` and ``faces``, as trimesh has them, or a file.
         mass: [kg]; None: guessed from the size of the mesh, with a warning.
-        name: by which grasps refer to the object; a file's own name, or "object", if empty.
+        name: of the object in grasps. Default: the file's name, or "object".
 
     Raises:
-        FungraspError: the file can't be read, the surface can't be mended or is not in meters, or no possible
-            mass.
+        FungraspError: the file can't be read, the surface can't be repaired or is not in meters, or the mass
+            is invalid.
     """
     if isinstance(mesh, str | Path):
         vertices, faces, repairs = load_mesh(mesh)
@@ -141,13 +140,13 @@ def object_from_mesh(
 def _check_density(model: ObjectModel, volume: float) -> None:
     """
     Raises:
-        FungraspError: nothing is so dense.
+        FungraspError: impossible density.
     """
     density = model.mass / volume
     if density > DENSEST:
         raise FungraspError(
-            f"'{model.name}': {model.mass:g} kg in its size is {density:,.0f} kg/m3, denser than anything "
-            f"({DENSEST:,.0f}): is the mass in grams?"
+            f"'{model.name}': {model.mass:g} kg at this size is {density:,.0f} kg/m3, denser than any "
+            f"material ({DENSEST:,.0f}): is the mass in grams?"
         )
 
 

@@ -70,8 +70,7 @@ def check_attempts(attempts: int, watches: bool) -> None:
         raise FungraspError(f"there must be 1 attempt or more, not {attempts}")
     if attempts > 1 and not watches:
         raise FungraspError(
-            "a plan that is played blindly can't be tried again, as nothing says that it failed: take "
-            "--policy student, or --attempts 1"
+            "an open-loop policy can't notice that it failed: several attempts need --policy student"
         )
 
 

@@ -25,7 +25,7 @@ class GivenPlans:
             FungraspError: plans for other grasps.
         """
         if not isinstance(plans, GraspPlan):
-            raise FungraspError(f"expected plans as fungrasp.plan returns, not a {type(plans).__name__}")
+            raise FungraspError(f"expected the plans of fungrasp.plan, not a {type(plans).__name__}")
         if len(plans) != len(grasps):
             raise FungraspError(f"there are {len(plans)} plans for {len(grasps)} grasps")
         if plans.hand != grasps.hand:

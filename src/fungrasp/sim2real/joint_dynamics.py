@@ -1,4 +1,4 @@
-"""How the joints of one particular hand move: what identification finds and a hand model takes."""
+"""Identified joint dynamics of a particular hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TORQUE_LIMIT = "torque_limit"
 
 @dataclass(frozen=True, eq=False)
 class JointDynamics:
-    """Second-order joints with Coulomb friction behind position servos, with a delay common to all:
+    """Second-order joints with Coulomb friction and position servos, with a common delay:
 
     (inertia + armature) a = stiffness (u(t - delay) - q) - damping v - friction sign(v) - weight
     """
@@ -29,17 +29,17 @@ class JointDynamics:
     joints: tuple[str, ...]
     """Names of the joints, length J: independent joints of a hand."""
     stiffness: np.ndarray
-    """Of the servos [N m/rad], shape [J]."""
+    """Stiffness of the servos [N m/rad], shape [J]."""
     damping: np.ndarray
-    """Of joint and servo together [N m s/rad], shape [J]."""
+    """Damping of joint and servo together [N m s/rad], shape [J]."""
     friction: np.ndarray
-    """[N m], shape [J]."""
+    """Dry friction [N m], shape [J]."""
     armature: np.ndarray
     """Inertia of the drives at the joints [kg m^2], shape [J]."""
     delay: float
-    """From a command to its first effect [s]."""
+    """Delay from a command to its first effect [s]."""
     torque_limit: np.ndarray | None = None
-    """Largest torque of the servos [N m], shape [J]; None for what the model says."""
+    """Largest torque of the servos [N m], shape [J]; None for the model's."""
 
     def __post_init__(self) -> None:
         for name in (*QUANTITIES, TORQUE_LIMIT):
@@ -57,7 +57,7 @@ class JointDynamics:
 
 
 def model_dynamics(hand: Hand) -> JointDynamics:
-    """What the model of a hand assumes; no delay."""
+    """Dynamics of the hand's model, without delay."""
     model = hand.model
     rows = [model.joint(name).dofadr[0] for name in hand.actuators]
     servos = hand.actuators.values()
@@ -90,17 +90,17 @@ def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
 
 
 def identified_hand(hand: Hand | str, path: str | Path | None) -> Hand:
-    """A hand whose servos and joints have identified dynamics, for everything that plans or trains.
+    """A hand with identified dynamics, for planning and training.
 
     A torque constant scales all that a servo makes, so that its own damping goes with its stiffness; the rest
     of the damping is the joint's. The delay is not part of a hand.
 
     Args:
-        hand: as its files describe it, its name, or the path of its TOML file.
-        path: what ``save_dynamics`` has written; the hand stays as it is if None.
+        hand: a hand, its name, or the path of its TOML file.
+        path: file of ``save_dynamics``; the hand is unchanged if None.
 
     Raises:
-        FungraspError: the file can't be read, or names joints or quantities that there are not.
+        FungraspError: the file can't be read, or has unknown joints or quantities.
     """
     hand = as_hand(hand)
     if path is None:
@@ -150,10 +150,10 @@ def save_dynamics(
 
 
 def load_dynamics(path: str | Path, hand: Hand) -> JointDynamics:
-    """Read what ``save_dynamics`` has written; joints that it lacks keep the model's values.
+    """Read a file of ``save_dynamics``. Missing joints keep the model's values.
 
     Raises:
-        FungraspError: the file can't be read, or names joints or quantities that there are not.
+        FungraspError: the file can't be read, or has unknown joints or quantities.
     """
     data, model = read_toml(Path(path), "hand dynamics"), model_dynamics(hand)
     values = {quantity: getattr(model, quantity).copy() for quantity in QUANTITIES}

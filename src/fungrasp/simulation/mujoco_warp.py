@@ -61,7 +61,7 @@ class MujocoWarpWorlds(MujocoArrays):
         self._lib = open_warp(device)
         warp, mjw, torch = self._lib.warp, self._lib.mujoco, self._lib.torch
         if scene.settings.noslip_iterations:
-            raise FungraspError("the GPU engine has no iterations against creep: --noslip needs --device cpu")
+            raise FungraspError("--noslip needs --device cpu: the GPU engine does not support it")
         self.sizes = sizes or probe_buffer_sizes(scene)
         self._device = torch.device(self._lib.device)
         host = host_model(scene.model)

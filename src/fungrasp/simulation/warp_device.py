@@ -34,7 +34,7 @@ from fungrasp.simulation.scene import Scene
 
 _log = logging.getLogger(__name__)
 
-INSTALL = 'pip install "fungrasp[gpu]"'
+INSTALL = 'pip install ".[gpu]"'
 KERNELS = "kernels"
 """Kind of the compiled kernels in the package's cache."""
 VERSIONS = "versions.json"

@@ -164,7 +164,7 @@ def choose_grasps(
     good = candidates.good(max_penetration, max_cost)
     rows = _best(candidates, specs, good, min_difference)
     if not rows:
-        raise FungraspError("none of the specified grasps can be met")
+        raise FungraspError("no grasp meets any of the specifications")
     chosen = candidates.specification[rows].tolist()
     names = [specs[i].object for i in chosen]
     pose = np.array([specs[i].rest_pose(objects[specs[i].object]) for i in chosen]).reshape(-1, 7)

@@ -23,7 +23,7 @@ def check_policy(policy: Any) -> None:
     """
     name = policy.__name__ if isinstance(policy, type) else type(policy).__name__
     if isinstance(policy, type):
-        raise FungraspError(f"the policy is the class {name}: give an object of it, {name}()")
+        raise FungraspError(f"the policy is the class {name}: pass an instance, {name}()")
     acts = callable(getattr(policy, "act", None)) or callable(getattr(policy, "act_privileged", None))
     lacking = [] if callable(getattr(policy, "reset", None)) else ["reset(plan, observation)"]
     lacking += [] if acts else ["act(observation)"]

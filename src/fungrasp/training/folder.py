@@ -158,7 +158,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """
     data = read_bytes(path, "checkpoint", LARGEST_CHECKPOINT)
     if not data.startswith(MAGIC):
-        raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
+        raise FungraspError(f"{path} is not a checkpoint of this version of fungrasp")
     said, payload = data[len(MAGIC) : len(MAGIC) + DIGITS], data[len(MAGIC) + DIGITS + 1 :]
     found = hashlib.sha256(payload).hexdigest()
     if said != found.encode():
@@ -171,7 +171,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     except Exception as error:
         raise FungraspError(f"cannot read the checkpoint {path}: {' '.join(str(error).split())}") from error
     if not isinstance(state, dict):
-        raise FungraspError(f"{path} is no checkpoint of this version of fungrasp")
+        raise FungraspError(f"{path} is not a checkpoint of this version of fungrasp")
     return state
 
 

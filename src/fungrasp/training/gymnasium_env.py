@@ -31,7 +31,7 @@ try:
     from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise FungraspError(
-        'environments of Gymnasium need the package gymnasium: pip install "fungrasp[gymnasium]"'
+        'environments of Gymnasium need the package gymnasium: pip install ".[gymnasium]" in the clone'
     ) from error
 
 ID = "fungrasp/Lift-v0"

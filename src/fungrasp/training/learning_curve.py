@@ -146,7 +146,7 @@ def read_curve(path: Path) -> list[CurvePoint]:
             raise ValueError("other columns")
         return [CurvePoint(int(steps), *map(float, others)) for steps, *others in rows[1:]]
     except (ValueError, TypeError, IndexError) as error:
-        raise FungraspError(f"{path} is damaged, or no learning curve") from error
+        raise FungraspError(f"{path} is damaged, or not a learning curve") from error
 
 
 ACROSS = ((0, 1e-6, "control steps [millions]"), (1, 1 / 60, "time [min]"))

@@ -144,11 +144,11 @@ class CurveSettings:
         """
         if not 0 <= self.every < 1e15 or not 0 <= self.held_out < 1 or self.seed < 0:
             raise FungraspError(
-                "a curve has a point in every so many steps (0: none), a share held out of 0 to below 1 and "
-                f"a seed of 0 or more, not {self.every:g}, {self.held_out:g} and {self.seed}"
+                "a curve needs every of 0 (no curve) or more, held_out from 0 to below 1 and a seed of 0 or "
+                f"more, not {self.every:g}, {self.held_out:g} and {self.seed}"
             )
         if self.held_out and not self.every:
-            raise FungraspError("grasps are held out for the curve, which is switched off")
+            raise FungraspError("--curve.held-out needs a learning curve, but --curve.every is 0")
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class TrainSpec:
         check_numbers(self.steps, self.seed, self.threads)
         if self.ppo.imitate and self.environment.residual.base == "plan":
             raise FungraspError(
-                "actions that change planned motions follow them from the first step: to imitate them, give "
+                "corrections follow the planned motion from the start: --ppo.imitate needs "
                 "--environment.residual.base guided"
             )
         if self.steps < self.ppo.imitate:

@@ -80,7 +80,9 @@ def train(
         open_warp(device)
     with joined(device) as processes:
         if spec.ppo.imitate and processes.count > 1:
-            raise FungraspError("motions are imitated by one process: leave torchrun or --ppo.imitate out")
+            raise FungraspError(
+                "--ppo.imitate works in one process only: leave out torchrun or --ppo.imitate"
+            )
         _train(Path(folder), sets, hand, spec, processes, planning, progress)
     return Path(folder) / POLICY
 

@@ -152,7 +152,7 @@ def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
     name = type(what).__name__
     if name not in KINDS:
         known = ", ".join(words for words, _ in KINDS.values())
-        raise FungraspError(f"{known}, and their files, can be viewed, not a {name}")
+        raise FungraspError(f"can't view a {name}; {known}, and their files, can be viewed")
     return KINDS[name][1](what, objects, hand)
 
 

@@ -128,7 +128,7 @@ class ShownResult:
         try:
             where = _beside(path, options.get("--grasps"))
             if where is None:
-                raise FungraspError("the file of the grasps is not where it was")
+                raise FungraspError("the grasp file was moved or deleted")
             grasps = load_robot_grasps(where)
             objects = load_objects(grasps, _beside(path, options.get("--objects")))
         except FungraspError as error:

@@ -47,7 +47,7 @@ NARROW = f"""<style>@media (max-width: 36em) {{
 """On a phone viser's controls are a sheet at the right lower corner, over most of the picture: here it is as
 wide as the screen, the scene above it, and a tap on its title folds it."""
 
-MISSING = 'the interactive page needs packages that are not installed: pip install "fungrasp[viewer]"'
+MISSING = 'the interactive page needs packages that are not installed: pip install ".[viewer]" in the clone'
 
 
 class Viewer:

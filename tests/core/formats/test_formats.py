@@ -161,7 +161,7 @@ def test_meshes(tmp_path):
     vertices, faces = read_mesh(tmp_path / "box.obj")
     assert vertices.shape == (8, 3) and faces.shape == (12, 3)
     refused(read_mesh, tmp_path / "x.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n", "cannot read|no faces")
-    with pytest.raises(FungraspError, match="no regular file"):
+    with pytest.raises(FungraspError, match="not a regular file"):
         read_mesh("/dev/zero")
 
 
@@ -310,7 +310,7 @@ def test_files_that_are_none(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path, words in (
         (tmp_path, "is a folder"),
-        (tmp_path / "pipe", "no regular file"),
+        (tmp_path / "pipe", "not a regular file"),
         (tmp_path / "no", "not exist"),
     ):
         with pytest.raises(FungraspError, match=words):

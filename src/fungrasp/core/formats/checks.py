@@ -23,7 +23,7 @@ def check_file(path: str | Path, what: str, largest: int) -> Path:
     """The path, if it is a file of at most ``largest`` bytes.
 
     Raises:
-        FungraspError: it does not exist, is no regular file or is larger.
+        FungraspError: it does not exist, is not a regular file or is larger.
     """
     path = Path(path)
     try:
@@ -35,7 +35,7 @@ def check_file(path: str | Path, what: str, largest: int) -> Path:
     if stat.S_ISDIR(status.st_mode):
         raise FungraspError(f"the {what} {one_line(path)} is a folder: give a file in it")
     if not stat.S_ISREG(status.st_mode):
-        raise FungraspError(f"the {what} {one_line(path)} is no regular file")
+        raise FungraspError(f"the {what} {one_line(path)} is not a regular file")
     if status.st_size > largest:
         raise FungraspError(
             f"the {what} {one_line(path)} has {status.st_size / 1e6:,.0f} MB; at most {largest / 1e6:,.0f} "
@@ -67,7 +67,7 @@ def read_text(path: str | Path, what: str, largest: int = 4_000_000) -> str:
     try:
         return read_bytes(path, what, largest).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise FungraspError(f"the {what} {one_line(path)} is no text in UTF-8: {error.reason}") from error
+        raise FungraspError(f"the {what} {one_line(path)} is not UTF-8 text: {error.reason}") from error
 
 
 def check_tree(tree: Any, where: str) -> None:

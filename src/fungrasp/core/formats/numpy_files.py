@@ -94,7 +94,7 @@ def _members(archive: zipfile.ZipFile, where: str, most: int) -> dict[str, zipfi
     for member in members:
         name = member.filename.removesuffix(".npy")
         if name == member.filename:
-            raise FungraspError(f"{_field(where, name)} is no array")
+            raise FungraspError(f"{_field(where, name)} is not an array")
         if name in found:
             raise FungraspError(f"{_field(where, name)} is there twice")
         if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -118,7 +118,7 @@ def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
                 f"{where} holds Python objects; only numbers, flags and text are read"
             ) from None
         # Python's own parser reads the header, which can raise almost any exception.
-        raise FungraspError(f"{where} can't be read: no array of NumPy, or a damaged one") from error
+        raise FungraspError(f"{where} can't be read: not a NumPy array, or damaged") from error
     if array.dtype.kind not in "biufSU":
         raise FungraspError(
             f"{where} holds {one_line(array.dtype, 60)}; only numbers, flags and text are read"

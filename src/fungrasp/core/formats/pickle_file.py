@@ -85,7 +85,7 @@ class _DType:
     def __init__(self, code: str, *_: Any):
         self.dtype = np.dtype(code)
         if self.dtype.kind not in "biufSUO":
-            raise FungraspError(f"it holds an array of {self.dtype}, which is no plain data")
+            raise FungraspError(f"it holds an array of {self.dtype}, which is not plain data")
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         if state[1] in ("<", ">"):
@@ -94,7 +94,7 @@ class _DType:
     def array(self, data: Any, shape: Any, fortran: Any) -> np.ndarray:
         """The array of these bytes; a view of them, as far as the order of bytes allows."""
         if self.dtype.hasobject:
-            raise FungraspError("it holds an array of objects, which is no plain data")
+            raise FungraspError("it holds an array of objects, which is not plain data")
         raw = data.encode("latin1") if isinstance(data, str) else data
         array = np.frombuffer(raw, self.dtype).reshape(shape, order="F" if fortran else "C")
         return array.astype(self.dtype.newbyteorder("="), copy=False)
@@ -293,4 +293,4 @@ def _plain(value: Any) -> Any:
     plain = bool | int | float | complex | str | bytes | bytearray | set | frozenset | np.generic | None
     if isinstance(value, plain):
         return value
-    raise FungraspError(f"it holds a {type(value).__name__.strip('_')}, which is no plain data")
+    raise FungraspError(f"it holds a {type(value).__name__.strip('_')}, which is not plain data")

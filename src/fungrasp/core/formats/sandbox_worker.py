@@ -102,7 +102,7 @@ def _trimesh_load(path: str, **options: bool) -> Any:
     if path.lower().endswith(".dae"):
         if importlib.util.find_spec("collada") is None:
             raise ValueError(
-                'a .dae file needs pycollada: pip install "fungrasp[collada]", or convert it to .obj'
+                'a .dae file needs pycollada: pip install ".[collada]" in the clone, or convert it to .obj'
             )
         return _as_collada_says(load(path, force="mesh", process=False, **options), Path(path).read_bytes())
     try:

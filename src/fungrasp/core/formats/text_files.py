@@ -134,7 +134,7 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     try:
         import yaml
     except ImportError as error:
-        raise FungraspError('reading DexYCB needs PyYAML: pip install "fungrasp[dexycb]"') from error
+        raise FungraspError('reading DexYCB needs PyYAML: pip install ".[dexycb]" in the clone') from error
 
     class Loader(yaml.SafeLoader):
         """Plain data and tuples."""

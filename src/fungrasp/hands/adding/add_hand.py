@@ -65,7 +65,7 @@ def add_hand(
 
     Raises:
         FungraspError: the file can't be read, something can't be decided (the message names the option that
-            does), or the folder holds a hand already.
+            does), or the folder already holds a hand.
     """
     path, answers = Path(path), answers or Answers()
     name = name or re.sub(r"\W+", "_", path.stem).strip("_").lower() or "hand"
@@ -74,7 +74,7 @@ def add_hand(
     if path.resolve() == model_path.resolve():
         raise FungraspError(f"{path} would be overwritten; choose another folder than {folder}")
     if not force and (toml_path.exists() or model_path.exists()):
-        raise FungraspError(f"{folder} holds a hand already; --force overwrites it")
+        raise FungraspError(f"{folder} already holds a hand; --force overwrites it")
     foreign = read_foreign(path, answers.palm, [coupling.joint for coupling in answers.couplings])
     answers = replace(answers, palm=foreign.palm)
     findings = foreign.findings

@@ -205,7 +205,7 @@ def card_from_text(text: str | bytes) -> PolicyCard:
     version = values.get("format_version")
     if version != FORMAT_VERSION:
         raise FungraspError(
-            f"its policy card is of format {version!r}; this version of fungrasp reads {FORMAT_VERSION}"
+            f"its policy card has format {version!r}; this version of fungrasp reads {FORMAT_VERSION}"
         )
     hints = get_type_hints(PolicyCard)
     needed = [f.name for f in fields(PolicyCard) if f.default is MISSING and f.default_factory is MISSING]

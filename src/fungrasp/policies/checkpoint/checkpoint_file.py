@@ -250,7 +250,7 @@ def _sealed(model: bytes | ModelProto, text: str) -> bytes:
         import onnx
     except ImportError as error:
         raise FungraspError(
-            'writing a policy needs the package onnx: pip install "fungrasp[learning]"'
+            'writing a policy needs the package onnx: pip install ".[learning]" in the clone'
         ) from error
     try:
         sealed = onnx.load_from_string(model if isinstance(model, bytes) else model.SerializeToString())
@@ -448,7 +448,7 @@ def onnx_runtime() -> ModuleType:
     except ImportError as error:
         raise FungraspError(
             "a learned policy runs on ONNX Runtime, which is not installed: pip install onnxruntime "
-            '(training also needs: pip install "fungrasp[learning]")'
+            '(training also needs: pip install ".[learning]" in the clone)'
         ) from error
     onnxruntime.disable_telemetry_events()
     return onnxruntime

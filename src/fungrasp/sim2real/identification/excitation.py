@@ -1,4 +1,4 @@
-"""Commands that excite a hand's joints for identification: a sum of sines, one finger after the other.
+"""Excitation of a hand's joints for identification: sums of sines, one finger after the other.
 
 Lines of one period: multiples of the slowest frequency up to the fastest, evenly spread on a logarithmic
 scale, dealt in turn to the joints of a finger, so that no two of them share one. Amplitudes fall with the
@@ -44,28 +44,28 @@ CHECKED_EVERY = 2
 
 @dataclass(frozen=True)
 class Excitation:
-    """How joints are excited: one finger at a time while the others hold, from rest to rest.
+    """Settings of the excitation: one finger at a time, from rest to rest, while the others hold.
 
     The amplitude of a joint is the largest that keeps its reach, the speed and, where ``safe_motion`` makes
     the motion, the torque.
     """
 
     seconds: float = 8.0
-    """Of each finger [s], rest before and after included."""
+    """Duration per finger [s], including rest before and after."""
     rate: float = 100.0
     """Commands per second."""
     reach: float = 0.15
-    """Farthest from the middle of the motion, as a share of each joint's range."""
+    """Largest distance from the middle of the motion, as a share of each joint's range."""
     slowest: float = 0.2
-    """The slowest sine, and the distance of two lines [Hz]."""
+    """Lowest frequency, and distance between two frequencies [Hz]."""
     fastest: float = 8.0
-    """The fastest sine [Hz]: what is slower tells delay from inertia half as well."""
+    """Highest frequency [Hz]; lower values separate delay and inertia less well."""
     speed: float = 0.5
     """Largest speed of a command, as a share of the driver's limit."""
     torque: float = 0.5
-    """Largest torque that a servo may need by the hand's model, as a share of its limit."""
+    """Largest torque of a servo according to the hand's model, as a share of its limit."""
     seed: int = 0
-    """Decides by how much the lines of the joints begin later."""
+    """Random seed of the phases."""
 
     def __post_init__(self) -> None:
         if not 2 * (REST + RAMP) < self.seconds <= 300 or not 5 <= self.rate <= 500:

@@ -1,4 +1,4 @@
-"""Fits joint dynamics to a log by bounded Gauss-Newton.
+"""Fit of joint dynamics to a log by bounded Gauss-Newton.
 
 minimize over (delay; logarithms of stiffness, damping, friction, armature of each joint; its drive's errors)
     sum (q_simulated(t) - q_measured(t))^2 / sigma^2 + sum (log factor)^2 / prior^2
@@ -34,30 +34,30 @@ ERRORS = ("offset", "backlash")
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What is fitted, and between which bounds."""
+    """Settings of the fit."""
 
     fixed: tuple[str, ...] = ()
-    """Quantities that keep the model's values: "stiffness" where the host computes the torques."""
+    """Quantities that keep the model's values: "stiffness" if the computer controls the torques."""
     range: float = 30.0
     """Each quantity stays within this factor of the model's value."""
     longest_delay: float = 0.15
     """[s]."""
     errors: tuple[str, ...] = ()
-    """Errors of the drives that are fitted too: "offset" of the encoders, "backlash"."""
+    """Drive errors to fit too: "offset" (of the encoders), "backlash"."""
     largest_error: float = 0.05
     """Bound of both [rad]."""
     bound: float = 0.5
-    """A quantity whose standard deviation, relative to it, is larger by the log alone is not identified: it
-    keeps the model's value."""
+    """Largest relative standard deviation of an identified quantity. Other quantities keep the model's
+    values."""
     prior: float = float("inf")
-    """Standard deviation of the logarithms of the factors on the model's values; infinite for none. It
-    decides where the log does not."""
+    """Prior: standard deviation of the logarithms of factors on the model's values; infinite for no prior. It
+    decides what the log does not determine."""
     least: float = 1e-4
-    """Quantities that are zero in the model start here."""
+    """Start value of quantities that are zero in the model."""
     noise: float = 1e-3
-    """Standard deviation of measured positions, for the uncertainties' floor [rad]."""
+    """Noise of measured positions, a lower bound for uncertainties [rad]."""
     iterations: int = 60
-    """Of Gauss-Newton."""
+    """Iterations of Gauss-Newton."""
 
     def __post_init__(self) -> None:
         for name in self.fixed:
@@ -70,7 +70,7 @@ class FitSettings:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedDynamics:
-    """What a fit has found."""
+    """Result of a fit."""
 
     dynamics: JointDynamics
     """Of the joints of the log."""
@@ -92,15 +92,15 @@ class IdentifiedDynamics:
 def fit_dynamics(
     hand: Hand, log: MotionLog | Sequence[MotionLog], settings: FitSettings | None = None
 ) -> IdentifiedDynamics:
-    """Fit the dynamics of the joints of a log, or of several logs of the same joints, with gravity from
-    several sides for instance.
+    """Fit joint dynamics to a log, or to several logs of the same joints, for example with different
+    directions of gravity.
 
     Where some of the logs are with weights on the fingertips and some without, each kind is fitted by itself:
     those with weights tell the stiffness, those without the ratios of all else to it. (In one fit of both,
     friction that falls with speed, which the model has not, is paid for by inertia.)
 
     Raises:
-        FungraspError: a log is too short, does not excite a joint, or has joints that the hand has not.
+        FungraspError: a log is too short, does not excite a joint, or has unknown joints.
     """
     settings = settings or FitSettings()
     logs = (log,) if isinstance(log, MotionLog) else tuple(log)

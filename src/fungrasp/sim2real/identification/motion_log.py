@@ -1,4 +1,4 @@
-"""A log of a hand's motion: what was commanded and what was measured, each with its own time.
+"""A log of a hand's motion: commands and measurements with their times.
 
 Fingers that were excited one after the other are simulated at the same time, as with the palm held still none
 moves another: the segments of a log are put side by side (``JointSamples``).
@@ -43,7 +43,7 @@ class MotionLog:
     times: np.ndarray
     """When each row was commanded [s], shape [T], increasing."""
     commands: np.ndarray
-    """Goals of the joints that held from each time on [rad], shape [T, J]."""
+    """Goals of the joints from each time on [rad], shape [T, J]."""
     positions: np.ndarray
     """Measured positions [rad], shape [T, J]."""
     gravity: np.ndarray
@@ -194,7 +194,7 @@ class MotionLogWriter:
         self.path, self.rows = Path(path), 0
         self._stream: IO[str] | None = None
         if self.path.exists():
-            raise FungraspError(f"the log {path} exists already: give another name")
+            raise FungraspError(f"the log {path} already exists: give another name")
 
     def add(self, header: MotionHeader, sample: MotionSample) -> None:
         """Write a row, before the first one the header. Raises: FungraspError: it can't be written."""
@@ -252,7 +252,7 @@ def motion_log(header: MotionHeader, samples: Sequence[MotionSample]) -> MotionL
 
 
 def load_motion_log(path: str | Path) -> MotionLog:
-    """Read what ``MotionLogWriter`` has written, one that was broken off included.
+    """Read a log of ``MotionLogWriter``, complete or not.
 
     Raises:
         FungraspError: the file is missing, of another kind or inconsistent.
@@ -261,7 +261,7 @@ def load_motion_log(path: str | Path) -> MotionLog:
     try:
         about = json.loads(lines[0])
         if about["kind"] != KIND:
-            raise FungraspError(f"{path} is no motion log")
+            raise FungraspError(f"{path} is not a motion log")
         header = MotionHeader(
             tuple(str(name) for name in about["joints"]),
             np.array(about["gravity"], dtype=float),
@@ -274,7 +274,7 @@ def load_motion_log(path: str | Path) -> MotionLog:
     except FungraspError as error:
         raise FungraspError(f"{path}: {error}") from error
     except (ValueError, TypeError, KeyError, IndexError, UnicodeDecodeError, RecursionError) as error:
-        raise FungraspError(f"{path} is no motion log, or a damaged one") from error
+        raise FungraspError(f"{path} is not a motion log, or a damaged one") from error
 
 
 def _header_words(header: MotionHeader) -> dict[str, Any]:
