@@ -1,4 +1,4 @@
-"""What is drawn for episodes, and poses that are off by it."""
+"""Random parameters of episodes, and poses with errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fungrasp.sim2real.randomization import MeasurementError, Randomization, Ran
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EpisodeSample(BatchRecord):
-    """What was drawn for W episodes of a hand with M joints; P pushes."""
+    """Random parameters of W episodes, for a hand with M joints and P pushes."""
 
     joint_damping: np.ndarray
     """Factor on the damping of each joint, shape [W, M]."""
@@ -29,14 +29,14 @@ class EpisodeSample(BatchRecord):
     joint_friction: np.ndarray
     """Dry friction of each joint as a fraction of its servo's torque limit, shape [W, M]."""
     encoder_bias: np.ndarray
-    """Error of each joint's encoder [rad], shape [W, M]."""
+    """Encoder error of each joint [rad], shape [W, M]."""
     backlash: np.ndarray
-    """Play of each joint, either way [rad], shape [W, M]."""
+    """Backlash of each joint, in either direction [rad], shape [W, M]."""
     wrist_offset: np.ndarray
-    """Where the palm is, from where the arm believes it: offset [m], world frame, and rotation vector [rad],
-    palm frame, shape [W, 6]."""
+    """Calibration error of the palm: offset [m], world frame, and rotation vector [rad], palm frame, shape
+    [W, 6]."""
     wrist_lag: np.ndarray
-    """Time constant with which the wrist follows its setpoints [s], shape [W]."""
+    """Time constant of the wrist's lag [s], shape [W]."""
     mass: np.ndarray
     """Factor on the mass of the object, shape [W]."""
     center_of_mass_shift: np.ndarray
@@ -58,9 +58,9 @@ class EpisodeSample(BatchRecord):
     tracker_delay: np.ndarray
     """Age of the tracked object pose [s], shape [W]."""
     tracker_freezes: np.ndarray
-    """Whether the tracker loses the object while the hand is at it, shape [W] bool."""
+    """Whether the tracker loses the object near the hand, shape [W] bool."""
     action_delay: np.ndarray
-    """Time from a decision to the servos [s], shape [W]."""
+    """Delay from an action to the servos [s], shape [W]."""
     push_direction: np.ndarray
     """Directions of the pushes, unit vectors, world frame, shape [W, P, 3]."""
     push_force: np.ndarray
@@ -77,7 +77,7 @@ class EpisodeSample(BatchRecord):
 
 
 def draw(randomization: Randomization, count: int, joints: int, rng: np.random.Generator) -> EpisodeSample:
-    """Draw what differs in some episodes.
+    """Draw the parameters of some episodes.
 
     Args:
         count: W, number of episodes.
@@ -155,15 +155,14 @@ def draw(randomization: Randomization, count: int, joints: int, rng: np.random.G
 
 
 def random_stream(purpose: str, *numbers: int) -> np.random.Generator:
-    """A generator of its own for each purpose and numbers (seed, episode, ...): streams of different purposes
-    have nothing in common."""
+    """An independent random generator for each purpose and numbers (seed, episode, ...)."""
     return np.random.default_rng([zlib.crc32(purpose.encode()), *numbers])
 
 
 def draw_each(
     randomization: Randomization, seed: int, numbers: Sequence[int] | np.ndarray, joints: int
 ) -> EpisodeSample:
-    """Draw for episodes by their numbers, so that what one gets does not depend on the others.
+    """Draw the parameters of episodes by their numbers, independent of other episodes.
 
     Args:
         numbers: of the episodes, length W.
@@ -178,7 +177,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def offset_pose(pose: Array, offset: Array, center: Array | None = None) -> Array:
-    """Poses moved and turned a little.
+    """Poses with a small offset.
 
     Args:
         pose: shape [..., 7].

@@ -1,9 +1,8 @@
-"""What may differ between a world and the nominal one: one description, one sampler.
+"""Randomization: differences between a world and the nominal world.
 
 Training, the rollouts of planning, single options of ``fungrasp evaluate`` and the robustness protocol all
-draw from a ``Randomization``; the named ones stand below. The paper (section IV.C.3) randomizes joint
-damping, servo gains, friction, object mass, table height and the observed state of the hand; the rest is
-added.
+draw from a ``Randomization``. Presets are below. The paper (section IV.C.3) randomizes joint damping, servo
+gains, friction, object mass, table height and the observed state of the hand; the rest is added.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 Range = tuple[float, float]
-"""Smallest and largest value; equal ones are a constant."""
+"""Smallest and largest value; equal values are a constant."""
 
 LONGEST_DELAY = 0.1
 """Longest delay from a decision to the servos [s]: one control period."""
@@ -27,35 +26,35 @@ _SIGNED = ("table_height",)
 _PROBABILITIES = ("tracker_dropout", "tracker_freeze", "shift_probability")
 
 OBJECT_SCALES = 5
-"""Number of sizes that ``Randomization.object_scale`` is drawn from: a scene holds a mesh for each."""
+"""Number of sizes for ``Randomization.object_scale``; a scene has a mesh for each."""
 
 
 @dataclass(frozen=True)
 class MeasurementError:
-    """Zero-mean error of a measured quantity, per coordinate. Its unit is that of the quantity."""
+    """Zero-mean error of a measured quantity, per coordinate, in the unit of the quantity."""
 
     bias: float = 0.0
-    """Standard deviation of the normal part that stays the same during an episode."""
+    """Standard deviation of the bias (normal), constant during an episode."""
     jitter: float = 0.0
-    """Standard deviation of the normal part that is new at every measurement."""
+    """Standard deviation of the noise (normal), new at every measurement."""
     offset: float = 0.0
-    """Length of a part that stays the same during an episode, in a uniformly random direction."""
+    """Length of a bias in a random direction, constant during an episode."""
     offset_deviation: float = 0.0
     """Standard deviation of that length."""
     uniform: float = 0.0
-    """Largest size of a uniform part that stays the same during an episode."""
+    """Half range of a uniform bias, constant during an episode."""
 
     @property
     def variance(self) -> float:
-        """Of what stays the same during an episode, per coordinate of three."""
+        """Variance of the bias, for each of three coordinates."""
         return self.bias**2 + (self.offset**2 + self.offset_deviation**2) / 3 + self.uniform**2 / 3
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """Ranges to draw from, anew for every episode. The default is none: the nominal world.
+    """Ranges of parameters, drawn for every episode. Default: the nominal world.
 
-    Factors are drawn log-uniformly, so that half is as likely as double; other ranges uniformly.
+    Factors are drawn log-uniformly (half is as likely as double), other ranges uniformly.
     """
 
     joint_damping: Range = (1.0, 1.0)
@@ -65,34 +64,32 @@ class Randomization:
     servo_damping: Range = (1.0, 1.0)
     """Factor on the damping (kd) of each finger servo."""
     wrist_stiffness: Range = (1.0, 1.0)
-    """Factor on stiffness and damping of the wrist's servos, the same for all six, so that the wrist keeps up
-    with its moving setpoint as before."""
+    """Common factor on stiffness and damping of the six wrist servos, so that the wrist follows its setpoint
+    as before."""
     joint_friction: Range = (0.0, 0.0)
     """Dry friction of each finger joint, as a fraction of its servo's torque limit."""
     encoder_bias: float = 0.0
-    """Largest error of each finger joint's encoder, either way, the same during an episode [rad]. Servos work
-    on what encoders say: the joint comes to rest off by as much."""
+    """Largest encoder error of each finger joint, constant during an episode [rad]. Servos use the encoder,
+    so the joint position has the same error."""
     backlash: Range = (0.0, 0.0)
-    """How far each finger joint can be from where its motor has it, either way [rad]."""
+    """Largest backlash of each finger joint, in either direction [rad]."""
     wrist_position_offset: float = 0.0
-    """Distance of the palm from where the arm believes to have it (calibration) [m], in a random direction,
-    the same during an episode."""
+    """Calibration error of the palm position [m], in a random direction, constant during an episode."""
     wrist_rotation_offset: float = 0.0
-    """Angle of the palm from how the arm believes to hold it [rad], about a random axis, the same during an
-    episode."""
+    """Calibration error of the palm rotation [rad], about a random axis, constant during an episode."""
     wrist_lag: Range = (0.0, 0.0)
-    """Time constant with which the wrist follows its setpoints [s], a first-order lag."""
+    """Time constant of the first-order lag of the wrist behind its setpoints [s]."""
     mass: Range = (1.0, 1.0)
     """Factor on the mass of the object."""
     center_of_mass_shift: float = 0.0
     """Largest displacement of the object's center of mass along each axis of its frame, either way, as a
     fraction of its extent there."""
     object_scale: Range = (1.0, 1.0)
-    """Factor on the size of the object, one of ``object_scales``; its mass stays."""
+    """Factor on the size of the object, one of ``object_scales``; the mass is unchanged."""
     friction: Range | None = None
     """Sliding friction of hand, object and table; the nominal one if None."""
     table_height: Range = (0.0, 0.0)
-    """Height of the table top, and of what stands on it, above the nominal one [m]."""
+    """Height of the table top above the nominal height [m]; objects on it move too."""
     table_tilt: Range = (0.0, 0.0)
     """Slope of the table top [rad], in a random direction."""
     joint_error: MeasurementError = MeasurementError()
@@ -107,21 +104,21 @@ class Randomization:
     """Error of the object's estimated and tracked rotation, as a rotation vector [rad] about its center of
     mass."""
     tracker_delay: Range = (0.0, 0.0)
-    """Age of the tracked object pose when a policy sees it [s]."""
+    """Delay of the tracked object pose [s]."""
     tracker_dropout: float = 0.0
-    """Probability that a frame of the tracker is missing; the policy then sees the last one."""
+    """Probability of a missing tracker frame; the policy then sees the previous one."""
     tracker_freeze: float = 0.0
-    """Probability that an episode's tracker loses the object when the hand first touches it: the policy then
-    sees the last frame, until the hand has left the object."""
+    """Probability that the tracker loses the object at the first touch. The policy then sees the last frame
+    until the hand has left the object."""
     tracker_time_constant: float = 0.0
-    """Time constant of the tracker's low-pass filter [s], a first-order one on position and rotation; 0 for
-    none. A pose that moves steadily is seen late by as much."""
+    """Time constant of the tracker's first-order low-pass filter [s], which delays a moving pose by as much;
+    0 for none."""
     action_delay: Range = (0.0, 0.0)
-    """Time from a policy's decision to the servos [s], at most ``LONGEST_DELAY``."""
+    """Delay from a policy's action to the servos [s], at most ``LONGEST_DELAY``."""
     push_phase: Literal["lift", "hold"] = "hold"
-    """Phase from whose beginning the times of the pushes count."""
+    """Phase whose start is time zero of the pushes."""
     push_times: tuple[Range, ...] = ()
-    """Time of each push on the object's center of mass, from the beginning of that phase [s]."""
+    """Times of pushes on the object's center of mass, from the start of that phase [s]."""
     push_force: Range = (0.0, 0.0)
     """Force of each push [N], in a random direction."""
     push_weights: Range = (0.0, 0.0)
@@ -129,17 +126,17 @@ class Randomization:
     push_duration: float = 0.2
     """Duration of each push [s]."""
     object_shift: Range = (0.0, 0.0)
-    """Distance by which the object is moved on the table after planning [m], in a random direction; drawn
-    uniformly over the ring's area."""
+    """Distance that the object is moved on the table after planning [m], in a random direction; uniform over
+    the area of the ring."""
     shift_probability: float = 1.0
-    """Probability that an episode's object is moved or turned at all."""
+    """Probability that the object is moved or turned in an episode."""
     object_turn: float = 0.0
-    """Largest angle by which the object is then turned about the vertical, in either direction [rad]."""
+    """Largest angle of that turn about the vertical, in either direction [rad]."""
 
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a value is impossible.
+            FungraspError: invalid value.
         """
         for f in fields(self):
             value = getattr(self, f.name)
@@ -195,20 +192,19 @@ class Randomization:
 
     @property
     def object_scales(self) -> tuple[float, ...]:
-        """The factors that ``object_scale`` may be, rising: ``OBJECT_SCALES`` of them, or a single one."""
+        """Possible values of ``object_scale``, increasing: ``OBJECT_SCALES`` of them, or one."""
         low, high = self.object_scale
         return (low,) if low == high else tuple(np.linspace(low, high, OBJECT_SCALES).round(6).tolist())
 
     @property
     def object_pose_covariance(self) -> np.ndarray:
-        """Covariance of what stays the same of the object's pose error: position [m] and rotation vector
-        [rad], shape [6, 6]."""
+        """Covariance of the bias of the object pose: position [m] and rotation vector [rad], shape [6, 6]."""
         errors = (self.object_position_error, self.object_rotation_error)
         return np.diag(np.repeat([e.variance for e in errors], 3))
 
 
 NOMINAL = Randomization()
-"""Every world is the nominal one."""
+"""The nominal world."""
 
 MODERATE = Randomization(
     joint_damping=(0.7, 1.4),
@@ -231,7 +227,7 @@ MODERATE = Randomization(
     object_shift=(0.0, 0.005),
     object_turn=0.05,
 )
-"""What a good policy can overcome without learning to expect the worst: for training and rollouts."""
+"""Moderate differences, for training and rollouts."""
 
 WIDE = Randomization(
     joint_damping=(0.5, 2.0),
@@ -254,7 +250,7 @@ WIDE = Randomization(
     object_shift=(0.0, 0.01),
     object_turn=0.1,
 )
-"""About what separates simulations from robots (section IV.C.3 of the paper)."""
+"""Differences about as large as between simulation and robots (section IV.C.3 of the paper)."""
 
 THREE_PUSHES: tuple[Range, ...] = ((0.5, 0.5), (1.5, 1.5), (2.5, 2.5))
 """When the robustness protocol pushes the object, from the beginning of the hold [s]."""
@@ -289,8 +285,7 @@ REALITY = Randomization(
     object_shift=(0.01, 0.02),
     shift_probability=0.3,
 )
-"""The reality protocol: everything at once, as on a robot whose belief is the nominal world. Where each range
-comes from: docs/evaluate.md."""
+"""The reality protocol: all differences at once. Sources of the ranges: docs/evaluate.md."""
 
 REALITY_ROLLOUTS = replace(REALITY, table_height=(0.0, 0.0), object_scale=(1.0, 1.0), object_shift=(0.0, 0.0))
 """What the rollouts of planning draw from where worlds are those of the reality protocol. The table's height
@@ -304,14 +299,14 @@ PRESETS: dict[str, Randomization] = {
     "wide": WIDE,
     "reality": REALITY,
 }
-"""What training can draw from, by name."""
+"""Presets by name."""
 
 
 def preset(name: str) -> Randomization:
     """One of ``PRESETS``.
 
     Raises:
-        UnknownNameError: there is none of this name.
+        UnknownNameError: unknown preset.
     """
     if name not in PRESETS:
         raise UnknownNameError("preset of worlds", name, PRESETS)
@@ -334,17 +329,17 @@ ROBUSTNESS: dict[str, Randomization] = {
     "pushes": Randomization(push_times=THREE_PUSHES, push_weights=(1.0, 1.0)),
     "hidden shift 2 cm": Randomization(object_shift=(0.02, 0.02)),
 }
-"""The robustness protocol: one thing at a time, by name (docs/evaluate.md)."""
+"""The robustness protocol: one difference at a time, by name (docs/evaluate.md)."""
 
 ProtocolName = Literal["nominal", "reality", "robustness"]
 """Names of the protocols of evaluation (docs/evaluate.md)."""
 
 
 def protocol_conditions(protocol: ProtocolName) -> dict[str, Randomization]:
-    """What a protocol draws from, by the name of the condition, "" where there is only one."""
+    """Randomizations of a protocol by condition; the name is "" for a single one."""
     return {"nominal": {"": NOMINAL}, "reality": {"": REALITY}, "robustness": ROBUSTNESS}[protocol]
 
 
 def protocol_name(randomization: Randomization) -> str:
-    """Name of the protocol of which this is the only condition: "nominal", "reality", or "custom"."""
+    """Name of the protocol with only this condition: "nominal", "reality", or else "custom"."""
     return {NOMINAL: "nominal", REALITY: "reality"}.get(randomization, "custom")

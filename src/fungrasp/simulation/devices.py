@@ -1,4 +1,4 @@
-"""Where worlds are simulated, and how much room they get there."""
+"""Devices for simulation, and their buffer sizes."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import Literal, get_args
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 Device = Literal["cuda", "cpu-warp", "cpu"]
-"""A GPU of NVIDIA's by MuJoCo Warp; the same code on the processor, slow, for tests; the processor by
+""""cuda": MuJoCo Warp on an NVIDIA GPU. "cpu-warp": the same code on the CPU, slow, for tests. "cpu":
 MuJoCo."""
 
 
 @dataclass(frozen=True)
 class BufferSizes:
-    """Room for what touches, on a GPU."""
+    """Contact buffers on a GPU."""
 
     contacts: int
-    """Contacts of a world, on average: all worlds share them."""
+    """Contacts per world on average; all worlds share the buffer."""
     rows: int
-    """Rows of constraints of a world, none may have more."""
+    """Largest number of constraint rows of any world."""
 
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: there is no room.
+            FungraspError: a size is below 1.
         """
         if min(self.contacts, self.rows) < 1:
             raise FungraspError(
@@ -36,12 +36,12 @@ class BufferSizes:
             )
 
     def pool(self, worlds: int) -> int:
-        """Contacts of so many worlds together. Of a few, all may have more than the average."""
+        """Total contacts of some worlds, with a reserve if there are few."""
         return self.contacts * max(worlds, 4)
 
 
 def found_device(given: str | None = None) -> Device:
-    """The device that was asked for, or else a GPU if there is one with all it needs, or else the processor.
+    """The requested device. Default: a GPU if there is one with the required packages, otherwise the CPU.
 
     Raises:
         FungraspError: an unknown device.
@@ -55,7 +55,7 @@ def found_device(given: str | None = None) -> Device:
 
 
 def cuda_driver() -> ctypes.CDLL | None:
-    """NVIDIA's driver, None if there is none."""
+    """The NVIDIA driver, or None."""
     try:
         return ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
@@ -64,7 +64,7 @@ def cuda_driver() -> ctypes.CDLL | None:
 
 @cache
 def cuda_devices() -> int:
-    """How many GPUs the driver knows; asking it takes no package."""
+    """Number of GPUs, from the driver; needs no package."""
     driver, count = cuda_driver(), ctypes.c_int(0)
     if driver is None or driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(count)):
         return 0

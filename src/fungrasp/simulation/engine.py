@@ -1,8 +1,7 @@
-"""The door to physics: what task, planning and evaluation may ask of an engine, and nothing else.
+"""The engine interface: everything that task, planning and evaluation use of the physics.
 
-An engine steps W worlds of one scene, each with its own object, parameters and state. Arrays lead with the
-world and are copies: writing to them changes nothing. ``tests/simulation/engine_contract.py`` is the suite
-that every engine has to pass.
+An engine steps W worlds of one scene, each with its own object, parameters and state. The first axis of
+arrays is the world; arrays are copies. Every engine has to pass ``tests/simulation/engine_contract.py``.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ EngineState = Any
 
 
 class Engine(Protocol):
-    """W worlds of a scene: a hand on a floating wrist, an object, a table. Ids of worlds are given in rising
-    order, each once."""
+    """W worlds of a scene: a hand on a floating wrist, an object, a table. World ids must be unique and
+    increasing."""
 
     scene: Scene
     object_index: np.ndarray
-    """Which of ``scene.objects`` each world holds, shape [W] int."""
+    """Index into ``scene.objects`` for each world, shape [W] int."""
 
     def __len__(self) -> int:
         """W, the number of worlds."""
@@ -86,14 +85,13 @@ class Engine(Protocol):
 
     @property
     def diverged(self) -> np.ndarray:
-        """Worlds whose physics has broken down since they were last reset, shape [W] bool. Their other
-        numbers mean nothing and need not show it."""
+        """Worlds whose simulation became unstable since their last reset, shape [W] bool. Their other values
+        are meaningless."""
         ...
 
     def problems(self) -> list[str]:
-        """What has gone wrong beyond worlds that diverged, since the last call: contacts or constraints that
-        did not fit, worlds that stood still, commands that are no numbers; a line each, which names worlds
-        and says what to do. Empty if nothing has. Asked for after each batch of episodes."""
+        """Problems since the last call, except divergence: buffer overflows, frozen worlds, commands that are
+        not numbers. One line each, with worlds and remedy. Called after each batch of episodes."""
         ...
 
     @property
@@ -103,14 +101,13 @@ class Engine(Protocol):
 
     @property
     def wrist_frame(self) -> np.ndarray:
-        """Frame in which the wrist's six joints count, world frame, shape [W, 7]."""
+        """Reference frame of the wrist's six joints, world frame, shape [W, 7]."""
         ...
 
     # What is to be.
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        """Put worlds back to the scene's default state; parameters stay. worlds: ids, shape [I]; all if
-        None."""
+        """Reset worlds to the scene's default state; parameters stay. worlds: ids, shape [I]; all if None."""
         ...
 
     def set_state(
@@ -123,7 +120,7 @@ class Engine(Protocol):
         palm_velocity: np.ndarray | None = None,
         joint_positions: np.ndarray | None = None,
     ) -> None:
-        """Put things somewhere, at rest. What is not given stays where it is.
+        """Set poses, at rest. Omitted values stay unchanged.
 
         Args:
             worlds: ids, shape [I]; all if None.
@@ -143,12 +140,12 @@ class Engine(Protocol):
         object_index: np.ndarray | None = None,
         **parameters: Unpack[Parameters],
     ) -> None:
-        """Set physical parameters. What is not given stays as it is; the state stays as it is.
+        """Set physical parameters. Omitted values and the state stay unchanged.
 
         Args:
             worlds: ids, shape [I]; all if None.
-            object_index: which of ``scene.objects`` each world holds, shape [I]; its mass, center and inertia
-                and the table's height become the scene's unless given.
+            object_index: index into ``scene.objects`` for each world, shape [I]. Its mass, center, inertia
+                and the table height are reset to the scene's unless given.
             parameters: a row for each world of ``worlds``.
         """
         ...
@@ -169,8 +166,8 @@ class Engine(Protocol):
 
         Args:
             palm_pose: setpoint of the palm, world frame, shape [..., W, 7].
-            palm_velocity: linear velocity of that setpoint, world frame [m/s], shape [..., W, 3]. A damped
-                servo trails behind a moving setpoint; its control is ahead by as much.
+            palm_velocity: linear velocity of that setpoint, world frame [m/s], shape [..., W, 3]. Used to
+                compensate the lag of damped servos.
             finger_targets: setpoints of the finger servos [rad], shape [..., W, U].
 
         Returns:
@@ -184,30 +181,29 @@ class Engine(Protocol):
         Args:
             controls: one row of ``controls`` for each world, shape [W, 6 + U].
             steps: number of physics steps of ``scene.settings.timestep``.
-            worlds: ids that are advanced, shape [I]; all if None.
+            worlds: ids to advance, shape [I]; all if None.
         """
         ...
 
     def get_state(self) -> EngineState:
-        """A snapshot of all worlds, from which physics goes on to the last bit as it did."""
+        """A snapshot of all worlds. Restoring it reproduces the simulation exactly."""
         ...
 
     def restore(self, state: EngineState) -> None:
-        """Put all worlds back to a snapshot."""
+        """Restore a snapshot."""
         ...
 
 
 def make_engine(scene: Scene, count: int, threads: int = 0, tensors: bool = False) -> Engine:
-    """W worlds of a scene on the device that its settings name.
+    """Make an engine with W worlds on the device of the scene's settings.
 
     Args:
         count: W.
-        threads: of the processor, 0 for all; a GPU has its own.
-        tensors: whether arrays of a GPU stay there, as torch tensors, and share memory with the physics; they
-            are copied to NumPy's if not.
+        threads: CPU threads, 0 for all processors.
+        tensors: return torch tensors that share memory with the GPU, instead of NumPy copies.
 
     Raises:
-        FungraspError: something that the device needs is missing, in one line that says what to do.
+        FungraspError: a package for the device is missing.
     """
     settings = scene.settings
     if settings.device == "cpu":

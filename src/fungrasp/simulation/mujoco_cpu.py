@@ -19,7 +19,7 @@ DIVERGENCE_WARNINGS = [
     int(mujoco.mjtWarning.mjWARN_BADQACC),
     int(mujoco.mjtWarning.mjWARN_BADCTRL),
 ]
-"""Warnings after which a world's motion means nothing."""
+"""MuJoCo warnings of an unstable simulation."""
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ class MujocoCpuEngine(MujocoArrays):
     def __init__(self, scene: Scene, count: int, threads: int = 0):
         """
         Args:
-            scene: the scene; all worlds hold its first object until ``set_parameters`` says otherwise.
+            scene: the scene. All worlds start with its first object.
             count: W, the number of worlds.
             threads: 0 means all processors.
 
@@ -54,7 +54,7 @@ class MujocoCpuEngine(MujocoArrays):
 
     @property
     def diverged(self) -> np.ndarray:
-        """Worlds whose physics has broken down since they were last reset, shape [W] bool.
+        """Worlds whose simulation became unstable since their last reset, shape [W] bool.
 
         Their numbers don't show it: MuJoCo puts such a world back to the scene's default and goes on.
         """

@@ -27,7 +27,7 @@ HAND_PREFIX = "hand/"
 """Prefix of the names of the hand's bodies, joints and actuators."""
 
 NOMINAL_FRICTION = 0.9
-"""Sliding friction of hand, object and table where nothing else is said (docs/evaluate.md)."""
+"""Default sliding friction of hand, object and table (docs/evaluate.md)."""
 
 _DATA = mujoco.mjtConDataField
 
@@ -49,8 +49,8 @@ class SceneSettings:
     iterations: int = 10
     """Largest number of Newton iterations per step."""
     noslip_iterations: int = 0
-    """Iterations that take the creep out of friction after the solver: they slow physics down and change few
-    outcomes (docs/how-it-works.md); the GPU engine has none."""
+    """Iterations that reduce creep in friction. They slow physics down and change few outcomes
+    (docs/how-it-works.md). Not on a GPU."""
     wrist_stiffness: tuple[float, float] = (2000.0, 100.0)
     """Stiffness of the wrist servo for position [N/m] and rotation [N m/rad]. A robot arm is stiffer; this
     keeps collisions soft."""
@@ -59,9 +59,9 @@ class SceneSettings:
     wrist_force: tuple[float, float] = (100.0, 15.0)
     """Largest force [N] and torque [N m] of the wrist servo; a UR5e carries 5 kg."""
     device: Device = "cpu"
-    """Where the worlds are stepped (docs/train.md)."""
+    """Device of the simulation (docs/train.md)."""
     buffers: BufferSizes | None = None
-    """Room for contacts on a GPU; found by a probe if None."""
+    """Contact buffers on a GPU; found by a probe if None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,19 +75,19 @@ class Scene:
     model: mujoco.MjModel
     """The compiled model, with the first object's fields."""
     objects: tuple[str, ...]
-    """Names of the objects; a world selects its object by index."""
+    """Names of the objects; each world has one of them."""
     fields: Mapping[str, np.ndarray]
     """Model fields that differ between objects, shape [number of objects, ...]."""
     settings: SceneSettings
-    """Physics that the model was compiled with."""
+    """Settings of the physics."""
     models: tuple[ObjectModel, ...]
     """The objects, in the order of ``objects``."""
 
     def indices(self, names: Iterable[str]) -> np.ndarray:
-        """Index of each object named, shape [N] int: what an engine calls ``object_index``.
+        """Indices of objects by name (``object_index`` of engines), shape [N] int.
 
         Raises:
-            FungraspError: an object that the scene does not hold.
+            FungraspError: an object is not in the scene.
         """
         known = {name: i for i, name in enumerate(self.objects)}
         wanted = list(names)
@@ -115,7 +115,7 @@ class Scene:
 def build_scene(
     hand: Hand | str, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
 ) -> Scene:
-    """Compile the scene of a hand and the objects it may meet.
+    """Compile a scene with a hand and objects.
 
     Args:
         hand: any hand, or its name.

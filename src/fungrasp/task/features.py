@@ -1,9 +1,7 @@
-"""What policy networks get: phi(s) of the paper (section IV.B.1) and what a robot that knows the object's
-mesh can add to it.
+"""Inputs of policy networks: phi(s) of the paper (section IV.B.1), and additions from the object's mesh.
 
-Pure functions of what is measured and what the plan asks for, on any array-API library. All positions and
-directions are in the palm's frame, so that nothing depends on where the table stands. Every part is scaled to
-be of the order of one.
+Pure functions of measurements and plan, for any array-API library. Positions and directions are in the palm's
+frame, so that nothing depends on the table. All parts are scaled to the order of one.
 """
 
 from __future__ import annotations
@@ -75,7 +73,7 @@ class MeasuredState:
 
 @dataclass(frozen=True, eq=False)
 class PlanTarget:
-    """What the plans ask for in W worlds."""
+    """Targets of the plans in W worlds."""
 
     palm_goal_world: Array
     """Goal of the palm for the coming control period, world frame, shape [W, 7]."""
@@ -108,7 +106,7 @@ class PlanTarget:
 def robot_features(
     now: MeasuredState, before: MeasuredState, target: PlanTarget, action: Array
 ) -> dict[str, Array]:
-    """What a robot has, by name, each part of shape [W, number].
+    """Features from robot sensors by name, each of shape [W, number].
 
     Args:
         before: measured at the one before (the same at an episode's first step).
@@ -165,7 +163,7 @@ def robot_features(
 
 
 def contact_features(contacts: Array, forces: Array, targets: Array) -> dict[str, Array]:
-    """The contacts that a teacher sees and a student has to infer: f and g_c of the paper, by name.
+    """Contact features, seen by teachers and inferred by students: f and g_c of the paper, by name.
 
     Args:
         contacts: which links touch, in [0, 1], shape [W, L].
@@ -194,7 +192,7 @@ def unscaled_forces(scaled: np.ndarray) -> np.ndarray:
 
 
 def value_features(privileged: Privileged, palm_pose: Array) -> dict[str, Array]:
-    """What only PPO's value network gets besides, by name.
+    """Additional inputs of PPO's value network, by name.
 
     Args:
         palm_pose: measured, world frame, shape [W, 7].
@@ -252,9 +250,9 @@ class ObservationLayout:
     """Parts by name, in order."""
 
     network: tuple[str, ...]
-    """What actor and value network get."""
+    """Inputs of actor and value network."""
     encoder: tuple[str, ...]
-    """What a student's encoder gets of each control step that it looks back on."""
+    """Encoder inputs of a student for each past control step."""
 
 
 LAYOUTS: Mapping[LayoutName, ObservationLayout] = {
@@ -318,17 +316,17 @@ LAYOUTS: Mapping[LayoutName, ObservationLayout] = {
 
 
 def check_layout(name: str) -> None:
-    """Complain about a layout that there is not.
+    """Check the name of a layout.
 
     Raises:
-        UnknownNameError: there is none of this name.
+        UnknownNameError: unknown layout.
     """
     if name not in LAYOUTS:
         raise UnknownNameError("observation layout", name, LAYOUTS)
 
 
 def network_parts(features: Mapping[str, Array], name: LayoutName, encoder: bool) -> dict[str, Array]:
-    """What a policy gets of what a robot has.
+    """Policy inputs from robot features.
 
     Args:
         features: ``robot_features``.
@@ -340,5 +338,5 @@ def network_parts(features: Mapping[str, Array], name: LayoutName, encoder: bool
 
 
 def encoder_parts(features: Mapping[str, Array], name: LayoutName) -> dict[str, Array]:
-    """What a student's encoder gets of a control step. Arguments: as for ``network_parts``."""
+    """Inputs of a student's encoder for one control step. Arguments: as for ``network_parts``."""
     return {part: features[part] for part in LAYOUTS[name].encoder}

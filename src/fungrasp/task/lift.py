@@ -20,7 +20,7 @@ from fungrasp.task.start_pose import StartPoses, start_fingers
 
 
 class LiftTask:
-    """W episodes of the lift test on an engine. Nothing here is random, and nothing is estimated."""
+    """W episodes of the lift test on an engine, without randomness or estimation."""
 
     def __init__(self, engine: Engine, protocol: LiftProtocol | None = None):
         """
@@ -45,23 +45,23 @@ class LiftTask:
             self.scene.servo_limits, count, self.protocol, self.scene.settings.timestep, on
         )
         self.actuation = Actuation(count, len(self.scene.hand.actuators), on)
-        """What becomes of the setpoints on the way to the joints."""
+        """Actuation errors between setpoints and joints."""
         self.measurements = LiftMeasurements(engine, self.protocol, self.setpoints.period)
         self._judge = ShownJudge(
             self.scene.hand, dict(zip(self.scene.objects, self.scene.models, strict=True))
         )
         self.shown: ShownContacts | None = None
-        """Where the person touched, W rows; None if not known."""
+        """The person's contacts, W rows; None if unknown."""
         self.controls = zeros(count, 6 + len(self.scene.hand.actuators))
-        """What the engine's servos were last told, as ``Engine.controls`` gives it, shape [W, 6 + U]."""
+        """Latest controls of the servos (``Engine.controls``), shape [W, 6 + U]."""
         self.time = zeros(count)
         """Time of each episode [s], shape [W]."""
         self.lift_time = zeros(count) + np.inf
-        """When the lift began [s], shape [W]."""
+        """Start of the lift [s], shape [W]."""
         self.hold_time = zeros(count) + np.inf
-        """When the hold began [s], shape [W]."""
+        """Start of the hold [s], shape [W]."""
         self.done = rows_like(on, np.zeros(count, dtype=bool))
-        """Episodes that are over, shape [W]."""
+        """Finished episodes, shape [W]."""
         self.withdrawing = rows_like(on, np.zeros(count, dtype=bool))
         """Worlds between two attempts, in which nothing lifts, shape [W]."""
 
@@ -151,7 +151,7 @@ class LiftTask:
         self.done[ids] = self.withdrawing[ids] = False
 
     def show(self, ids: np.ndarray, contacts: ShownContacts | None) -> None:
-        """Say where the person touched, in some worlds.
+        """Set the person's contacts in some worlds.
 
         Args:
             ids: worlds, shape [I].

@@ -1,4 +1,4 @@
-"""Whether a policy of somebody's own is one: said before its first step is taken."""
+"""Checks of user-defined policies before their first step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SAME_PLACE = 1e-6
 def check_policy(policy: Any) -> None:
     """
     Raises:
-        FungraspError: it lacks a method of a policy, or is a class in place of an object of it.
+        FungraspError: a method is missing, or a class was passed instead of an instance.
     """
     name = policy.__name__ if isinstance(policy, type) else type(policy).__name__
     if isinstance(policy, type):
@@ -39,8 +39,8 @@ def check_action(action: Any, plan: GraspPlan, observation: Observation) -> None
         observation: that the policy acted on.
 
     Raises:
-        FungraspError: it is no action of W robots, not finite, or its goal is in another frame than the
-            world's; it says which field, and what is expected.
+        FungraspError: not an action of W robots, not finite, or with a goal in a frame other than the
+            world's.
     """
     if not isinstance(action, Action):
         raise FungraspError(f"the policy's act must return a fungrasp.Action, not a {type(action).__name__}")

@@ -21,7 +21,7 @@ from fungrasp.objects.object_model import GRAVITY
 
 @dataclass(frozen=True)
 class RewardWeights:
-    """How much each term counts; the names are those of the terms given to ``total``."""
+    """Weights of the reward terms, by the names used in ``total``."""
 
     position: float = 0.3
     """Weight of ``position_reward``, in [-1, 0]."""
@@ -40,9 +40,9 @@ class RewardWeights:
     action: float = 0.02
     """Weight of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
     success: float = 10.0
-    """Reward once, where the episode ends in success (term: 1 there, 0 elsewhere)."""
+    """Reward for a successful end of the episode (term: 1 there, 0 elsewhere)."""
     drop: float = -3.0
-    """Reward once, where the episode ends with the object lost (term: 1 there, 0 elsewhere)."""
+    """Reward for losing the object (term: 1 there, 0 elsewhere)."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -1,4 +1,4 @@
-"""Simulated sensors: what W robots see of their worlds, with its errors, delay and gaps."""
+"""Simulated sensors with errors, delay and dropouts."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class SimulatedSensors:
         del self._ring[: -(1 + round(self._r.tracker_delay[1] / period))]
 
     def observe(self, sample: EpisodeSample) -> Observation:
-        """What is seen now. sample: of the episodes in the W worlds."""
+        """Current observation. sample: parameters of the episodes in the W worlds."""
         task, r = self._task, self._r
         since_lift = at_least(task.time - task.lift_time, NO_LIFT)
         hand, joints = task.scene.hand, task.engine.joint_positions

@@ -1,4 +1,4 @@
-"""The verb ``train``: a policy in a folder, from grasps to policy file, with any number of interruptions."""
+"""The function ``train``: from grasps to a policy file. Interrupted trainings continue."""
 
 from __future__ import annotations
 
@@ -52,22 +52,22 @@ def train(
     planning: Callable[[int], None] = lambda done: None,
     progress: Callable[[Progress], None] = lambda p: None,
 ) -> Path:
-    """Train a policy, or go on training it, until ``spec.steps`` have been made in all. Of several processes
-    that ``torchrun`` has started each learns in as many worlds, and the first one writes the files.
+    """Train a policy, or continue, until ``spec.steps`` are done in total. With ``torchrun``, each process
+    has its own worlds, and the first one writes the files.
 
     Args:
-        sets: of grasps of ``hand``, at least one.
+        sets: at least one set of grasps of ``hand``.
         hand: the robot hand, its name, or the path of its TOML file.
-        spec: how; the default if None. The one that the folder was begun with, if it was.
-        planning: called with the number of plans that are made.
+        spec: settings; the defaults if None. To continue a training, pass the same settings.
+        planning: called with the number of finished plans.
         progress: called after each update.
 
     Returns:
-        The policy's file, ``policy.onnx`` in the folder, which ``evaluate`` and ``deploy`` take.
+        The policy file, ``policy.onnx`` in the folder, for ``evaluate`` and ``deploy``.
 
     Raises:
-        FungraspError: no usable grasp, a folder of another training, a damaged checkpoint, a missing
-            package, or a file that can't be written.
+        FungraspError: no usable grasp, a folder of another training, a damaged checkpoint, a missing package,
+            or a file that can't be written.
     """
     spec, hand = spec or TrainSpec(), as_hand(hand)
     # An actor that sees the history needs an environment that keeps it.

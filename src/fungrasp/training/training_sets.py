@@ -1,4 +1,4 @@
-"""Grasps to train on and to hold out, and the plans made of them, which a file keeps."""
+"""Training grasps, held-out grasps, and their plans, which are stored in a file."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ CHUNK = 256
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet:
-    """Grasps to train on."""
+    """A set of training grasps."""
 
     name: str
     """Name of the data set, for the policy's card."""
     grasps: RobotGraspSet
-    """Robot grasps to train on."""
+    """The robot grasps."""
     objects: Mapping[str, ObjectModel]
     """The grasps' objects, by name."""
     terms: str = "not stated"
-    """Under what terms the grasps may be used."""
+    """License terms of the grasps."""
     folder: Path | None = None
     """Folder of the objects' meshes; None for built-in objects."""
 
     def about(self) -> dict[str, Any]:
-        """What tells it from others."""
+        """Data that identifies the set."""
         names = np.unique(self.grasps.object_name).tolist()
         return {
             "name": self.name,
@@ -73,7 +73,7 @@ def load_training_sets(
     terms: tuple[str, ...] = (),
     threads: int = 0,
 ) -> list[TrainingSet]:
-    """Grasps of a hand from files, retargeted where they are human.
+    """Grasps of a hand from files; human grasps are retargeted.
 
     Args:
         names: of files, or "builtin".
@@ -126,10 +126,10 @@ def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
 def split_sets(
     sets: Sequence[TrainingSet], share: float, seed: int
 ) -> tuple[list[TrainingSet], list[TrainingSet]]:
-    """Sets to train on, and what is held out of each.
+    """Training sets, and the grasps held out of each.
 
     Args:
-        share: of the grasps of each that is held out, rounded, 0 to below 1.
+        share: of grasps to hold out of each set, rounded, 0 to below 1.
 
     Raises:
         FungraspError: a share of a set rounds to none of its grasps, or to all.
@@ -151,7 +151,7 @@ def split_sets(
 
 @dataclass(frozen=True, eq=False)
 class PlanLibrary:
-    """Plans to train on."""
+    """Training plans."""
 
     plans: GraspPlan
     """The plans, N rows."""
@@ -166,7 +166,7 @@ def build_plan_library(
     spec: TrainSpec,
     progress: Callable[[int], None] = lambda done: None,
 ) -> PlanLibrary:
-    """Plan the motions of variations of grasps.
+    """Plan variations of grasps.
 
     Raises:
         FungraspError: no grasp of the set has a finite plan.
@@ -232,8 +232,8 @@ def planned_sets(
 
 
 def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanLibrary:
-    """A planned library from its file; if it isn't there, can't be read or is another one, it is planned and
-    kept.
+    """Training plans from a file. If the file is missing, damaged or from other inputs, they are planned and
+    stored.
 
     Args:
         key: digest of all that the library depends on.

@@ -1,4 +1,4 @@
-"""How a search for a plan goes: how many candidates, which rollouts, when it is enough."""
+"""Settings of the search for plans: candidates, rollouts, stopping."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fungrasp.simulation import BufferSizes, Device
 
 @dataclass(frozen=True)
 class VariationSpread:
-    """How much variations differ, one standard deviation unless said."""
+    """Spread of the variations: standard deviations unless stated otherwise."""
 
     position: float = 0.004
     """Standard deviation of the wrist's shift along each axis [m]."""
@@ -31,75 +31,76 @@ class VariationSpread:
 WIDE_SPREAD = VariationSpread(position=0.008, rotation=0.35, joints=0.06, closing=0.1, force=0.5, press=0.01)
 
 OTHER_PLACES = 0.3
-"""What is as shown in one rollout of three is preferred to what never is and always holds."""
+"""Weight of holds that are not as shown: a candidate that is as shown in one of three rollouts is preferred
+to one that always holds but never as shown."""
 
 GPU_CHUNK = 8192
-"""Rollouts that a GPU makes together: about 1 GB of its memory."""
+"""Parallel rollouts on a GPU; they need about 1 GB of memory."""
 
 
 @dataclass(frozen=True)
 class RolloutSettings:
-    """How plans are tried."""
+    """Settings of rollouts."""
 
     randomization: Randomization = MODERATE
-    """How the worlds of rollouts differ from the nominal ones; the policy sees none of it."""
+    """Randomization of rollouts; the policy does not see it."""
     timestep: float = 0.01
     """Physics step [s]."""
     hold_time: float = 1.0
-    """Time that the object has to be held [s]: a third of the test's finds the same plans in less time."""
+    """Duration of the hold [s]: a third of the test's, which finds the same plans faster."""
     rehearsal: int = 3
-    """Each so many-th rollout of a candidate is the whole motion in the believed world, with the physics and
-    the hold of the lift test: half of the plans that failed after short rollouts alone dropped their object
-    late, or touched it on the way."""
+    """Period of full rollouts: every n-th rollout of a candidate is the whole motion in the believed world,
+    with physics and hold of the lift test. Half of the plans that failed after only short rollouts dropped
+    the object late, or touched it on the way."""
     early: int = 2
     """Control steps before the fingers close at which rollouts begin; where the approach is not free
     (``approach_path.BLOCKED``), they begin where it begins."""
     share: float = 0.2
-    """Weight of the share of links that are as shown against success."""
+    """Weight of the shown share relative to success."""
     contact: float = 0.1
-    """Weight of the contact ratio against success."""
+    """Weight of the contact ratio relative to success."""
     slip: float = 0.01
-    """Weight of the slip against success [s/mm]."""
+    """Weight of the slip relative to success [s/mm]."""
     for_use: bool = False
     """Whether a rollout goes on with the use motion of the grasp's task: what holds, but does not withstand
     it, counts half, and up to ``rollouts.NEARLY_WITHSTOOD`` where it comes near."""
     chunk: int = 512
-    """Rollouts simulated together."""
+    """Parallel rollouts."""
     device: Device = "cpu"
-    """Where they are simulated."""
+    """Device of the rollouts."""
     buffers: BufferSizes | None = None
-    """Room for contacts on a GPU; found by a probe if None."""
+    """Contact buffers on a GPU; found by a probe if None."""
 
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """How many candidates of a grasp are planned and tried until one is sure.
+    """Settings of the search for a plan.
 
-    The leading candidate is tried again and again until it has been held as shown in ``confirmations`` of as
-    many rollouts. One that fails falls behind. Where none is sure, the best are varied again, more widely.
+    The best-ranked candidate is tested until it holds the object as shown in ``confirmations`` rollouts in a
+    row. Failures lower its rank. If no candidate succeeds, the best are varied again, more widely.
     """
 
     candidates: int = 8
     """First candidates of each grasp, the unchanged grasp included."""
     rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
-    """The first candidate is taken without any if None."""
+    """Settings of rollouts. None: use the first candidate without rollouts."""
     confirmations: int = 3
-    """Rollouts, all as shown, after which a candidate is sure."""
+    """Rollouts, all as shown, after which a candidate is selected."""
     searches: int = 3
-    """Largest number of times that the best candidates are varied again."""
+    """Largest number of further searches."""
     more: int = 24
-    """Candidates of each further search."""
+    """Candidates per further search."""
     parents: int = 3
-    """Best candidates that are varied."""
+    """Number of best candidates to vary."""
     spread: VariationSpread = WIDE_SPREAD
-    """Of the further searches."""
+    """Spread of variations in further searches."""
     for_use: bool = False
     """Whether rollouts go on with the use motions of the grasps' tasks."""
     other_places: float = 0.0
-    """What a plan that holds the object otherwise than shown counts, where one that is as shown counts one;
-    ``OTHER_PLACES`` where such plans are allowed."""
+    """Value of a hold that is not as shown, relative to one that is; ``OTHER_PLACES`` if such plans are
+    allowed."""
     chunk: int = 512
-    """Plans made together."""
+    """Plans made at once."""
 
     def __post_init__(self) -> None:
         """
