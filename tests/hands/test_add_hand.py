@@ -150,7 +150,7 @@ def test_meshes_are_fitted_and_kept_for_pictures(tmp_path: Path):
             f'<body name="{body}" pos="0 0 0.03"><geom type="mesh" mesh="link"/>',
         )
     hand, messages = added(tmp_path, text)
-    assert any("5 links were fitted" in message for message in messages)
+    assert any("shapes of 5 links" in message for message in messages)
     geoms = [g for g in range(hand.model.ngeom) if hand.model.geom_bodyid[g] == hand.model.body("a3").id]
     kinds = {int(hand.model.geom_type[g]): g for g in geoms}
     assert set(kinds) == {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_CAPSULE}

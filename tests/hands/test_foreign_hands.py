@@ -272,7 +272,7 @@ def test_grippers_are_said_to_be_grippers(tmp_path: Path):
     with pytest.raises(FungraspError, match="gripper: its 4 joints are all parallel"):
         added(tmp_path, gripper(turning, tips=tip))
     one = frame.format(jaw.format("mover", 0.0, turning, ""), "")
-    with pytest.raises(FungraspError, match="one chain of joints is all there is, up to 'mover'"):
+    with pytest.raises(FungraspError, match="there is only one chain of joints, up to 'mover'"):
         added(tmp_path, one)
 
 
@@ -421,11 +421,11 @@ REFUSED = {
 """Hands of others that are refused, with their reason."""
 
 SAID = {
-    "equality-curve": "follows by a curve: taken as the line that fits best, at most 0.23 rad off",
+    "equality-curve": "follows a curve: replaced by the best line, with an error of up to 0.23 rad",
     "mesh-in-mm": "taken to be in millimeters",
     "motor-wheels": "turns more than once round and carries nothing",
     "small-degree-limits": "taken as degrees",
-    "stand": "'stand .1.35 m.' is fixed to the palm and reaches so far",
+    "stand": "'stand .1.35 m.' is fixed to the palm, but too far",
     "tendon-pair-limits": "lets 'index_1', 'index_2' move apart, and no motor",
     "inertia-huge": "no mass has the inertia",
 }

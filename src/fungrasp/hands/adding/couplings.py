@@ -82,7 +82,7 @@ def find_couplings(
             if name not in names:
                 raise FungraspError(f"--couple: {UnknownNameError('joint', name, names)}")
         if not add(names[joint], names[driver], offset, slope):
-            raise FungraspError(f"--couple: '{joint}' is driven already, or drives '{driver}'")
+            raise FungraspError(f"--couple: '{joint}' is already driven, or drives '{driver}'")
     for e in range(model.neq):
         if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[e]:
             joint, driver = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
@@ -107,14 +107,14 @@ def find_couplings(
                 findings.append(
                     warning(
                         f"the coupling of '{joint_name(model, joint)}' to '{joint_name(model, driver)}' "
-                        "repeats or contradicts another: left out"
+                        "repeats or contradicts another: ignored"
                     )
                 )
             elif off:
                 findings.append(
                     warning(
-                        f"joint '{joint_name(model, joint)}' follows by a curve: taken as the line that fits "
-                        f"best, at most {off:.2f} rad off"
+                        f"joint '{joint_name(model, joint)}' follows a curve: replaced by the best line, with "
+                        f"an error of up to {off:.2f} rad"
                     )
                 )
     for tendon in range(model.ntendon):
@@ -306,7 +306,9 @@ def solve_loops(
         )
         if curved:
             findings.append(
-                warning(f"joints in closed loops follow by a curve, and are off [rad]: {', '.join(curved)}")
+                warning(
+                    f"joints in closed loops follow curves, replaced by lines with errors of [rad]: {', '.join(curved)}"
+                )
             )
     return result
 

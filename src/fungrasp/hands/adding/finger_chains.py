@@ -270,8 +270,7 @@ def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: Con
     slides = [joint_name(model, j) for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE]
     if slides:
         raise FungraspError(
-            f"the joint {listed(slides)} slides, as in a gripper with jaws; the fingers of a hand must turn "
-            "on hinges"
+            f"the joint {listed(slides)} slides, as in a gripper; fingers of a hand need hinges"
         )
     motors = {a for a in range(model.nu) if set(_driven(model, a)) & set(joints)}
     free = [joint for joint in joints if joint not in couplings]

@@ -75,7 +75,7 @@ def _faults_of_model(path: Path, loads: bool) -> Iterator[Finding]:
     try:
         data = read_toml(path, "hand file")
         if "palm_frame" not in data:
-            yield warning("[palm_frame] is not given; fingers along z and a palm that faces x are assumed")
+            yield warning("[palm_frame] is missing: fingers along z and a palm facing x are assumed")
         file, palm = path.parent / str(data["model"]), str(data["palm"])
         foreign = read_foreign(file, palm)
         couplings = find_couplings(foreign.model, foreign.findings)
@@ -112,7 +112,7 @@ def _joints(hand: Hand) -> Iterator[Finding]:
             yield error(f"joint '{name}' {kinds[kind]}; the joints of a hand must be hinges")
             continue
         if not model.jnt_limited[joint]:
-            yield error(f"joint '{name}' has no limits, or such that are ignored: give them in radians")
+            yield error(f"joint '{name}' has no valid limits: give them in radians")
         center, axis = model.jnt_pos[joint], model.jnt_axis[joint]
         offset = float(np.linalg.norm(center - (center @ axis) * axis))
         if offset > FRAME_OFFSET and body in links:
@@ -126,7 +126,7 @@ def _joints(hand: Hand) -> Iterator[Finding]:
             yield warning(f"joint '{name}' is coupled to '{driver}' with slope 0, so it does not move")
         if model.qpos0[model.jnt_qposadr[[joint, drive.driver]]].any():
             yield warning(
-                f"the coupling of '{name}' counts from the reference (ref) of its joints; make ref 0"
+                f"the coupling of '{name}' is relative to the reference (ref) of its joints: set ref to 0"
             )
 
 
@@ -151,8 +151,8 @@ def _palm(hand: Hand) -> Iterator[Finding]:
     if excess > FAR_ORIGIN:
         yield warning(
             f"the origin of the palm '{hand.palm}' lies {excess + FARTHEST:.2f} m from the bases of the "
-            "fingers: grasps hold the poses of a place outside the hand, as of a flange; hands start as far "
-            "from objects as others do"
+            "fingers, outside the hand: grasps store the pose of that point; the start of the lift test uses "
+            "a point near the fingers"
         )
 
 
@@ -208,7 +208,7 @@ def _fingers(hand: Hand) -> Iterator[Finding]:
 
 
 def _shapes(hand: Hand) -> Iterator[Finding]:
-    """Links with nothing to touch with; shapes that overlap at the zero pose or in many poses."""
+    """Links without collision shapes; shapes that overlap at the zero pose or in many poses."""
     model = hand.model
     solid = set(model.geom_bodyid[(model.geom_contype != 0) | (model.geom_conaffinity != 0)].tolist())
     links = {model.body(link).id: link for finger in hand.fingers.values() for link in finger.links}
@@ -228,7 +228,7 @@ def _shapes(hand: Hand) -> Iterator[Finding]:
         yield say(_overlap(contacts, "at the zero pose"))
     for contacts in _by_finger(model, links, hand, often):
         share = max(contact.share for contact in contacts)
-        yield warning(_overlap(contacts, f"in {100 * share:.0f} % of all poses, so that they will in grasps"))
+        yield warning(_overlap(contacts, f"in {100 * share:.0f} % of all poses, and therefore in grasps"))
 
 
 def _owned(model: mujoco.MjModel, link: int, links: Iterable[int]) -> set[int]:

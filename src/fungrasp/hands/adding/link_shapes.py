@@ -124,17 +124,17 @@ def hand_shapes(
         worst, distances = max(errors, key=lambda error: error[1].max())
         findings.append(
             note(
-                f"the shapes of {len(errors)} links were fitted by capsules and boxes: "
-                f"{1e3 * cloud.mean():.1f} mm off their surfaces in the mean, at most "
-                f"{1e3 * distances.max():.1f} mm, at '{worst}'"
+                f"capsules and boxes replace the shapes of {len(errors)} links; their surfaces differ by "
+                f"{1e3 * cloud.mean():.1f} mm on average, and by up to {1e3 * distances.max():.1f} mm at "
+                f"'{worst}'"
             )
         )
     if made:
         radii = ", ".join(f"{name} {1e3 * size:.1f} mm" for name, size in sizes.items())
         findings.append(
             warning(
-                f"no shape of the link {listed(made)} is known: capsules from joint to joint were made up, "
-                f"radius {radii}; give the mesh files, or --radius"
+                f"no geometry for the link {listed(made)}: capsules from joint to joint are used, radius "
+                f"{radii}; give the mesh files, or --radius"
             )
         )
     return result
@@ -165,12 +165,11 @@ def _palm_link(
     if left:
         findings.append(
             warning(
-                f"{listed(left)} is fixed to the palm and reaches so far from the fingers: left out as no "
-                "part of the hand"
+                f"{listed(left)} is fixed to the palm, but too far from the fingers: not part of the hand"
             )
         )
     if taken:
-        findings.append(note(f"{listed(taken)} is fixed to the palm, and is taken as a part of it"))
+        findings.append(note(f"{listed(taken)} is fixed to the palm: taken as part of it"))
     return LinkShapes(palm.body, tuple(kept))
 
 
@@ -364,8 +363,8 @@ def made_up_palm(
     high = np.array([top, local[:, 1].mean() + 0.5 * PALM_THICKNESS, local[:, 2].max() + side])
     findings.append(
         warning(
-            f"no shape of the palm '{body_name(model, structure.palm)}' is known: a box of "
-            f"{' x '.join(f'{1e3 * edge:.0f}' for edge in high - low)} mm below the fingers was made up"
+            f"no geometry for the palm '{body_name(model, structure.palm)}': a box of "
+            f"{' x '.join(f'{1e3 * edge:.0f}' for edge in high - low)} mm below the fingers is used"
         )
     )
     return Box(axes @ (0.5 * (low + high)), 0.5 * (high - low), axes)

@@ -196,7 +196,7 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
         return names[answer]
     moving = set(np.flatnonzero(model.body_jntnum > 0).tolist())
     if not moving:
-        raise FungraspError("the model has no joints, so it is no hand")
+        raise FungraspError("the model has no joints: not a hand")
     hands = _palms(model, moving)
     if len(hands) > 1:
         raise FungraspError(
@@ -206,7 +206,7 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
     ends = branch_ends(model, moving)
     if len(ends) == 1:
         raise FungraspError(
-            f"one chain of joints is all there is, up to '{body_name(model, ends[0])}': a gripper with one "
+            f"there is only one chain of joints, up to '{body_name(model, ends[0])}': a gripper with one "
             "jaw, or an arm without a hand"
         )
     # A scene may hold things beside the hand: the tree with most ends is the hand's.

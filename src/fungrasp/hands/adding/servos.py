@@ -70,7 +70,7 @@ def joint_physics(
     believed = (ratio >= POSSIBLE[0]) & (ratio <= POSSIBLE[1]) & sound
     force = np.where(believed, stated, proposed)
     unsaid, wrong = independent & ~said, said & ~believed
-    reason = f"the torque that presses with {TIP_FORCE:g} N at the tip of the half bent finger is proposed"
+    reason = f"proposed: the torque for {TIP_FORCE:g} N at the tip of the half bent finger"
     if unsaid.any():
         findings.append(warning(f"no torque limit for {_named(model, unsaid)}: {reason}"))
     if wrong.any():
@@ -79,11 +79,7 @@ def joint_physics(
         ]
         more = f" and {len(changes) - 6} more" if len(changes) > 6 else ""
         findings.append(
-            warning(
-                f"torque limits that are not those of {'a finger' if sound else 'fingers'} are changed "
-                "[N m]: "
-                f"{', '.join(changes[:6])}{more}; {reason}"
-            )
+            warning(f"implausible torque limits were changed [N m]: {', '.join(changes[:6])}{more}; {reason}")
         )
     kp = force / FULL_TORQUE_ERROR
     armature, damping = model.dof_armature.copy(), model.dof_damping.copy()
@@ -101,10 +97,12 @@ def joint_physics(
         ("friction", dry, friction, "N m", "a hundredth of the torque limit"),
     ):
         if mask.any():
+            low, high = f"{values[mask].min():.2g}", f"{values[mask].max():.2g}"
+            proposed = low if low == high else f"{low} to {high}"
             findings.append(
                 warning(
-                    f"{name} is zero or impossible for {_named(model, mask)}: "
-                    f"{values[mask].min():.2g} to {values[mask].max():.2g} {unit} are proposed, {why}"
+                    f"{name} is zero or implausible for {_named(model, mask)}: proposed {proposed} {unit}, "
+                    f"{why}"
                 )
             )
     return JointPhysics(force, kp, 0.03 * kp, armature, damping, friction)
