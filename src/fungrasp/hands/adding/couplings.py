@@ -113,8 +113,8 @@ def find_couplings(
             elif off:
                 findings.append(
                     warning(
-                        f"joint '{joint_name(model, joint)}' follows a curve: replaced by the best line, with "
-                        f"an error of up to {off:.2f} rad"
+                        f"joint '{joint_name(model, joint)}' follows a curve: replaced by the best line, "
+                        f"with an error of up to {off:.2f} rad"
                     )
                 )
     for tendon in range(model.ntendon):
@@ -307,7 +307,7 @@ def solve_loops(
         if curved:
             findings.append(
                 warning(
-                    f"joints in closed loops follow curves, replaced by lines with errors of [rad]: {', '.join(curved)}"
+                    f"joints in closed loops follow curves; errors of the best lines [rad]: {', '.join(curved)}"
                 )
             )
     return result

@@ -266,14 +266,14 @@ def exclude_neighbors(
         elif palm in pair and contact.share > OFTEN and not last & set(pair):
             inner.append(pair)
     for text, found in (
-        ("touch always or at zero", always),
-        ("touch where only their shapes, which are coarser than the links, can be the reason", inner),
+        ("always touch, or touch at zero", always),
+        ("touch in many poses because the shapes are coarser than the links", inner),
     ):
         extra = sorted(set(found) - pairs)
         pairs |= set(extra)
         if extra:
             shown = [f"{first} and {second}" for first, second in extra]
-            foreign.findings.append(note(f"these {text}, and may pass through each other: {listed(shown)}"))
+            foreign.findings.append(note(f"no collisions between links that {text}: {listed(shown)}"))
     for first, second in sorted(pairs):
         spec.add_exclude(bodyname1=first, bodyname2=second)
 
