@@ -42,22 +42,20 @@ class ListGrasps(Answering):
         grasps = load_grasps(self.grasps)
         assert grasps.task is not None
         of_hand = f" of the hand '{grasps.hand}'" if isinstance(grasps, RobotGraspSet) else " of people"
-        keys = sorted(set(zip(grasps.object_name.tolist(), grasps.task.tolist(), strict=True)))
-        rows = [("object", "task", "grasps", "mass [kg]", "links in contact")]
-        for name, task in keys:
+        found = []
+        for name, task in sorted(set(zip(grasps.object_name.tolist(), grasps.task.tolist(), strict=True))):
             part = grasps.select((grasps.object_name == name) & (grasps.task == task))
-            contacts = part.link_contacts.sum(axis=1).mean()
-            rows.append(
-                (name, task or "-", str(len(part)), f"{part.object_mass.mean():.3f}", f"{contacts:.1f}")
-            )
-        names = ("object", "task", "grasps", "mass", "links_in_contact")
-        kinds = (str, str, int, float, float)
-        cells = ([kind(cell) for kind, cell in zip(kinds, row, strict=True)] for row in rows[1:])
+            mass, links = part.object_mass.mean(), part.link_contacts.sum(axis=1).mean()
+            counts = {"grasps": len(part), "mass": round(mass, 3), "links_in_contact": round(links, 1)}
+            found.append({"object": name, "task": task or "-", **counts})
+        heads = ("object", "task", "grasps", "mass [kg]", "links in contact")
+        rows = [
+            (o, t, str(count), f"{mass:.3f}", f"{links:.1f}")
+            for o, t, count, mass, links in map(dict.values, found)
+        ]
         objects = len(set(grasps.object_name.tolist()))
-        return CommandResult(
-            [dict(zip(names, row, strict=True)) for row in cells],
-            f"{table(rows, left=None)}\n{len(grasps)} grasps{of_hand}, {objects} objects",
-        )
+        text = f"{table([heads, *rows], left=None)}\n{len(grasps)} grasps{of_hand}, {objects} objects"
+        return CommandResult(found, text)
 
 
 @dataclass(frozen=True)

@@ -22,18 +22,18 @@ class List(Answering):
         from fungrasp.policies.checkpoint.checkpoint_file import list_policies, read_card
 
         files = list_policies()
+        if not files:
+            return CommandResult([], "this version has no built-in policies")
         cards = {name: read_card(path) for name, path in files.items()}
         sizes = {name: path.stat().st_size for name, path in files.items()}
         known = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
-        if not cards:
-            return CommandResult(known, "this version has no built-in policies")
         header = ("name", "kind", "hand", "size", "success", "licence", "data")
         rows = [
             (
                 name,
                 card.kind,
                 card.hand,
-                _size(sizes[name]),
+                f"{sizes[name] / 1e6:.2g} MB",
                 ", ".join(f"{what} {share:.0%}".strip() for what, share in _successes(card.measured)),
                 card.licence,
                 ", ".join(data.name for data in card.training_data),
@@ -82,7 +82,10 @@ def _text(card: PolicyCard) -> str:
             (joint, f"{kp:g}, {kd:g}") for joint, (kp, kd) in card.gains.items()
         ],
         "training data": [(data.name, f"{data.count} grasps; {data.terms}") for data in card.training_data],
-        "measured": [(what, _number(value)) for what, value in _leaves(card.measured)],
+        "measured": [
+            (what, f"{value:.4g}" if isinstance(value, float) else str(value))
+            for what, value in _leaves(card.measured)
+        ],
     }
     for title, pairs in parts.items():
         if pairs:
@@ -90,7 +93,8 @@ def _text(card: PolicyCard) -> str:
             lines += ["", title, *(f"  {name:<{width}}  {value}" for name, value in pairs)]
     if card.limits:
         lines += ["", "limits", *(f"  {sentence}" for sentence in card.limits)]
-    return "\n".join(_printable(line) for line in lines)
+    # Without control characters, because files may be untrusted.
+    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
 
 
 def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -108,16 +112,3 @@ def _successes(measured: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     for path, value in _leaves(measured):
         if path.split()[-1] == "success" and isinstance(value, int | float):
             yield path.removesuffix("success").strip(), value
-
-
-def _number(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _size(count: int) -> str:
-    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
-
-
-def _printable(text: str) -> str:
-    """Without control characters, because files may be untrusted."""
-    return "".join(character if character.isprintable() else "?" for character in text)

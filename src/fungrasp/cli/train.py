@@ -28,8 +28,13 @@ LINE_PERIOD = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingGrasps(ObjectsOption):
-    """Training data."""
+class Train(ObjectsOption, Answering):
+    """Train a policy with PPO in many parallel worlds.
+
+    Run the same command again to continue an interrupted training, or with more --steps to extend it.
+    """
+
+    option_prefixes: ClassVar[bool] = True
 
     grasps: tuple[str, ...] = ("builtin",)
     """One or more grasp files: human grasps (retargeted first) or robot grasps of --hand; or "builtin"."""
@@ -41,26 +46,6 @@ class TrainingGrasps(ObjectsOption):
     """Retargeting method: contact, angle-copy or dexgraspnet."""
     terms: tuple[str, ...] = ()
     """License terms of each of --grasps, for the policy card."""
-
-    def load(self, threads: int) -> tuple[Any, Any]:
-        """The training sets and the hand."""
-        from fungrasp.sim2real.joint_dynamics import identified_hand
-        from fungrasp.training.training_sets import load_training_sets
-
-        hand = identified_hand(self.hand, self.hand_dynamics)
-        sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, threads)
-        return sets, hand
-
-
-@dataclass(frozen=True)
-class Train(TrainingGrasps, Answering):
-    """Train a policy with PPO in many parallel worlds.
-
-    Run the same command again to continue an interrupted training, or with more --steps to extend it.
-    """
-
-    option_prefixes: ClassVar[bool] = True
-
     out: Path | None = None
     """Folder for the training and its policy.onnx. Default: runs/<hand>."""
     sees: Literal["contacts", "nothing", "history"] | None = None
@@ -80,7 +65,9 @@ class Train(TrainingGrasps, Answering):
 
     def run(self) -> CommandResult:
         prepare_torch()
+        from fungrasp.sim2real.joint_dynamics import identified_hand
         from fungrasp.training.train import train
+        from fungrasp.training.training_sets import load_training_sets
 
         ppo, environment = self.spec.ppo, self.spec.environment
         if self.sees is not None:
@@ -90,7 +77,8 @@ class Train(TrainingGrasps, Answering):
         if self.worlds is not None:
             environment = replace(environment, randomization=preset(self.worlds))
         spec = replace(self.spec, ppo=ppo, environment=environment)
-        sets, hand = self.load(spec.threads)
+        hand = identified_hand(self.hand, self.hand_dynamics)
+        sets = load_training_sets(self.grasps, self.objects, hand, self.method, self.terms, spec.threads)
         copies = sum(len(s.grasps) for s in sets) * spec.variety.copies
         with progress_bar("planning", copies) as show:
             policy = train(

@@ -307,7 +307,7 @@ def solve_loops(
         if curved:
             findings.append(
                 warning(
-                    f"joints in closed loops follow curves; errors of the best lines [rad]: {', '.join(curved)}"
+                    f"joints in closed loops follow curves; errors of the lines [rad]: {', '.join(curved)}"
                 )
             )
     return result
