@@ -16,7 +16,7 @@ class UnknownNameError(FungraspError):
     def __init__(self, kind: str, given: str, known: Iterable[str]):
         """
         Args:
-            kind: what the name should name, singular ("hand", "object", ...).
+            kind: of thing, singular ("hand", "object", ...).
         """
         names = sorted(known)
         near = difflib.get_close_matches(given.lower(), names, n=1, cutoff=0.5)

@@ -58,10 +58,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def check_writable(paths: Mapping[str, str | Path]) -> None:
-    """Complain before the work is done about files that can't be written after it. Nothing is made.
+    """Check before the work starts that its output files can be written. Nothing is created.
 
     Args:
-        paths: what is to be written, by the name of its option.
+        paths: of output files, by the name of their option.
 
     Raises:
         FungraspError: a path is a folder, lies below a file or in a folder that can't be written to, or two
@@ -82,7 +82,7 @@ def check_writable(paths: Mapping[str, str | Path]) -> None:
 
 
 def remove_leftovers(path: str | Path) -> None:
-    """Delete what processes of this machine that were killed left while they wrote ``path``."""
+    """Delete temporary files of ``path`` left by killed processes of this machine."""
     path = Path(path)
     for left in path.parent.glob(f".{glob.escape(path.stem)}.{_HOST}-*{glob.escape(path.suffix)}"):
         owner = left.name.removeprefix(f".{path.stem}.{_HOST}-").partition("-")[0]
@@ -92,7 +92,7 @@ def remove_leftovers(path: str | Path) -> None:
 
 
 def cache_path(kind: str) -> Path:
-    """Where computed things of one ``kind`` ("convex_pieces", ...) are kept, whether it exists or not.
+    """Cache folder for one ``kind`` of data ("convex_pieces", ...), whether it exists or not.
 
     ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``; a folder that
     can't be made where there is no home.
@@ -122,8 +122,8 @@ def cache_folder(kind: str) -> Path:
 
 
 def digest(*things: Any) -> str:
-    """SHA-256 of arrays, bytes, mappings, lists, what has a ``digest`` of its own, and whatever ``repr``
-    describes."""
+    """SHA-256 of arrays, bytes, mappings, lists, objects with a ``digest``, and anything described by
+    ``repr``."""
     result = hashlib.sha256()
 
     def add(obj: Any) -> None:

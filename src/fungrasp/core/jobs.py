@@ -57,11 +57,11 @@ class PartStore:
             self.remove()
 
     def __contains__(self, key: str) -> bool:
-        """Whether there is a file of this part."""
+        """Whether the part is stored."""
         return self._file(key).is_file()
 
     def load(self, key: str) -> dict[str, np.ndarray] | None:
-        """The arrays of a part by name, None if it was not kept."""
+        """Arrays of a part by name, None if it is not stored."""
         if key not in self:
             return None
         try:
@@ -70,7 +70,7 @@ class PartStore:
             return None
 
     def save(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep the arrays of a part, on disk when this returns.
+        """Store the arrays of a part; they are on disk when this returns.
 
         Raises:
             FungraspError: the file can't be written.
@@ -79,7 +79,7 @@ class PartStore:
             np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
 
     def kept(self, key: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """The arrays of a part, made and kept if they are not there.
+        """Arrays of a part; computed and stored if they are missing.
 
         Raises:
             FungraspError: the file can't be written.
@@ -104,14 +104,13 @@ class PartStore:
 Result = TypeVar("Result")
 
 WAITING = 2
-"""Jobs sent out for each processor: one at work and one waiting. It bounds what lies in memory, however many
-jobs there are."""
+"""Jobs per processor that are sent out: one running and one waiting. Limits memory."""
 
 MOST_LOSSES = 5
-"""A job whose worker or machine is lost is done again so many times; one that always ends so is at fault."""
+"""Number of repetitions of a job whose worker or machine is lost."""
 
 CONNECTING = 10.0
-"""Time to wait for the head of a cluster [s]."""
+"""Timeout for the head of a cluster [s]."""
 
 COUNTING = 1.0
 """Time after which the processors are counted again at the latest [s]."""
@@ -122,7 +121,7 @@ LOCAL = "local"
 
 @dataclass(frozen=True)
 class ClusterUse:
-    """What became of a cluster's time."""
+    """Utilization of a cluster."""
 
     jobs: int
     """That were done."""
@@ -137,7 +136,7 @@ class ClusterUse:
 
     @property
     def share(self) -> float:
-        """Of the processors' time, that in which jobs were done which finished."""
+        """Share of the processors' time spent on finished jobs."""
         return self.working / max(self.processors * self.seconds, 1e-9)
 
     @property
@@ -168,19 +167,18 @@ class RayCluster:
     ) -> None:
         """Do each job once on some processor.
 
-        Work is done in the folder of this process, where a machine has it. A job whose machine goes away is
-        done again on another. Jobs must not depend on each other nor on where they are done; their order is
-        not kept.
+        Jobs run in the folder of this process, if the machine has it. A job is repeated if its machine is
+        lost. Jobs must be independent of each other and of the machine; their order is not kept.
 
         Args:
             work: a function of a module that every machine can import, called with ``shared`` and a job's
                 items.
             finished: called here with each job and its result, one after another.
-            shared: what all jobs need; sent to each machine once.
+            shared: data for all jobs, sent to each machine once.
 
         Raises:
-            FungraspError: the package is missing, no cluster is at the address, a machine has another version
-                of this one, or what ``work`` raised.
+            FungraspError: a missing package, no cluster at the address, a machine with another version of
+                fungrasp, or an error of ``work``.
         """
         ray, begun = _connected(self._address)
         send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
@@ -274,25 +272,25 @@ def _result(ray: Any, done: Any) -> Any:
 Part = TypeVar("Part")
 
 Arrays = dict[str, np.ndarray]
-"""The result of a part: what an ``.npz`` file holds."""
+"""Result of a part: the content of an ``.npz`` file."""
 
 VERSIONS = (__version__, version("mujoco-core"))
 """Of what computes: parts of other versions are not taken for those of this one."""
 
 
 def part_key(*inputs: Any) -> str:
-    """The name under which a part is kept.
+    """Key of a part in the store.
 
     Args:
-        inputs: all that its result depends on but the versions of fungrasp and MuJoCo; what has a ``digest``
-            of its own (a hand, an object, a grasp set) counts as that (``fungrasp.core.files.digest``).
+        inputs: everything that determines the result, except the versions of fungrasp and MuJoCo, which are
+            added (``fungrasp.core.files.digest``).
     """
     return digest(VERSIONS, *inputs)[:32]
 
 
 class Job(ABC, Generic[Part]):
-    """Work in parts. A subclass is a frozen dataclass of what the work needs; what it makes of that once (a
-    ``cached_property``) stays in its process when the job is sent to another one."""
+    """Work in parts. A subclass is a frozen dataclass with the inputs. Values of ``cached_property`` are not
+    sent to other processes."""
 
     @abstractmethod
     def parts(self) -> list[Part]:
@@ -300,7 +298,7 @@ class Job(ABC, Generic[Part]):
 
     @abstractmethod
     def key(self, part: Part) -> str:
-        """``part_key`` of all that the part's result depends on."""
+        """``part_key`` of a part."""
 
     @abstractmethod
     def run(self, parts: Sequence[Part], progress: Callable[[float], None]) -> list[Arrays]:
@@ -308,7 +306,7 @@ class Job(ABC, Generic[Part]):
 
         Args:
             parts: a single one, or a group of ``together``.
-            progress: called with how much of their size is done.
+            progress: called with the finished size.
         """
 
     def size(self, part: Part) -> float:
@@ -316,7 +314,7 @@ class Job(ABC, Generic[Part]):
         return 1.0
 
     def together(self, missing: list[Part]) -> list[list[Part]]:
-        """Groups of parts that one process runs at once, where its threads have more to share in this way."""
+        """Groups of parts for one process, to keep all of its threads busy."""
         return [[part] for part in missing]
 
     def is_whole(self, part: Part) -> bool:
@@ -339,12 +337,12 @@ def run_job(
     ray: RayCluster | None = None,
     progress: Callable[[float], None] = lambda done: None,
 ) -> list[Arrays]:
-    """Do the parts of a job that are not kept yet.
+    """Run the parts of a job that are not stored yet.
 
     Args:
         store: keeps finished parts so that an interrupted run can continue. The caller removes it.
-        ray: does the parts on a cluster; this process if None. The results are the same.
-        progress: called with the share that is done, 0 to 1.
+        ray: cluster to run on; this process if None. The results are the same.
+        progress: called with the finished share, 0 to 1.
 
     Returns:
         The results in the order of ``job.parts()``.

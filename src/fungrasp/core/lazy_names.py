@@ -1,4 +1,4 @@
-"""Names of a package that are imported on use, so that settings can be read without what they set."""
+"""Lazy imports of a package's names, so that settings can be read without heavy imports."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]
 
     Args:
         package: its ``__name__``.
-        modules: names that it offers, separated by spaces, by the module in it that defines them. No name
-            may be that of a module of the package.
+        modules: public names, separated by spaces, by defining module. A name must differ from all module
+            names.
     """
     places = {name: module for module, names in modules.items() for name in names.split()}
 

@@ -1,4 +1,4 @@
-"""How far long work has come: bars in terminals and notebooks, lines elsewhere."""
+"""Progress of long work: bars in terminals and notebooks, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ LINE_PERIOD = 30.0
 """Time between two lines of progress where there is no terminal [s]."""
 
 ShowProgress: TypeAlias = "Callable[[float], None] | bool | None"
-"""How a verb shows its progress: by a function that is called with how much is done; by a bar (True), not at
-all (False), or by a bar where a person is there to see it, in a terminal or a notebook (None)."""
+"""Progress of a function: a function called with the finished amount, a bar (True), nothing (False), or a bar
+only in terminals and notebooks (None)."""
 
 _bars = threading.Lock()
 """Held by the bar on the screen: a verb that another one calls shows none."""
@@ -22,11 +22,11 @@ _bars = threading.Lock()
 
 @contextmanager
 def shown_progress(how: ShowProgress, words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """What a verb calls with how much is done, as its caller wants it shown.
+    """A function to report the finished amount, shown as the caller requested.
 
     Args:
-        words: what is done, in front of a bar.
-        total: how much there is to do.
+        words: label of the bar.
+        total: total amount.
     """
     if callable(how):
         yield how
@@ -38,7 +38,7 @@ def shown_progress(how: ShowProgress, words: str, total: float) -> Iterator[Call
 
 
 def _watched() -> bool:
-    """Whether a person sees a bar that this thread draws."""
+    """Whether somebody would see a bar of this thread."""
     if threading.current_thread() is not threading.main_thread() or _bars.locked():
         return False
     return sys.stderr.isatty() or "ipykernel" in sys.modules
@@ -46,14 +46,13 @@ def _watched() -> bool:
 
 @contextmanager
 def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr while something takes long; where stderr is no terminal, a line now and then, and one
-    at the end if there was any.
+    """A progress bar on stderr. If stderr is not a terminal, a line from time to time, and one at the end.
 
     Args:
-        total: how much there is to do.
+        total: total amount.
 
     Yields:
-        A function to be called with how much is done.
+        A function to report the finished amount.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn

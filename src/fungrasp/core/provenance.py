@@ -1,4 +1,4 @@
-"""Where a result comes from, and what is installed and there: programs, extras, devices, caches."""
+"""Provenance of results, and the installation: programs, extras, devices, caches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fungrasp.core.files import cache_path
 
 
 def run_record(seed: int | list[int]) -> dict[str, Any]:
-    """What a result file says about the run that wrote it: command, versions, seed, machine and date.
+    """Provenance for result files: command, versions, seed, machine and date.
 
     Args:
         seed: of the run, or its seeds.
@@ -41,8 +41,8 @@ def page_provenance(source: Mapping[str, str], seed: int, seconds: float | None 
     """Program, command, source, seed, machine and date, for people.
 
     Args:
-        source: what it was made from, by what kind of thing that is.
-        seconds: how long it took [s], if known.
+        source: inputs by kind.
+        seconds: duration [s], if known.
     """
     record = run_record(seed)
     revision = f", revision {record['revision'][:12]}" if record["revision"] else ""
@@ -74,8 +74,7 @@ def machine() -> str:
 
 
 def git_revision() -> str:
-    """The commit of the checkout that fungrasp runs from, "+changes" if it was edited since; "" if there is
-    none."""
+    """Git commit of the checkout, with "+changes" if it was edited; "" outside a checkout."""
 
     def git(*arguments: str) -> str:
         return subprocess.run(
@@ -136,7 +135,7 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Look at what is installed and there."""
+    """Inspect the installation."""
     revision = git_revision()
     own = f"{__version__}, revision {revision[:12]}" if revision else __version__
     programs = [("fungrasp", own), ("Python", platform.python_version()), ("system", platform.platform())]

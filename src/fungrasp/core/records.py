@@ -1,4 +1,4 @@
-"""Frozen dataclasses: of arrays whose first axis is the batch, in NumPy's files; of settings, as JSON."""
+"""Frozen dataclasses: batches of arrays in NumPy files, and settings as JSON."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from fungrasp.core.formats.numpy_files import read_npz
 
 
 class BatchRecord:
-    """Base of the plain types that pass between planner, policy, simulation and robot.
+    """Base of the data types shared by planner, policy, simulation and robot.
 
-    A subclass is a frozen dataclass. Its fields are arrays with the batch first, ``None`` where a quantity is
-    not known, and scalars (named in ``SCALARS``) that the whole batch shares.
+    A subclass is a frozen dataclass. Its fields are arrays with the batch first, ``None`` for unknown
+    quantities, and scalars (in ``SCALARS``) for the whole batch.
     """
 
     SCALARS: ClassVar[tuple[str, ...]] = ()
     FORMER_NAMES: ClassVar[Mapping[str, str]] = {}
-    """Names of fields in older files, and what they are called now."""
+    """Old names of fields in files, and their new names."""
 
     def __len__(self) -> int:
         return next(len(value) for value in self._rows().values())
@@ -47,11 +47,11 @@ class BatchRecord:
         return self._with({name: value[rows] for name, value in self._rows().items()})
 
     def replaced(self, rows: np.ndarray, other: Self) -> Self:
-        """A copy in which some rows are another record's.
+        """A copy with some rows replaced.
 
         Args:
             rows: indices, shape [I].
-            other: I rows that know the same quantities.
+            other: I rows with the same quantities.
 
         Raises:
             FungraspError: a quantity is known in one of the two only.
@@ -63,12 +63,12 @@ class BatchRecord:
         return self._with(arrays)
 
     def mapped(self, function: Callable[[Any], Any]) -> Self:
-        """The same with a function of each array in its place: those on a device, for example."""
+        """A copy with a function applied to each array, for example to move it to a device."""
         return self._with({name: function(value) for name, value in self._rows().items()})
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """One batch after the other; shared scalars are those of the first.
+        """Concatenate batches; scalars are those of the first.
 
         Raises:
             FungraspError: a quantity is known in some of them only.
@@ -79,7 +79,7 @@ class BatchRecord:
         return parts[0]._with({name: np.concatenate([r[name] for r in rows]) for name in rows[0]})
 
     def save(self, path: str | Path) -> None:
-        """Write to an ``.npz`` file, whole or not at all.
+        """Write to an ``.npz`` file atomically.
 
         Raises:
             FungraspError: the file can't be written.
@@ -89,7 +89,7 @@ class BatchRecord:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read what ``save`` wrote.
+        """Read a file of ``save``.
 
         Raises:
             FungraspError: no such file, or it holds something else.
@@ -142,10 +142,10 @@ Record = TypeVar("Record")
 
 
 def record_to_json(record: Any) -> Any:
-    """What JSON can hold of a dataclass: all its fields, whether they are defaults or not.
+    """A dataclass as JSON, with all fields.
 
     Raises:
-        FungraspError: it holds something else than the module says, or a number that is not finite.
+        FungraspError: an unsupported type, or a number that is not finite.
     """
     if is_dataclass(record) and not isinstance(record, type):
         return {f.name: record_to_json(getattr(record, f.name)) for f in fields(record)}
@@ -163,13 +163,13 @@ def record_to_json(record: Any) -> Any:
 
 
 def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
-    """A dataclass from what ``record_to_json`` gave; a field that is not there has its default.
+    """A dataclass from the JSON of ``record_to_json``; missing fields get their defaults.
 
     Args:
         where: begins the messages: "the specification lift.json".
 
     Raises:
-        FungraspError: an unknown field, or a value of another type; says which, and what is allowed.
+        FungraspError: an unknown field, or a value of the wrong type.
     """
     if not isinstance(data, Mapping):
         raise FungraspError(f"{where}: expected the fields of {kind.__name__}, not {_words(data)}")

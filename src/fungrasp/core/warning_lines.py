@@ -18,7 +18,7 @@ class WarningLines(logging.Handler):
         self._subjects: dict[str, list[str]] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a new kind of warning, remember whom else a known one is about."""
+        """Print a warning of a new kind; note the subject of a known one."""
         message, subject = record.getMessage(), ""
         if isinstance(record.args, tuple) and record.args and record.msg.startswith("%s: "):
             subject = str(record.args[0])

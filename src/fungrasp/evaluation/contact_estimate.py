@@ -1,4 +1,4 @@
-"""How well a student knows what its fingers touch: its estimates against the truth of the simulation."""
+"""Accuracy of a student's contact estimates, compared with the simulation."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class ContactEstimates(BatchRecord):
     was estimated."""
 
     contact_hits: np.ndarray
-    """Links that touch and are said to."""
+    """True positives: links in contact and estimated so."""
     contact_false_alarms: np.ndarray
-    """Links that are said to touch and do not."""
+    """False positives: links estimated in contact that are not."""
     contact_misses: np.ndarray
-    """Links that touch and are not said to."""
+    """False negatives: links in contact, not estimated so."""
     force_error_n: np.ndarray
-    """Absolute errors of the estimated forces of links that touch [N]."""
+    """Absolute force errors of links in contact [N]."""
     force_n: np.ndarray
-    """True forces of links that touch [N]."""
+    """True forces of links in contact [N]."""
 
     @classmethod
     def none(cls, count: int) -> ContactEstimates:
@@ -55,7 +55,7 @@ class ContactEstimates(BatchRecord):
 
 
 class ContactEstimateMeter:
-    """A student whose estimates are compared with the truth at every step; it acts as the student does."""
+    """A wrapper that compares a student's estimates with the truth at every step."""
 
     def __init__(self, student: StudentPolicy, environment: LiftEnvironment):
         """

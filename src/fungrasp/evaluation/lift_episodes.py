@@ -1,5 +1,4 @@
-"""What happens in the episodes of a lift test: worlds are drawn, plans are made and played, the use
-test follows."""
+"""Episodes of a lift test: draw worlds, plan, play, and run the use test."""
 
 from __future__ import annotations
 
@@ -44,7 +43,7 @@ HOLD_PREFIX = "hold."
 
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """Episodes that are simulated together."""
+    """Episodes simulated together."""
 
     condition: str
     """Name of what their worlds are drawn from."""
@@ -56,11 +55,11 @@ class Episodes:
 
 @dataclass(frozen=True, eq=False)
 class LiftTest:
-    """Grasps to be tried, and how.
+    """Grasps to test, and settings.
 
     Raises:
-        FungraspError: an unknown policy, grasps of another hand, several attempts where they can't be, or
-            several seeds where nothing is random.
+        FungraspError: an unknown policy, grasps of another hand, several attempts of an open-loop policy, or
+            several seeds without randomness.
     """
 
     grasps: RobotGraspSet
@@ -72,9 +71,9 @@ class LiftTest:
     spec: LiftTestSpec
     """How they are tried."""
     given_policy: Policy | PrivilegedPolicy | None = None
-    """In the place of the one that is named."""
+    """A policy object, instead of the named policy."""
     given_planner: Planner | GivenPlans | None = None
-    """In the place of the policy's, or plans that were made before."""
+    """A planner or plans, instead of the policy's planner."""
     record: Path | None = None
     """Folder for the recorded episodes."""
     threads: int = 0
@@ -107,12 +106,12 @@ class LiftTest:
 
     @cached_property
     def policy(self) -> Policy | PrivilegedPolicy:
-        """What moves the hand."""
+        """The policy."""
         return self.given_policy or make_policy(self.spec.policy, self.hand, self.objects)
 
     @cached_property
     def planner(self) -> Planner:
-        """Whose plans it follows; one for all conditions: what it has planned for one it knows for others."""
+        """The planner, one for all conditions, so that plans are reused."""
         if self.given_planner is not None and not isinstance(self.given_planner, GivenPlans):
             return self.given_planner
         spec = self.spec
@@ -125,7 +124,7 @@ class LiftTest:
 
     @cached_property
     def searches(self) -> bool:
-        """Whether plans are searched for, which takes ten times as long and more."""
+        """Whether the planner searches among candidates, which takes more than ten times as long."""
         return self._source.searches and not isinstance(self.given_planner, GivenPlans)
 
     @cached_property
@@ -133,7 +132,7 @@ class LiftTest:
         return {}
 
     def is_random(self, randomization: Randomization) -> bool:
-        """Whether episodes depend on the seed. Of a policy or planner of somebody's own that is not known."""
+        """Whether episodes depend on the seed; assumed for user-defined policies and planners."""
         made = self.given_planner is not None and not isinstance(self.given_planner, GivenPlans)
         own = self.given_policy is not None or made
         return bool(own or randomization.is_random or self.searches)

@@ -1,4 +1,4 @@
-"""Result files: a small JSON header beside a CSV table with one row per episode.
+"""Result files: a small JSON header and a CSV table with one row per episode.
 
 The header holds what was run (command, revision, versions, seed, machine, date) and the summary; its keys
 ``rows``, ``columns`` and ``sha256`` name the table, the type of each column and the table's digest. Nested
@@ -37,7 +37,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class ResultFile:
-    """What a result file holds."""
+    """Content of a result file."""
 
     header: dict[str, Any]
     """What was run, and the summary."""

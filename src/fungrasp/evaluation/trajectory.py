@@ -1,4 +1,4 @@
-"""Recorded episodes: the states of a scene in a file that can be replayed."""
+"""Recorded episodes: the states of a scene, for replay."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Trajectory:
     index: int
     """Row of the grasp in its set."""
     success: bool
-    """Whether the object was lifted and held; of a use test, whether it was passed."""
+    """Whether the lift test (or use test) was passed."""
     reason: str
     """Why the episode failed, "" on success."""
     times: np.ndarray
@@ -70,16 +70,14 @@ class Trajectory:
     phase: np.ndarray
     """Phase of each state as an index into ``PHASES``, shape [T]."""
     controls: np.ndarray | None = None
-    """What the servos of the scene were told before each state: the wrist's six joints in its frame [m, rad],
-    then the finger servos [rad]; shape [T, 6 + U]. None in earlier recordings, and for use tests in which
-    the world pushes or pulls at the object."""
+    """Servo controls before each state: the wrist's six joints in its frame [m, rad], then the finger servos
+    [rad]; shape [T, 6 + U]. None in old recordings, and in use tests with external forces on the object."""
     differs: str = ""
-    """What may differ from the nominal world, as names of fields of ``Randomization`` with spaces between;
-    empty for a nominal one. The drawn values are not in a recording, and a replay of the controls in the
-    nominal scene departs from it."""
+    """Randomized quantities (names of fields of ``Randomization``, separated by spaces); empty for a nominal
+    world. Their values are not recorded, so replayed controls give a different motion."""
 
     def save(self, path: str | Path) -> None:
-        """Write to an ``.npz`` file, whole or not at all; numbers as float32.
+        """Write to an ``.npz`` file atomically, numbers as float32.
 
         Raises:
             FungraspError: the file can't be written.
@@ -94,7 +92,7 @@ class Trajectory:
 
     @property
     def is_use_test(self) -> bool:
-        """Whether it is of a use test, not of a lift test."""
+        """Whether it is a use test."""
         return bool((self.phase == PHASES.index("use")).any())
 
     @property
@@ -108,7 +106,7 @@ def replay(path: str | Path) -> Trajectory:
     """Read a recorded episode.
 
     Raises:
-        FungraspError: no such file, or no recorded episode.
+        FungraspError: missing file, or not a recorded episode.
     """
     names = {field.name for field in fields(Trajectory)}
     arrays = read_npz(path, "recorded episode", names.__contains__)
@@ -128,7 +126,7 @@ def replay(path: str | Path) -> Trajectory:
 
 
 class Recorder:
-    """Watches a task and keeps its states; hand it to ``LiftEnvironment.step``."""
+    """Records the states of a task; pass it to ``LiftEnvironment.step``."""
 
     def __init__(self, task: LiftTask, grasps: RobotGraspSet, randomization: Randomization = NOMINAL):
         self._task, self._grasps = task, grasps
@@ -140,7 +138,7 @@ class Recorder:
         self()
 
     def __call__(self) -> None:
-        """Keep the current state."""
+        """Record the current state."""
         task, engine = self._task, self._task.engine
         phase = np.isfinite(task.lift_time).astype(np.int8) + np.isfinite(task.hold_time)
         self._times.append(task.time.copy())

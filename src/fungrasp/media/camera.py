@@ -73,7 +73,7 @@ class Camera:
         return result
 
     def rays(self) -> PixelRays:
-        """What the ray tracer needs to know."""
+        """Parameters for the ray tracer."""
         return _rays(self)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +110,7 @@ def orbit_camera(
     width: int = 640,
     height: int = 480,
 ) -> Camera:
-    """A camera on a sphere round ``target``.
+    """A camera on a sphere around ``target``.
 
     Args:
         target: [m], world frame, length 3.
@@ -135,7 +135,7 @@ def fit_camera(
     height: int = 480,
     margin: float = 1.12,
 ) -> Camera:
-    """The nearest orbit camera that sees some points, and has them in the middle.
+    """The nearest orbit camera with some points in the middle of its picture.
 
     Args:
         points: [m], world frame, shape [P, 3].

@@ -97,11 +97,11 @@ def demonstrate(
     threads: int = 0,
     stages: Stages = no_stages,
 ) -> Demonstration:
-    """Retarget grasps, try and use them, and show it.
+    """Retarget grasps, test and use them, and write a film and a page.
 
     Args:
-        policy: name or file of what moves it.
-        out: folder for ``film.mp4`` and ``index.html``; nothing is in it until they are whole.
+        policy: name or file of the policy.
+        out: folder for ``film.mp4`` and ``index.html``, written atomically.
         seed: of the rollouts that choose a plan.
         threads: 0 means all processors.
 

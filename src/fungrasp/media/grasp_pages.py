@@ -1,6 +1,4 @@
-"""What pages and notebooks say about grasps: pictures, contacts, numbers, outcomes; the page of what a verb
-returned.
-"""
+"""Pages and notebook output about grasps: pictures, contacts, numbers, outcomes."""
 
 from __future__ import annotations
 
@@ -66,11 +64,11 @@ MEANINGS: dict[str, tuple[str, str, str]] = {
 
 
 def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
-    """Write a page about grasps, the result of a lift test, or what was perceived.
+    """Write a page about grasps, a lift test or a perceived grasp.
 
     Args:
-        what: human or robot grasps, of which a few of different objects are drawn; a result, of which some
-            episodes of either outcome are; or what ``perceive`` returned.
+        what: human or robot grasps (a few of different objects are drawn), a result (some successes and
+            failures are drawn), or the result of ``perceive``.
         objects: those of grasps, as for ``retarget``. A result has its own.
         out: HTML file to write; it needs no other file and no network.
 
@@ -78,7 +76,7 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
         The path of the page.
 
     Raises:
-        FungraspError: something else, an object that is missing, or a file that can't be written.
+        FungraspError: wrong type, a missing object, or a file that can't be written.
     """
     path = Path(out)
     if isinstance(what, Perceived):

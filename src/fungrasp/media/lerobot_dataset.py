@@ -1,4 +1,4 @@
-"""Recorded episodes as a data set of LeRobot's, with what cameras would have seen."""
+"""Recorded episodes as a LeRobot data set, with rendered cameras."""
 
 from __future__ import annotations
 
@@ -61,15 +61,15 @@ def write_lerobot_dataset(
     """A LeRobot data set (v3.0) of episodes of one hand; ``LeRobotDataset(name, root=folder)`` loads it.
 
     ``observation.state`` is the palm's pose and all joints, ``observation.environment_state`` the object's
-    pose, ``observation.contacts`` which links touch; ``action`` is what the servos were told before the next
+    pose, ``observation.contacts`` the links in contact; ``action`` has the servo controls before the next
     state (the wrist's six joints, then the fingers), and ``next.success`` whether the episode succeeded, at
     its last state. ``observation.images.<camera>`` are films, H.264.
 
     Args:
         episodes: lift tests of one hand, with controls.
         folder: must not exist.
-        cameras: what each sees of an episode, by the camera's name (``episode_pictures``); none by
-            default.
+        cameras: functions from an episode to its pictures, by camera name (``episode_pictures``). Default:
+            none.
 
     Raises:
         FungraspError: pyarrow is not installed, no episodes, several hands, an episode without controls or

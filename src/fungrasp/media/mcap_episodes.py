@@ -19,8 +19,8 @@ TOPIC = "/state"
 
 
 def write_mcap_episodes(episodes: Sequence[Trajectory], folder: str | Path) -> list[Path]:
-    """One MCAP file for each episode: a message for each state, with all its numbers; what belongs to the
-    whole episode is its metadata. ``read_mcap_episode`` reads it back.
+    """Write one MCAP file per episode: one message per state; data of the whole episode is metadata.
+    ``read_mcap_episode`` reads it.
 
     Args:
         folder: is made; files are called ``<row>_<object>.mcap``.

@@ -168,7 +168,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class GraspReport:
-    """What the page says about one grasp. What is None or empty is left out."""
+    """Content of the page about one grasp. None and empty values are omitted."""
 
     title: str
     """Heading of the grasp, such as "Mug, to drink"."""

@@ -1,4 +1,4 @@
-"""Which page shows what: by what it is, or by what the file holds. ``KINDS`` is the one list of it."""
+"""Choice of a page by type or file content, from the list ``KINDS``."""
 
 from __future__ import annotations
 

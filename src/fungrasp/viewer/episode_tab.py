@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EpisodeSettings:
-    """How the world differs from what is planned for."""
+    """How the world differs from the planner's belief."""
 
     policy: str = "reference"
-    """Name or file of what moves the hand."""
+    """Name or file of the policy."""
     mass: float = 1.0
     """Factor on the mass of the object."""
     friction: float | None = None
@@ -99,7 +99,7 @@ class LiveEpisode:
             None where it was ended.
 
         Raises:
-            FungraspError: no such policy, or none for the hand.
+            FungraspError: unknown policy, or not for this hand.
         """
         s, objects = self._settings, {self.model.name: self.model}
         r = s.randomization

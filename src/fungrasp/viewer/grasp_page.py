@@ -1,4 +1,4 @@
-"""The page of grasps: a person's beside a robot's; what is dragged is followed at once."""
+"""The page of grasps: human and robot grasp side by side; the robot hand follows what is dragged."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ APART = 0.3
 """Distance between the hands that stand side by side [m]."""
 
 SAY_PERIOD = 0.3
-"""Time between two updates of the numbers while something is dragged [s]: words cost a browser more than
-shapes."""
+"""Time between two updates of the numbers during a drag [s]: text is slower than shapes in browsers."""
 
 NOTHING = "nothing"
 
@@ -40,10 +39,10 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 @dataclass(frozen=True)
 class PickableGrasps:
-    """What a page of grasps begins with."""
+    """Initial choice of a page of grasps."""
 
     grasps: HumanGraspSet
-    """What can be picked."""
+    """Grasps to choose from."""
     objects: Mapping[str, ObjectModel]
     """Theirs, by name."""
     hand: str = "allegro"

@@ -1,4 +1,4 @@
-"""The page of a hand: its joints, key points, contact links, shapes, and what the check finds."""
+"""The page of a hand: joints, key points, contact links, shapes, and findings of the check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A page: what one browser sees. It is made when the browser connects and closed when it goes."""
+"""A page for one browser, from its connection to its end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SHEET = 0.46
 
 
 class Worker:
-    """One thread that does what a page asks for. Of jobs of one kind that wait, the last one counts."""
+    """A worker thread of a page. Of waiting jobs of one kind, only the last one runs."""
 
     def __init__(self, fail: Callable[[str], None]):
         """

@@ -90,7 +90,7 @@ class ShownResult:
     recordings: Path | None = None
     """Folder of recorded episodes."""
     missing: str = ""
-    """Why episodes can't be played again; "" where they can."""
+    """Why episodes can't be played again; "" if they can."""
 
     @classmethod
     def of(cls, result: LiftTestResult) -> Self:
@@ -110,11 +110,10 @@ class ShownResult:
 
     @classmethod
     def read(cls, path: Path, file: ResultFile) -> Self:
-        """A result file. Grasps, objects and recordings are looked for where the command that wrote it had
-        them.
+        """A result file. Grasps, objects and recordings are expected where its command had them.
 
         Raises:
-            FungraspError: it is no result of a lift test.
+            FungraspError: not a result of a lift test.
         """
         header = file.header
         rows = [row for row in file.rows if {"index", "object", "success"} <= set(row)]

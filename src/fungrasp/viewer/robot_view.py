@@ -1,4 +1,4 @@
-"""One robot hand in a page: it imitates the human hand, follows what is dragged, is judged and kept."""
+"""A robot hand in a page: retarget, follow drags, measure, save."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Reading files that others wrote: one function per format.
+"""Reading files from unknown sources: one function per format.
 
-Sizes, names and nesting that a file declares are checked before memory is taken for them; what third-party
-libraries parse is tried in a child process with limited time and memory first. Whatever is wrong with a file
-is a ``FungraspError`` of one line.
+Declared sizes, names and nesting are checked before memory is allocated. Files for third-party parsers are
+first parsed in a child process with limited time and memory. Every problem is a ``FungraspError`` with one
+line.
 """

@@ -47,12 +47,12 @@ def read_npz(
     """The arrays in an ``.npz`` file by name: numbers, flags or text.
 
     Args:
-        wanted: which names are read; of others not even the headers are.
-        most: arrays that the file may hold.
-        largest: bytes that they may take together, eight for each number of fewer.
+        wanted: names to read; others are skipped completely.
+        most: largest number of arrays.
+        largest: total bytes of the arrays, at least eight per number.
 
     Raises:
-        FungraspError: it can't be read, is no such file, or what it declares is too large.
+        FungraspError: unreadable, not such a file, or too large.
     """
     where = f"the {what} {one_line(path)}"
     path = check_file(path, what, largest + most * LONGEST_HEADER)

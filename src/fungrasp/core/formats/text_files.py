@@ -1,4 +1,4 @@
-"""JSON, TOML, YAML and XML files, and checks of what they hold."""
+"""JSON, TOML, YAML and XML files, and checks of their content."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGEST_JSON = 16_000_000
 
 
 def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON) -> Any:
-    """What a JSON file holds.
+    """Content of a JSON file.
 
     Raises:
         FungraspError: it can't be read, is too large or is not valid JSON.
@@ -30,7 +30,7 @@ def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON) -> Any:
 
 
 def parse_json(text: str | bytes, where: str) -> Any:
-    """What JSON text holds; ``where`` begins the messages.
+    """Content of JSON text; ``where`` begins the messages.
 
     Raises:
         FungraspError: it is not valid JSON, is nested too deeply or holds integers beyond 64 bits.
@@ -75,7 +75,7 @@ _WORDS = {str: "a text", float: "a number", int: "a whole number", bool: "true o
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """What a TOML file holds.
+    """Content of a TOML file.
 
     Raises:
         FungraspError: it can't be read, is too large or is not valid TOML.
@@ -94,7 +94,7 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 
 def type_faults(value: Any, schema: Schema, name: str = "") -> Iterator[str]:
-    """What has another type than the schema says, one phrase each: "'palm' must be a text, not 3"."""
+    """Violations of the schema, one phrase each: "'palm' must be a text, not 3"."""
     if isinstance(schema, Mapping):
         if not isinstance(value, Mapping):
             yield f"'{name}' must be a table, not {one_line(repr(value), 60)}"
