@@ -154,7 +154,8 @@ def progress_lines(steps: int) -> Callable[[Any], None]:
         if done > 0 and seconds > 0 and p.steps < steps:
             rate = done / seconds
             left = f", {rate:,.0f} steps/s, {_duration((steps - p.steps) / rate)} left"
-        print(f"{p.steps:,} of {steps:,} steps, success {p.success:.1%}{left}", file=sys.stderr, flush=True)
+        done = f"{p.steps:,} of {steps:,} steps, success while exploring {p.success:.1%}"
+        print(f"{done}{left}", file=sys.stderr, flush=True)
 
     return show
 

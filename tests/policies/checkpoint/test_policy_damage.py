@@ -100,7 +100,7 @@ def test_two_cards(saved: Path, tmp_path: Path) -> None:
     [
         (ZEROS + "", "not valid JSON"),
         (ZEROS + ', "format_version": 2}', "has format 2; this version of fungrasp reads 1"),
-        (ZEROS + "}", "of format None"),
+        (ZEROS + "}", "has format None"),
         (ZEROS + ', "format_version": 1}', "lacks 'name'"),
     ],
 )
