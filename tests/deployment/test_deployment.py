@@ -98,7 +98,7 @@ def test_a_log_that_breaks_off_is_read_up_to_there(lifted: tuple[Any, Path], tmp
         (tmp_path / "torn.mcap").write_bytes(whole[: len(whole) // 3 - cut])
         assert not read_log(tmp_path / "torn.mcap").complete
     (tmp_path / "no.mcap").write_bytes(b"nothing")
-    with pytest.raises(FungraspError, match="is no MCAP file"):
+    with pytest.raises(FungraspError, match="is not an MCAP file"):
         read_log(tmp_path / "no.mcap")
 
 
@@ -296,7 +296,7 @@ def test_where_one_plan_has_no_free_way_the_next_is_tried(monkeypatch: pytest.Mo
     prepared = preparer.prepare(grasp, where, home)
     assert seeds == [0, 1] and len(prepared.corners)
     monkeypatch.setattr(FreePath, "find", lambda self, *a: None)
-    with pytest.raises(UnreachableError, match="no free way"):
+    with pytest.raises(UnreachableError, match="no free path"):
         preparer.prepare(grasp, where, home)
     assert seeds == [0, 1, 0, 1, 2]
 

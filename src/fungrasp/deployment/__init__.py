@@ -1,1 +1,1 @@
-"""Deployment: the 10 Hz loop, its supervisor, the safety filter, the log."""
+"""Deployment of grasps on robots: control loop, phases, log, rehearsal."""

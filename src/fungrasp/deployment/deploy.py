@@ -1,4 +1,4 @@
-"""``deploy``: one grasp on a robot or on its twin, whatever the cell is connected to."""
+"""The function ``deploy``: one grasp on a robot or its simulated twin."""
 
 from __future__ import annotations
 
@@ -103,13 +103,13 @@ def deployment_task(
     check_attempts(spec.attempts, watches)
     if spec.speed < 1.0 and watches:
         raise FungraspError(
-            f"the policy '{spec.policy}' watches what it does and acts at 10 Hz: it can't be slowed down to "
+            f"the policy '{spec.policy}' needs feedback at 10 Hz and can't be slowed down to "
             f'{spec.speed:g}; the policies "plan" and "reference" can'
         )
     if watches and plan_speed(cell.limits) < 1.0:
         raise FungraspError(
             f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of "
-            f"their speed, and the policy '{spec.policy}' watches what it does and can't be slowed down; the "
+            f"their speed, and the policy '{spec.policy}' needs feedback and can't be slowed down; the "
             'policies "plan" and "reference" can'
         )
     planner = (
@@ -132,7 +132,7 @@ def deployable_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel])
     only a simulation knows."""
     policy = make_policy(name, hand, objects)
     if not isinstance(policy, Policy):
-        raise FungraspError(f"the policy '{name}' needs what only a simulation knows: take a student")
+        raise FungraspError(f"the policy '{name}' needs privileged observations: use a student")
     return policy
 
 
@@ -148,30 +148,30 @@ def deploy(
     observer: DeploymentObserver | None = None,
     switch: StopSwitch | None = None,
 ) -> DeploymentResult:
-    """Look, plan, move to the start, grasp, lift, hold, put down and go home.
+    """Deploy one grasp: look, plan, move to the start, grasp, lift, hold, put down and go home.
 
-    A robot that was stopped, or is to stay, holds what it holds until a person says open at the keyboard of
-    ``switch`` or interrupts the program (``fungrasp.deployment.hold_after_stop``). On a twin the object is
-    put where the arm can reach it; on a robot it stands where the tracker sees it.
+    After a stop, or if the robot should stay, the hand keeps its grip until a person types open at the
+    keyboard of ``switch`` or interrupts the program (``fungrasp.deployment.hold_after_stop``). On a twin, the
+    object is placed within reach of the arm; on a robot, the tracker finds it.
 
     Args:
-        grasps: one grasp of the cell's hand, or of a person, which is retargeted to that hand first.
+        grasps: one robot grasp of the cell's hand, or one human grasp, which is retargeted first.
         objects: its object, as for ``retarget``.
-        cell: in the place of the one that ``spec`` names.
-        policy: in the place of that of ``spec``.
-        plans: one plan for the grasp (``fungrasp.plan``), which moves along with the object to where the
-            robot sees it; by default the policy's planner makes one.
-        spec: what is asked; the defaults if None.
-        log: MCAP file to write, which must not exist; no log if None.
-        observer: told of everything, and asked before each phase in which the robot moves; nobody if None.
+        cell: replaces that of ``spec``.
+        policy: replaces that of ``spec``.
+        plans: one plan for the grasp (``fungrasp.plan``), which is moved to the observed object. Default:
+            made by the policy's planner.
+        spec: settings; the defaults if None.
+        log: MCAP file to write; must not exist. None: no log.
+        observer: notified of all events, and asked before each phase with motion; None for none.
         switch: stops the robot; that of the cell's stop file if None.
 
     Returns:
-        How it went. Faults of the robot are in it; they raise nothing.
+        The result. It includes faults of the robot, which are not raised.
 
     Raises:
-        FungraspError: what is asked does not fit together (``deployment_task``), a device that is not there,
-            or a grasp that can't be planned or reached; nothing has moved then.
+        FungraspError: contradicting settings (``deployment_task``), a missing device, or a grasp that can't
+            be planned or reached. Nothing has moved then.
     """
     spec = spec or DeploymentSpec()
     spec = replace(spec, cell=cell or spec.cell, policy=policy or spec.policy)

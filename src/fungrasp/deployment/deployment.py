@@ -70,7 +70,7 @@ class Deployment:
         is latched. Nothing has moved."""
         if self.phase is not Phase.IDLE:
             said = f" ({self.fault})" if self.fault else ""
-            raise RobotError(f"the robot is in the state of {self.phase}{said}: look at it, then start anew")
+            raise RobotError(f"the robot is in the state '{self.phase}'{said}: look at it, then start again")
         robot = self.robot
         robot.watch = self._watch
         robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
@@ -196,15 +196,15 @@ class Deployment:
                     continue
                 if said.status is not DeviceStatus.STOPPED or robot.clock.now() > waited:
                     why = f"{said.status}: {said.message}" if said.message else said.status
-                    raise RobotError(f"the {name} stopped while the grasp was planned ({why}): start anew")
+                    raise RobotError(f"the {name} stopped while the grasp was planned ({why}): start again")
             problem = check_pose(now.tracked, self._object_pose, now.time, robot.cell)
             if problem and robot.clock.now() > waited:
-                raise RobotError(f"{problem} while the grasp was planned: start anew")
+                raise RobotError(f"{problem} while the grasp was planned: start again")
             if not problem and all(said.status is DeviceStatus.READY for said in joints.values()):
                 break
             robot.clock.sleep_until(robot.clock.now() + 0.02)
         if np.abs(now.arm.positions - state.arm.positions).max() > MOVED:
-            raise RobotError("the arm was moved while the grasp was planned: start anew")
+            raise RobotError("the arm was moved while the grasp was planned: start again")
         robot.take_control()
         return now
 

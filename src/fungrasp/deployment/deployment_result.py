@@ -1,4 +1,4 @@
-"""How a deployment went, and whether its loop kept its time."""
+"""Result of a deployment, and timing of its loop."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ class DeadlineMonitor:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DeploymentResult:
-    """How a deployment went."""
+    """Result of a deployment."""
 
     spec: DeploymentSpec
-    """What was asked."""
+    """The settings."""
     phase: Phase
-    """DONE, or FAULT."""
+    """DONE or FAULT."""
     fault: str
-    """Why it is FAULT, as a phrase; "" otherwise."""
+    """Reason of a fault, as a phrase; "" without fault."""
     prepared: PreparedGrasp | None
-    """What was planned; None where it did not come to that."""
+    """The plan; None if none was made."""
     ticks: DeadlineMonitor
     """Lateness of the 10 Hz ticks."""
     setpoints: DeadlineMonitor
@@ -61,17 +61,18 @@ class DeploymentResult:
     attempts: int = 1
     """Attempts made."""
     missed: bool = False
-    """Whether the last of several attempts was seen not to hold the object."""
+    """Whether the robot noticed that the last of several attempts failed."""
     why_no_more: str = ""
-    """Why no further attempt was made though it was allowed; empty if that was not so."""
+    """Why an allowed further attempt was not made, else empty."""
     times: dict[str, float] = field(default_factory=dict)
-    """When each phase began, on the robot's clock [s]."""
+    """Start of each phase on the robot's clock [s]."""
     longest_silence: dict[str, float] = field(default_factory=dict)
     """Longest time that the time stamp of arm and hand stood still between setpoints [s]."""
     success: bool | None = None
-    """Whether the object was lifted and held, in truth: of a twin. Nobody knows it of a robot."""
+    """Whether the object was lifted and held, for twins only."""
     height: float = np.nan
-    """Least height of the object's center of mass during the hold [m], of a twin; infinite without a hold."""
+    """Smallest height of the object's center of mass during the hold [m], for twins; infinite without a
+    hold."""
     as_shown: AsShown | None = None
     """How the hand held the object, of a twin: one row. None without a hold, or where the person's places are
     not known."""
@@ -83,8 +84,7 @@ class DeploymentResult:
 
     @property
     def held_as_shown(self) -> bool | None:
-        """Whether the object was lifted and held where and how the person held it, of a twin; None where
-        ``success`` is."""
+        """Whether the object was held as shown, for twins; None if ``success`` is None."""
         if self.success is None:
             return None
         return self.success and self.as_shown is not None and bool(self.as_shown.holds[0])
@@ -93,7 +93,7 @@ class DeploymentResult:
         return f"<DeploymentResult: {self.words()}>"
 
     def words(self) -> str:
-        """How it went, in a line; the fault where there was one."""
+        """Summary in one line."""
         if self.fault:
             return f"fault: {self.fault}"
         no_more = f"; no further attempt: {self.why_no_more}" if self.why_no_more else ""

@@ -46,7 +46,7 @@ _MISSING = 'logs are MCAP files: pip install "fungrasp[deploy]"'
 
 
 class McapLog(DeploymentObserver):
-    """Writes a log file; a context manager. A file that is there already is not touched."""
+    """Writes a log file; a context manager. An existing file is not changed."""
 
     def __init__(self, path: str | Path, about: Mapping[str, str] | None = None):
         """about: what it says beside the plan and the cell's name. Raises: FungraspError: mcap is not
@@ -60,7 +60,7 @@ class McapLog(DeploymentObserver):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self.path.open("xb")
         except FileExistsError as error:
-            raise FungraspError(f"the log {path} exists already: give another name") from error
+            raise FungraspError(f"the log {path} already exists: give another name") from error
         except OSError as error:
             raise FungraspError(f"cannot write {path}: {error.strerror or error}") from error
         self._writer = Writer(self._stream, use_chunking=False)
@@ -140,7 +140,7 @@ class McapLog(DeploymentObserver):
 
 @dataclass(frozen=True, eq=False)
 class RecordedDeployment:
-    """What a log holds."""
+    """Content of a log."""
 
     plan: GraspPlan | None
     """The first plan; None where the log ends before it."""
@@ -201,7 +201,7 @@ class ReplayResult:
 
 
 def replay_log(log: RecordedDeployment, policy: Policy) -> ReplayResult:
-    """Show a policy the observations of a log: it must answer as it did. Raises: FungraspError: the log ends
+    """Feed the observations of a log to a policy and compare its actions. Raises: FungraspError: the log ends
     before the policy began."""
     if log.plan is None or not log.observations:
         raise FungraspError("the log ends before the policy began: nothing to replay")
@@ -230,7 +230,7 @@ def _records(path: Path) -> Iterator[Any]:
     try:
         with path.open("rb") as stream:
             if stream.read(8) != b"\x89MCAP0\r\n":
-                raise FungraspError(f"{path} is no MCAP file")
+                raise FungraspError(f"{path} is not an MCAP file")
             stream.seek(0)
             # What a killed writer has left ends within a record.
             try:

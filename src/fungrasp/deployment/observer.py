@@ -1,4 +1,4 @@
-"""Who looks on while a robot grasps: told of everything, asked before it moves."""
+"""Observers of deployments: notified of all events, asked before motion."""
 
 from __future__ import annotations
 
@@ -30,21 +30,19 @@ MOTIONS = {
 
 
 class DeploymentObserver:
-    """Told of everything that a deployment does, in its thread; this one keeps nothing and agrees.
-
-    What a method raises ends the deployment as a fault of the robot would.
+    """Base of observers. Methods are called in the thread of the deployment; these do nothing and agree. An
+    exception ends the deployment like a fault of the robot.
     """
 
     def connected(self, robot: Robot) -> None:
         """The robot is connected. Nothing has moved."""
 
     def planned(self, robot: Robot, prepared: PreparedGrasp) -> None:
-        """A plan was made, the first one before anything has moved: a ``FungraspError`` refuses it then."""
+        """A plan was made. Before anything has moved, a ``FungraspError`` rejects it."""
 
     def confirm(self, phase: Phase, meanwhile: Callable[[], None]) -> None:
-        """A phase in which the robot moves is to begin. It begins when this returns, and not if this raises
-        ``SafetyStop``. Who waits calls ``meanwhile`` again and again: the robot stands still and is watched
-        as in motion."""
+        """Called before a phase with motion, which starts when this returns. ``SafetyStop`` prevents it.
+        While waiting, call ``meanwhile`` repeatedly: it keeps the robot still and monitored."""
 
     def phase(self, time: float, phase: Phase) -> None:
         """A phase has begun, on the robot's clock [s]. Not called for ``Phase.FAULT``."""
@@ -55,13 +53,13 @@ class DeploymentObserver:
     def step(
         self, time: float, phase: Phase, observation: Observation, action: Action, sent: Action, late: float
     ) -> None:
-        """A control step was made. late: by how much it began late [s]."""
+        """A control step was made. late: delay of its start [s]."""
 
     def fault(self, time: float, reason: str) -> None:
         """The robot was stopped. reason: a phrase."""
 
     def note(self, time: float, text: str) -> None:
-        """Something else that a person wants to know."""
+        """A message for a person."""
 
     def hold(self, robot: Robot) -> bool:
         """The robot has stopped and its hand may hold something: hold it as long as it should be, and open

@@ -177,7 +177,7 @@ class GraspPreparer(Preparer):
             blocked = blocked or bool(found)
         if blocked:
             raise UnreachableError(
-                f"the arm finds no free way from where it is to the start of '{self._obj.name}': "
+                f"no free path of the arm to the start of '{self._obj.name}': "
                 "move it by hand to a higher place"
             )
         raise UnreachableError(self._advice(grasp, object_pose, obstacle))

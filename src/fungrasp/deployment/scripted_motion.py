@@ -64,8 +64,8 @@ def locate_object(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState]
             for name, joints in (("arm", state.arm), ("hand", state.hand)):
                 if joints.status is not DeviceStatus.READY:
                     said = f"{joints.status} {joints.message}".strip()
-                    raise RobotError(f"the {name} does not follow: {said}; start anew")
-            raise RobotError(f"the tracker sees no object for {WAIT_TIME:g} s: look where it looks")
+                    raise RobotError(f"the {name} does not follow: {said}; start again")
+            raise RobotError(f"the tracker sees no object for {WAIT_TIME:g} s: check its view")
         robot.check_switch()
         robot.clock.sleep_until(robot.clock.now() + 0.02)
         state = robot.state()
@@ -75,7 +75,7 @@ def locate_object(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState]
             return pose, state
         # What rolls comes to rest, and a tracker may find its way back.
         if robot.clock.now() > deadline:
-            raise RobotError(f"{problem}: look at the tracker, then start anew")
+            raise RobotError(f"{problem}: check the tracker, then start again")
 
 
 def _looked(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState, str]:

@@ -1,5 +1,5 @@
-"""What is asked of a deployment, the grasp and how a robot does it, and its phases. Both are options of
-commands, whose help comes at once: what finds the grasp is imported on use."""
+"""Settings and phases of a deployment, and the choice of the grasp: options of commands, without heavy
+imports."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from fungrasp.perception.perceived import Perceived
 
 Until = Literal["plan", "approach", "grasp", "lift", "put-down", "home"]
-"""Where a deployment ends."""
+"""Last phase of a deployment."""
 
 
 class Phase(StrEnum):
-    """What a deployment is doing."""
+    """Phases of a deployment."""
 
     IDLE = "idle"
-    """Connected; looks for the object and plans. Nothing moves."""
+    """Connected: locates the object and plans. Nothing moves."""
     MOVE_TO_START = "move to start"
     """The arm goes to the start of the plan."""
     GRASP = "grasp"
@@ -40,9 +40,9 @@ class Phase(StrEnum):
     DONE = "done"
     """The end."""
     FAULT = "fault"
-    """Stopped; a person has to look, and to start anew."""
+    """Stopped: a person has to look and to start again."""
     WITHDRAW = "withdraw"
-    """The object is not held: the hand opens and withdraws, and looks where the object lies."""
+    """The object is not held: the hand opens and withdraws, and the object is located."""
 
 
 LAST_PHASES: dict[Until, Phase] = {
@@ -58,10 +58,10 @@ LAST_PHASES: dict[Until, Phase] = {
 
 @dataclass(frozen=True)
 class DeploymentSpec:
-    """What is asked of a deployment, as JSON by ``fungrasp.core.records``."""
+    """Settings of a deployment; ``fungrasp.core.records`` converts them to JSON."""
 
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
-    """A robot cell: one that comes with the package (`fungrasp robots list`), or a TOML file."""
+    """A robot cell: built-in (`fungrasp robots list`), or a TOML file."""
     policy: str = "plan"
     """What moves the hand: "plan" or "reference" (planned motions, open loop), "student", or a policy
     file."""
@@ -96,23 +96,23 @@ class DeploymentSpec:
 
 @dataclass(frozen=True)
 class GraspChoice:
-    """Which grasp a robot is to do."""
+    """Choice of the grasp."""
 
     grasp: str = "wine_glass"
-    """Which grasp: an object ("mug"), object and task ("mug:drink") or a row number."""
+    """The grasp: an object ("mug"), object and task ("mug:drink") or a row number."""
     grasps: str = "builtin"
     """A file of human grasps, or "builtin"."""
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
     image: str | None = None
-    """Take the grasp from an RGB-D image instead: a folder with rgb.png, depth.png and K.json, or "builtin",
-    the image of `fungrasp demo`."""
+    """Take the grasp from an RGB-D image instead: a folder with rgb.png, depth.png and K.json, or
+    "builtin"."""
     mesh: str | None = None
     """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None
-    """Mass of that object [kg]; a built-in one has its own."""
+    """Mass of that object [kg]. Default: known for built-in objects."""
     threads: int = 0
-    """Of retargeting and planning; 0 means all processors."""
+    """Threads of retargeting and planning; 0 means all processors."""
 
     @property
     def words(self) -> str:

@@ -1,4 +1,4 @@
-"""Human and robot grasps: the types, the files they are exchanged in, and importers of data sets."""
+"""Human and robot grasps: types, files, and importers of data sets."""
 
 from fungrasp.grasps.contacts import link_contacts
 from fungrasp.grasps.conversion import Convention, converted, mirrored_grasps

@@ -25,13 +25,13 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import nearest_surface_points
 
 NEAR = 0.02
-"""Largest distance of a link's place from the person's that counts as the person's [m]."""
+"""Largest distance between contacts of link and person that counts as the same place [m]."""
 
 TOUCH = 0.005
-"""Clearance below which a link of a grasp that is not simulated touches [m]."""
+"""Clearance below which a link touches, in static grasps [m]."""
 
 STRAY = 0.03
-"""A contact farther than this from every place that the person touched is a stray [m]."""
+"""A contact farther than this from all contacts of the person is a stray [m]."""
 
 ENOUGH = 2 / 3
 """Share of the wanted links that must be as shown."""
@@ -63,7 +63,7 @@ class ShownGrasps(Protocol):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AsShown(BatchRecord):
-    """How N grasps agree with the person's; S finger links. NaN where no link is wanted."""
+    """Agreement of N grasps with the person's, for S finger links. NaN if no link is wanted."""
 
     holds: np.ndarray
     """Whether the thumb is as shown, where it is wanted, and at least ``ENOUGH`` of the wanted links are,
@@ -87,7 +87,7 @@ class AsShown(BatchRecord):
     shown: np.ndarray
     """Wanted links that are as shown, shape [N, S] bool."""
     reason: np.ndarray
-    """Why a grasp is not as shown, "" where it is, shape [N] str."""
+    """Why a grasp is not as shown, else "", shape [N] str."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,7 +148,7 @@ def with_shown_places(
 
 
 class ShownJudge:
-    """Judges grasps of one hand and some objects."""
+    """Compares grasps of one hand with the person's."""
 
     def __init__(self, hand: Hand, objects: Mapping[str, ObjectModel]):
         self.hand = hand

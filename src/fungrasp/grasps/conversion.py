@@ -1,4 +1,4 @@
-"""Human grasps of other conventions brought into ours, hands below the table mended, mirrored grasps."""
+"""Conversion of human grasps: other conventions, hands below the table, mirrored grasps."""
 
 from __future__ import annotations
 
@@ -47,20 +47,20 @@ BELOW_TABLE = -0.01
 
 @dataclass(frozen=True)
 class Convention:
-    """How a file or a program writes human grasps. The defaults are ours."""
+    """Conventions of human grasps. The defaults are those of fungrasp."""
 
     joint_order: str = "fungrasp"
     """Order of the joints, one of ``ORDERS``."""
     unit: Unit = "m"
-    """Unit of the joints, and of the objects' positions unless ``object_unit`` says otherwise."""
+    """Unit of the joints, and of object positions unless ``object_unit`` differs."""
     object_unit: Literal["same", "m", "dm", "inch", "cm", "mm"] = "same"
     """Unit of the objects' positions."""
     quaternion: Literal["wxyz", "xyzw"] = "wxyz"
-    """Order of the numbers of quaternions."""
+    """Order of quaternions."""
     rotation: Literal["as-is", "transposed"] = "as-is"
-    """Transposed: rotations are applied to row vectors, v R, and so are the inverses of ours."""
+    """"transposed": rotations act on row vectors, v R, so they are the inverse of ours."""
     pose: Literal["object-in-world", "world-in-object"] = "object-in-world"
-    """Which frame a pose describes in which."""
+    """Frames of the object poses."""
     joints_frame: Literal["world", "object"] = "world"
     """Frame of the joints."""
     up: Literal["z", "y", "-y", "x", "-x", "-z"] = "z"
@@ -68,9 +68,9 @@ class Convention:
     table_height: float = 0.0
     """Height of the table top along that axis [m]."""
     side: Literal["right", "left"] = "right"
-    """Left hands are mirrored in the plane y = 0 with their objects, whose names then end in "_mirrored"."""
+    """"left": mirror hands and objects in the plane y = 0; object names then end in "_mirrored"."""
     rest_pose: Literal["given", "settled"] = "given"
-    """Settled: rest poses are left out, to be computed from the held ones (``settled_pose``)."""
+    """"settled": compute rest poses from the held poses (``settled_pose``)."""
 
     @property
     def changes(self) -> dict[str, str | float]:

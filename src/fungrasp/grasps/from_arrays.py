@@ -1,4 +1,4 @@
-"""One human grasp from what a tracker gives: joints, a mesh and a pose."""
+"""A human grasp from arrays: joints, mesh and pose."""
 
 from __future__ import annotations
 
@@ -40,28 +40,29 @@ def human_grasp(
     mass: float | None = None,
     task: str = "",
 ) -> HumanGrasp:
-    """A human grasp from arrays, after the checks that files of grasps go through.
+    """A human grasp from arrays, with the same checks as for grasp files.
 
     Args:
         joints: of a right hand [m], shape [21, 3]: in the world frame (z up, table top at z = 0), or, without
             ``object_pose``, in the frame of the mesh.
         mesh: the object: a mesh [m], as trimesh or as a file; a built-in object's name; or a model
             (``object_from_mesh``, ``load_object``).
-        order: of the joints: "mediapipe", "openpose", "mano" and others
+        order: joint order: "mediapipe", "openpose", "mano" and others
             (``fungrasp.grasps.human_hand.ORDERS``).
         object_pose: of the object in the world when grasped, ``[x y z qw qx qy qz]`` or a 4 x 4 matrix. None:
-            it stands on the table, with the z axis of its mesh up.
-        contacts: which of ``HUMAN_LINKS`` touch the object, bool, shape [16]; or points of contact [m], shape
-            [P, 3], in the frame of the joints. None: they are computed from the distance of hand and mesh.
-        mass: of the object [kg]; None: a model's or built-in object's own, or guessed from the mesh's size.
-        task: what the grasp is for: "drink", "cut", ...; empty if not known.
+            the object stands on the table, with the z axis of its mesh up.
+        contacts: flags for ``HUMAN_LINKS``, bool, shape [16]; or contact points [m], shape [P, 3], in the
+            frame of the joints. None: computed from the distance between hand and mesh.
+        mass: of the object [kg]. None: known for models and built-in objects, otherwise guessed from the size
+            of the mesh.
+        task: "drink", "cut", ...; empty if unknown.
 
     Returns:
-        The grasp, which carries its object: ``fungrasp.retarget(grasp)`` needs nothing else.
+        The grasp with its object, ready for ``fungrasp.retarget(grasp)``.
 
     Raises:
-        FungraspError: arrays of another shape, joints in another order or unit, a left hand, a hand that is
-            not at the object, or a mesh that can't be read; it says what was found and what to do.
+        FungraspError: wrong shapes, joint order or unit, a left hand, a hand far from the object, or an
+            unreadable mesh.
     """
     obj = resolve_object(mesh, mass)
     model = obj.model
@@ -101,9 +102,8 @@ def mediapipe_joints(
     pixels: ArrayLike, world: ArrayLike, intrinsics: ArrayLike, depth: np.ndarray | None = None
 ) -> np.ndarray:
     """Joints in the camera's frame (x right, y down, z forward) from MediaPipe's landmarks [m], [21, 3].
-    World landmarks have a shape and no place: that is where they project to the pixels.
-
-    Without a depth image the hand is as large as MediaPipe's mean hand, and its distance as wrong as that.
+    World landmarks have no position; it is chosen so that they project to the pixels. Without a depth image,
+    the hand has the size of MediaPipe's mean hand, and the distance has the same relative error.
 
     Args:
         pixels: landmarks in the image [pixels], shape [21, 2]: the normalized ones times width and height.

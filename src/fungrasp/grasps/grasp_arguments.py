@@ -1,4 +1,4 @@
-"""What verbs and people name as grasps and objects, in the form in which they are worked with."""
+"""Conversion of arguments: grasps and objects in all accepted forms."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, check_objects, load_object
 
 Objects: TypeAlias = "Mapping[str, ObjectModel] | Iterable[ObjectModel] | ObjectModel | str | Path | None"
-"""The objects of grasps: by name, several, one, or a folder of meshes; None for those that the grasps carry
-and built-in ones."""
+"""Objects of grasps: by name, a list, a single one, or a folder of meshes. None: attached and built-in
+objects."""
 
 
 class HasGrasps(Protocol):
@@ -27,10 +27,10 @@ class HasGrasps(Protocol):
 
 
 AnyGrasps: TypeAlias = "HumanGraspSet | RobotGraspSet | HumanGrasp | RobotGrasp | HasGrasps"
-"""Grasps of a person or of a robot hand, in a set or one alone, or what was found out about them."""
+"""Human or robot grasps: a set, a single one, or a result about them."""
 
 HumanGrasps: TypeAlias = "HumanGraspSet | HumanGrasp | HasGrasps"
-"""Grasps of people, in a set or one alone, or a perceived one."""
+"""Human grasps: a set, a single one, or a perceived one."""
 
 
 def as_grasp_set(grasps: AnyGrasps) -> HumanGraspSet | RobotGraspSet:

@@ -18,7 +18,7 @@ from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object, object_names
 
 BUILTIN = "builtin"
-"""The name that stands for the built-in human grasps wherever a file of human grasps is asked for."""
+"""Name of the built-in human grasps, accepted wherever a file is expected."""
 
 BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
 
@@ -33,7 +33,8 @@ def load_human_grasps(path: str | Path) -> HumanGraspSet:
     """Read human grasps from a file, or the built-in ones for "builtin".
 
     Raises:
-        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
+        FungraspError: missing file, not a grasp set, or invalid content; the message names file, field,
+            shapes and row.
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
@@ -45,7 +46,8 @@ def load_robot_grasps(path: str | Path) -> RobotGraspSet:
     """Read robot grasps from a file.
 
     Raises:
-        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
+        FungraspError: missing file, not a grasp set, or invalid content; the message names file, field,
+            shapes and row.
     """
     return _robot(Path(path), read_grasp_fields(path))
 
@@ -55,7 +57,8 @@ def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
     """Read a file of human or of robot grasps; "builtin" stands for the built-in human grasps.
 
     Raises:
-        FungraspError: no such file, not a grasp set, or bad content; names file, field, shapes and row.
+        FungraspError: missing file, not a grasp set, or invalid content; the message names file, field,
+            shapes and row.
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
@@ -64,7 +67,7 @@ def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
 
 
 def builtin_grasps() -> HumanGraspSet:
-    """The human grasps on the built-in objects that come with the package.
+    """The built-in human grasps.
 
     Raises:
         FungraspError: this installation lacks them.

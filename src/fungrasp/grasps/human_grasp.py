@@ -1,4 +1,4 @@
-"""Human grasps: how a person holds an object; one of them, and a set."""
+"""Human grasps: a single grasp, and sets."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class HumanGrasp:
     """One human grasp. World frame, z up, table top at z = 0; poses ``[x y z qw qx qy qz]``."""
 
     object_name: str
-    """Name of the object, as ``fungrasp.objects.load_object`` takes it."""
+    """Name of the object (``fungrasp.objects.load_object``)."""
     object_mass: float
     """Mass of the object [kg]."""
     object_pose: np.ndarray
@@ -42,13 +42,13 @@ class HumanGrasp:
     link_contacts: np.ndarray
     """Which of ``HUMAN_LINKS`` touch the object, bool, shape [16]."""
     task: str = ""
-    """What the grasp is for: "drink", "cut", ...; empty if not known."""
+    """Task of the grasp: "drink", "cut", ...; empty if unknown."""
     hand_qpos: np.ndarray | None = None
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [51]."""
     object_mass_spread: float | None = None
-    """Standard deviation of the logarithm of the object's mass, where that was guessed."""
+    """Standard deviation of the logarithm of a guessed mass."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Models of objects by name, where the grasp carries them; files of grasps do not."""
+    """Models of objects by name, if attached; not written to files."""
 
     def save(self, path: str | Path) -> None:
         """Write a file of one grasp, see ``HumanGraspSet.save``."""
@@ -63,8 +63,8 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """N human grasps: the fields of ``HumanGrasp`` with a leading axis N (float64, bool, str).
 
     Raises:
-        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or
-            joints that are no hand in meters near the object; the message names field and row.
+        FungraspError: wrong shape or type, values that are not finite, an invalid quaternion or mass, or
+            joints that are not a hand in meters near the object; the message names field and row.
     """
 
     object_name: np.ndarray
@@ -80,13 +80,13 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     link_contacts: np.ndarray
     """Which of ``HUMAN_LINKS`` touch the object, shape [N, 16] bool."""
     task: np.ndarray | None = None
-    """Given as None it becomes N empty strings."""
+    """Tasks of the grasps, shape [N] str; None becomes empty strings."""
     hand_qpos: np.ndarray | None = None
     """Wrist position [m], wrist and 15 joint rotations as intrinsic XYZ Euler angles [rad], shape [N, 51]."""
     object_mass_spread: np.ndarray | None = None
-    """Standard deviation of the logarithm of each object's mass, where that was guessed, shape [N]."""
+    """Standard deviation of the logarithm of guessed masses, shape [N]."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Models of the objects by name, where the set carries them; files of grasps do not."""
+    """Models of objects by name, if attached; not written to files."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),

@@ -1,4 +1,4 @@
-"""Robot grasps: how a robot hand holds an object; one of them, and a set for one hand."""
+"""Robot grasps: a single grasp, and sets for one hand."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ class RobotGrasp:
     link_contacts: np.ndarray
     """Which of the hand's links should touch the object, bool, shape [L]."""
     task: str = ""
-    """What the grasp is for; empty if not known."""
+    """Task of the grasp; empty if unknown."""
     shown_places: np.ndarray | None = None
-    """Where the person touched with what each finger link stands for (``grasps.as_shown``): surface points,
-    object frame [m], shape [L - 1, 3]; None if not known."""
+    """The person's contacts for each finger link (``grasps.as_shown``): surface points, object frame [m],
+    shape [L - 1, 3]; None if unknown."""
     shown_normals: np.ndarray | None = None
     """Outward unit normals of the surface there, shape [L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Further numbers by name (quality, refined controller settings)."""
+    """Additional values by name (quality, controller settings)."""
     hand_file: str = ""
     """TOML file of a hand that is not found by its name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Models of objects by name, where the grasp carries them; files of grasps do not."""
+    """Models of objects by name, if attached; not written to files."""
 
     @property
     def wrist_pose_object(self) -> np.ndarray:
@@ -86,8 +86,8 @@ class RobotGrasp:
         return self.joint_positions[_columns(self.joint_names, names)]
 
     def to_mjspec(self) -> mujoco.MjSpec:
-        """The hand as a model of MuJoCo's, its palm at ``wrist_pose``; keyframe "grasp" has the joints, and
-        what the position servos are told.
+        """The hand as a MuJoCo model with the palm at ``wrist_pose``. Keyframe "grasp" has joint positions
+        and servo controls.
 
         Raises:
             FungraspError: the hand is not found, or is another version of it.
@@ -101,13 +101,13 @@ class RobotGrasp:
         return spec
 
     def to_urdf(self, path: str | Path) -> dict[str, float]:
-        """Write the hand as a URDF, meshes in a folder ``meshes`` beside it.
+        """Write the hand as a URDF, with meshes in a folder ``meshes`` next to it.
 
         Returns:
-            ``joint_dict``, as a URDF holds no posture.
+            ``joint_dict``, because a URDF has no posture.
 
         Raises:
-            FungraspError: the hand is not found or has what URDF has not, or a file can't be written.
+            FungraspError: the hand is not found or can't be expressed in URDF, or a file can't be written.
         """
         import xml.etree.ElementTree as xml
 
@@ -134,7 +134,7 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     ``hand`` and ``joint_names`` belong to the set.
 
     Raises:
-        FungraspError: a field of wrong shape or type, not finite, a quaternion or mass that can't be, or a
+        FungraspError: wrong shape or type, values that are not finite, an invalid quaternion or mass, or a
             wrist far from the object; the message names field and row.
     """
 
@@ -159,9 +159,9 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     link_contacts: np.ndarray
     """Which of the hand's links should touch the object, shape [N, L] bool."""
     task: np.ndarray | None = None
-    """Given as None it becomes N empty strings."""
+    """Tasks of the grasps, shape [N] str; None becomes empty strings."""
     shown_places: np.ndarray | None = None
-    """Where the persons touched, object frame [m], shape [N, L - 1, 3]; None if not known."""
+    """The person's contacts, object frame [m], shape [N, L - 1, 3]; None if unknown."""
     shown_normals: np.ndarray | None = None
     """Outward unit normals of the surfaces there, shape [N, L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -169,7 +169,7 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     hand_file: str = ""
     """TOML file of a hand that is not found by its name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Models of the objects by name, where the set carries them; files of grasps do not."""
+    """Models of objects by name, if attached; not written to files."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -254,7 +254,7 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         return hand
 
     def check_hand(self, hand: Hand) -> None:
-        """Complain about another hand than that of the grasps.
+        """Check that a hand is the one of the grasps.
 
         Raises:
             FungraspError: another name, other joints or other contact links.
