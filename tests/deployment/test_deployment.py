@@ -152,7 +152,7 @@ def flip_tracker(world: Any) -> None:
 def test_a_tracker_that_flips_is_refused_before_anything_is_planned() -> None:
     result = deploy(spoil=flip_tracker)
     assert result.phase is Phase.FAULT and result.prepared is None
-    assert "turned by" in result.fault and "look at the tracker" in result.fault
+    assert "turned by" in result.fault and "check the tracker" in result.fault
 
 
 @pytest.mark.parametrize(
