@@ -1,5 +1,5 @@
-"""Specifications of grasps for an object of which only the mesh is known: around the whole body, from above,
-and at its thin parts and handles."""
+"""Automatic grasp specifications for a mesh: around the whole body, from above, and at thin parts and
+handles."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def parts_from_boxes(model: ObjectModel, path: str | Path) -> ObjectModel:
     upper corner of a box in the object's frame [m] that holds the middle of each of the part's faces.
 
     Raises:
-        FungraspError: the file is something else, or a box holds no face.
+        FungraspError: invalid file, or a box without faces.
     """
     boxes = read_json(path, "file of parts")
     if not isinstance(boxes, Mapping) or not boxes:

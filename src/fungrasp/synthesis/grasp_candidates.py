@@ -1,4 +1,4 @@
-"""Candidates for human grasps: their checks (penetration, contact, anatomy), and which of them are taken."""
+"""Candidates for human grasps: checks (penetration, contact, anatomy) and selection."""
 
 from __future__ import annotations
 

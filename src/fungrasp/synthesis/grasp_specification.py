@@ -1,4 +1,4 @@
-"""Specifications of human grasps: which object, for which task, where and how it is held."""
+"""Specifications of human grasps: object, task, part, and kind of grasp."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from fungrasp.objects import ObjectModel
 Vector3 = tuple[float, float, float]
 
 WHOLE = "whole"
-"""The part that every object has: all of its surface."""
+"""The part of every object with all of its surface."""
 
 
 @dataclass(frozen=True)
 class GraspKind:
-    """A type of grasp: how the hand approaches and closes."""
+    """A kind of grasp: how the hand approaches and closes."""
 
     open: tuple[float, ...]
     """Joints before closing [rad], length 21: mcp, spread, pip, dip of index, middle, ring and pinky; five of
@@ -28,14 +28,14 @@ class GraspKind:
     closed: tuple[float, ...]
     """Joints [rad] where closing would end without an object; each finger stops when it touches."""
     center: Vector3
-    """Where the held place is between the open fingers [m], palm frame: x out of the palm, y to the thumb's
+    """Place of the held point between the open fingers [m], palm frame: x out of the palm, y to the thumb's
     side, z to the fingers."""
     contacts: tuple[str, ...]
     """Human links that must touch the object."""
     palm: bool = False
     """Whether the hand approaches until its palm touches."""
     radial: tuple[str, ...] = ()
-    """Links that touch with the side towards the thumb in place of the pad."""
+    """Links that touch with their side towards the thumb instead of the pad."""
 
     def __post_init__(self) -> None:
         for angles in (self.open, self.closed):
@@ -56,9 +56,9 @@ class GraspSpecification:
     object: str
     """Name of the object."""
     task: str
-    """What the grasp is for: "drink", "cut", ..."""
+    """Task: "drink", "cut", ..."""
     part: str
-    """The named part of the object that is held, or ``WHOLE``."""
+    """Part of the object to hold, or ``WHOLE``."""
     kind: str
     """One of ``GRASP_KINDS``."""
     at: Vector3
@@ -68,11 +68,11 @@ class GraspSpecification:
     fingers: Vector3
     """Direction from the wrist to the fingers. The thumb's side is then ``fingers x palm``."""
     contacts: tuple[str, ...] = ()
-    """Human links that must touch; those of the kind if empty."""
+    """Human links that must touch. Default: those of the kind."""
     parts: Mapping[str, str] = field(default_factory=dict)
     """Other parts that some fingers, or some links, must touch instead: ``{"index": "trigger"}``."""
     places: Mapping[str, Vector3] = field(default_factory=dict)
-    """Points of the surface that some links should touch [m]: ``{"thumb_distal": (0.05, 0.0, 0.03)}``."""
+    """Surface points for some links to touch [m]: ``{"thumb_distal": (0.05, 0.0, 0.03)}``."""
     up: Vector3 = (0.0, 0.0, 1.0)
     """Direction that points up while the object rests on the table."""
 

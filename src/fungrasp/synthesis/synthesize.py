@@ -59,7 +59,7 @@ FARTHEST, DEEPEST, STEP = 0.15, 0.05, 0.002
 
 @dataclass(frozen=True)
 class SynthesisSettings:
-    """Random starts, the size at which each term counts as one unit, and what a good grasp satisfies."""
+    """Random starts, scales of the cost terms, and criteria of good grasps."""
 
     starts: int = 5
     """Candidates per specification: the first starts as specified, the others shifted and turned at
@@ -67,7 +67,7 @@ class SynthesisSettings:
     shift: float = 0.006
     """Standard deviation of the random shifts of the wrist [m]."""
     turn: float = 0.12
-    """Standard deviation of the random turns of the wrist [rad]."""
+    """Standard deviation of the random rotations of the wrist [rad]."""
     gap_unit: float = 0.0015
     """Distance of a link from its part that counts as one unit [m]."""
     place_unit: float = 0.006
@@ -108,24 +108,23 @@ def synthesize_grasps(
     ray: RayCluster | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> HumanGraspSet:
-    """Make human grasps of objects at rest on the table; those that cannot be met are left out.
+    """Synthesize human grasps of objects at rest on the table. Specifications without a solution are skipped.
 
     Every grasp has bones of exactly the human hand's lengths, joints within its limits, no more than 2 mm of
     penetration, nothing below the table, and its links on their parts; no two are alike, whatever their seed.
 
     Args:
-        specs: what to make. The grasps keep their order, all of the first seed before those of the next.
-        seed: of the random starts, or several: each specification is solved with each. The same
-            specifications and seeds give the same grasps.
+        specs: specifications. Grasps keep their order, all of the first seed before those of the next.
+        seed: of the random starts, or several seeds: each specification is solved with each.
         settings: the defaults if None.
-        objects: by name; built-in ones that are not in it are found by themselves.
+        objects: by name; built-in objects may be missing.
         store: keeps finished parts so that an interrupted run can continue. The caller removes it.
-        ray: solves the parts on a cluster. The result is the same.
-        progress: called with the share that is done, 0 to 1.
+        ray: run on a cluster. The result is the same.
+        progress: called with the finished share, 0 to 1.
 
     Raises:
-        FungraspError: an object or part does not exist, none of the specifications can be met, or a part
-            can't be written.
+        FungraspError: an unknown object or part, no solution of any specification, or a part can't be
+            written.
     """
     seeds = (seed,) if isinstance(seed, int) else tuple(seed)
     models, settings = specified_objects(specs, objects), settings or SynthesisSettings()
