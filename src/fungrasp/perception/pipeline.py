@@ -7,7 +7,7 @@
 5. The hand again, which now touches the object that it holds (``hand.fit``).
 6. The grasp: links in contact, and all of it in the world frame (``scene.table``).
 
-Each step adds its warnings; a result of low confidence is still given, marked as such.
+Each step adds its warnings. Results with low confidence are returned too, and marked.
 """
 
 from __future__ import annotations
@@ -88,29 +88,29 @@ def perceive(
     seed: int = 0,
     improve_pose: bool = False,
 ) -> Perceived:
-    """The grasp in an image; ``retarget`` takes the ``grasps`` and the ``objects`` of the result.
+    """Find the grasp in an image. ``retarget`` accepts the result.
 
     Args:
-        capture: color and depth; its mask, box or point says where the object is. Or where they are: a
-            folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
-            intrinsics; or a camera, which gives its image now.
-        obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm]; or
-            "unknown": a box, cylinder or sphere is fitted to what is seen.
-            Colors of the mesh file tell apart the sides of a nearly symmetric object.
-        mass: of a mesh [kg]; None takes a built-in object's own, or guesses it from the mesh, with a note.
-        side: which hand it is, if known.
-        task: what the grasp is for, see ``HumanGrasp``.
-        table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; looked for if None.
-        hand: from another estimator, or that estimator; found in the image if None.
-        object_estimate: from another estimator, or that estimator; found in the image if None. One that is
-            not ``judged`` gets the score that the depth gives it, see ``score_given_pose``.
-        detector: finds hands; by default MediaPipe's models, which ``fungrasp setup perception`` fetches.
-        seed: the same seed gives the same answer.
-        improve_pose: whether an ``object_estimate`` that is not ``judged`` is fitted to the depth nearby.
+        capture: color and depth, with an optional mask, box or point of the object. Or their source: a folder
+            (see ``read_folder``), a recording or "builtin"; paths of color image, depth and intrinsics; or a
+            camera, which takes an image now.
+        obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm].
+            "unknown" fits a box, cylinder or sphere to the depth. Colors of the mesh file distinguish the
+            sides of nearly symmetric objects.
+        mass: of a mesh [kg]. None: known for built-in objects, otherwise guessed from the mesh, with a note.
+        side: of the hand, if known.
+        task: of the grasp, see ``HumanGrasp``.
+        table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; detected if None.
+        hand: an estimate or an estimator; found in the image if None.
+        object_estimate: an estimate or an estimator; found in the image if None. Unless it is ``judged``, its
+            score is computed from the depth, see ``score_given_pose``.
+        detector: of hands. Default: MediaPipe's models, from ``fungrasp setup perception``.
+        seed: random seed.
+        improve_pose: fit an ``object_estimate`` to the depth, unless it is ``judged``.
 
     Raises:
-        FungraspError: the image or the object can't be read, there is no hand in the image, no depth at it,
-            the mesh is not of a size that a hand holds, or the hand models are not set up.
+        FungraspError: unreadable image or object, no hand in the image, no depth at the hand, a mesh too
+            large or too small for a hand, or missing hand models.
     """
     if seed < 0:
         raise FungraspError(f"the seed must be 0 or more, not {seed}")

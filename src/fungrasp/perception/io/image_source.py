@@ -1,6 +1,6 @@
-"""Where an image comes from: files, a folder, a camera or a recording of one.
+"""Image sources: files, a folder, a camera or its recording.
 
-What reads them is imported on use: ``ImageSource`` is the options of a command, whose help comes at once.
+Readers are imported on use, because ``ImageSource`` has options of a command.
 """
 
 from __future__ import annotations
@@ -16,40 +16,40 @@ if TYPE_CHECKING:
     from fungrasp.perception.io.capture import Box, Capture, Pixel, RgbdCamera
 
 REALSENSE = "realsense"
-"""Stands for the RealSense camera that is connected."""
+"""Name of the connected RealSense camera."""
 
 
 @dataclass(frozen=True)
 class ImageSource:
-    """The image: three files, or a folder, or a RealSense camera, or a recording of one."""
+    """The image: three files, a folder, a RealSense camera or its recording."""
 
     rgb: Path | None = None
     """Color image, PNG or JPEG."""
     depth: Path | None = None
-    """Depth aligned to it: 16-bit PNG or TIFF, or .npy."""
+    """Depth aligned to the color image: 16-bit PNG or TIFF, or .npy."""
     intrinsics: Path | None = None
-    """The camera's, JSON: our layout, RealSense's or BOP's."""
+    """Camera intrinsics, JSON: our layout, RealSense's or BOP's."""
     folder: Path | None = None
-    """Instead of the three files a folder: rgb.png, depth.png, K.json (and mask.png); a BOP scene; one camera
-    of a DexYCB sequence; or "builtin", an image of a spray_bottle to try things with."""
+    """Instead of the three files: a folder with rgb.png, depth.png, K.json (and mask.png), a BOP scene, or
+    one camera of a DexYCB sequence. "builtin": an image of a spray_bottle."""
     camera: str | None = None
-    """Instead of files: take an image now, with the RealSense camera that is connected ("realsense")."""
+    """Instead of files: take an image now, with the connected RealSense camera ("realsense")."""
     recording: Path | None = None
-    """Instead of files: an image out of a RealSense camera's recording, .bag or .db3."""
+    """Instead of files: a recording of a RealSense camera, .bag or .db3."""
     keep: Path | None = None
-    """Folder in which the image of the camera or recording is kept; --folder reads it again."""
+    """Folder to store the image of the camera or recording in; --folder reads it again."""
     image: int | None = None
-    """Number of the image in a BOP scene (by default the first), a DexYCB sequence (the last) or a recording
-    (number 30, or the last)."""
+    """Number of the image. Default: the first of a BOP scene, the last of a DexYCB sequence, number 30 of a
+    recording."""
     depth_unit: float | None = None
-    """Meters per unit of the depth image, if the intrinsics don't say: 0.001 is usual. Depth of floats is in
-    meters if this is not given."""
+    """Meters per unit of the depth image, usually 0.001. Default: from the intrinsics; floats are in
+    meters."""
     mask: Path | None = None
-    """Image that is not 0 where the object is."""
+    """Mask of the object: an image that is not 0 there."""
     box: str | None = None
     """Box around the object, x0,y0,x1,y1 [pixels]."""
     point: str | None = None
-    """A pixel that shows the object, u,v: column and row, as if it were clicked at."""
+    """A pixel of the object, u,v: column and row."""
 
     @property
     def name(self) -> str:
@@ -63,10 +63,10 @@ class ImageSource:
         return str(self.folder or self.recording or self.rgb)
 
     def read(self) -> Capture:
-        """The capture, with mask, box or point if one is given.
+        """Read the capture, with mask, box or point if given.
 
         Raises:
-            FungraspError: it is not said, or said twice, where the image comes from; or it can't be read.
+            FungraspError: no source, several sources, or an unreadable image.
         """
         from fungrasp.perception.io.image_files import parse_box, parse_point, read_capture
         from fungrasp.perception.io.scene_folders import read_folder
@@ -91,11 +91,10 @@ class ImageSource:
         )
 
     def check(self) -> None:
-        """Complain about options that don't go together.
+        """Check that the options fit together.
 
         Raises:
-            FungraspError: it is not said, or said twice, where the image comes from; or an option is for
-                another source.
+            FungraspError: no source, several sources, or an option for another source.
         """
         files = {"--rgb": self.rgb, "--depth": self.depth, "--intrinsics": self.intrinsics}
         missing = [name for name, path in files.items() if path is None]
@@ -136,7 +135,7 @@ class ImageSource:
 
 
 def as_capture(image: ImageSource | RgbdCamera | str | Path | Sequence[str | Path]) -> Capture:
-    """The capture of an image, wherever it is.
+    """Read an image from any source.
 
     Args:
         image: a folder (see ``read_folder``), a recording or "builtin"; paths of color image, depth and
