@@ -243,7 +243,7 @@ def _answer(recorded: RecordedCapture, hint: str, seen: Perceived | None, second
         sure=seen.confident,
         seconds=seconds,
         pose=tuple(pose.tolist()),
-        evidence={} if best.object.evidence is None else best.object.evidence.as_dict(),
+        evidence={} if best.object.evidence is None else asdict(best.object.evidence),
         note="; ".join(seen.acceptance.help),
     )
 

@@ -112,7 +112,7 @@ def test_importers_of_other_packages(tmp_path, capsys, monkeypatch, human_grasps
         return human_grasps(2)
 
     entry = types.SimpleNamespace(name="theirs", load=lambda: importer)
-    monkeypatch.setattr("fungrasp.grasps.importers.entry_points", lambda group: [entry])
+    monkeypatch.setattr("fungrasp.core.plugins.entry_points", lambda group: [entry])
     status, out, _ = run(capsys, "import", "other", "theirs", tmp_path, "--out", tmp_path / "g.npz")
     assert status == 0 and seen == [tmp_path] and "2 grasps" in out
     status, _, err = run(capsys, "import", "other", "their", tmp_path, "--out", tmp_path / "g.npz")

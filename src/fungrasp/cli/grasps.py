@@ -208,9 +208,10 @@ class ImportOther(Answering):
     """Grasp file to write (.npz)."""
 
     def run(self) -> CommandResult:
-        from fungrasp.grasps.importers import load_importer
+        from fungrasp.core.plugins import load_plugin
 
-        return write_human_grasps(self.out, load_importer(self.importer)(self.source))
+        importer = load_plugin("fungrasp.grasps", "importer", self.importer)
+        return write_human_grasps(self.out, importer(self.source))
 
 
 @dataclass(frozen=True)

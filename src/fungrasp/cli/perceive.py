@@ -138,10 +138,11 @@ class Perceive:
         """Hand estimate or estimator given by the user, or None."""
         if self.hand_file is None and self.hand_from is None:
             return None
-        from fungrasp.perception.adapters import load_hand_estimator, read_hand_estimate
+        from fungrasp.core.plugins import load_plugin
+        from fungrasp.perception.adapters import read_hand_estimate
 
         if self.hand_from is not None:
-            return load_hand_estimator(self.hand_from)
+            return load_plugin("fungrasp.hand_estimators", "hand estimator", self.hand_from)
         assert self.hand_file is not None
         return partial(read_hand_estimate, self.hand_file, side=self.side)
 
@@ -149,10 +150,12 @@ class Perceive:
         """Pose estimate or estimator given by the user, or None."""
         if self.object_pose_file is None and self.object_pose_from is None:
             return None
-        from fungrasp.perception.adapters import load_object_pose_estimator, read_object_pose
+        from fungrasp.core.plugins import load_plugin
+        from fungrasp.perception.adapters import read_object_pose
 
         if self.object_pose_from is not None:
-            return load_object_pose_estimator(self.object_pose_from)
+            group, kind = "fungrasp.object_pose_estimators", "object pose estimator"
+            return load_plugin(group, kind, self.object_pose_from)
         assert self.object_pose_file is not None
         return read_object_pose(self.object_pose_file, image=self.source.image)
 

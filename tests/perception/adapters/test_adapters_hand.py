@@ -92,9 +92,7 @@ def test_wilor_mini_with_two_hands(tmp_path, capture):
     hands = hands_of(read_fields(path), CAMERA)
     assert [(hand.side, hand.score) for hand in hands] == [("right", 0.8), ("left", 0.9)]
     assert worst(read_hand_estimate(path, capture, side="right")) < 0.009
-    assert read_hand_estimate(path, capture, hand=1).side == "left"
-    with pytest.raises(FungraspError, match="has 2 hands, counted from 0; there is no hand 2"):
-        read_hand_estimate(path, capture, hand=2)
+    assert read_hand_estimate(path, capture, side="left").side == "left"
 
 
 def test_a_left_hand_as_seen_and_as_the_network_mirrors_it(tmp_path):

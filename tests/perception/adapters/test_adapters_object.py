@@ -1,14 +1,15 @@
 import json
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fungrasp.core import plugins
 from fungrasp.core.errors import FungraspError
-from fungrasp.perception import adapters
 from fungrasp.perception.acceptance import ACCEPT
-from fungrasp.perception.adapters import load_hand_estimator, load_object_pose_estimator, read_object_pose
+from fungrasp.perception.adapters import read_object_pose
 
 TURN = Rotation.from_rotvec([0.4, -1.2, 2.0])
 PLACE = np.array([0.05, -0.02, 0.62])
@@ -138,11 +139,12 @@ def test_estimators_of_other_packages(monkeypatch):
         ],
         "fungrasp.object_pose_estimators": [],
     }
-    monkeypatch.setattr(adapters, "entry_points", lambda group: entries[group])
-    assert load_hand_estimator("my-hands")("an image") == "a hand in an image"
+    monkeypatch.setattr(plugins, "entry_points", lambda group: entries[group])
+    hands = partial(plugins.load_plugin, "fungrasp.hand_estimators", "hand estimator")
+    assert hands("my-hands")("an image") == "a hand in an image"
     with pytest.raises(FungraspError, match=r"unknown hand estimator 'my-hand'. Did you mean 'my-hands'"):
-        load_hand_estimator("my-hand")
+        hands("my-hand")
     with pytest.raises(FungraspError, match="'broken' can't be loaded: no module named torch"):
-        load_hand_estimator("broken")
+        hands("broken")
     with pytest.raises(FungraspError, match=r"no installed package brings any .*object_pose_estimators"):
-        load_object_pose_estimator("any")
+        plugins.load_plugin("fungrasp.object_pose_estimators", "object pose estimator", "any")

@@ -24,12 +24,12 @@ def realsense(monkeypatch):
 
 def test_a_camera_gives_a_capture_after_the_warm_up(realsense):
     fake = realsense()
-    capture = capture_from_camera(warm_up=7)
-    assert capture.color[0, 0].tolist() == [200, 7, 0]
+    capture = capture_from_camera()
+    assert capture.color[0, 0].tolist() == [200, 30, 0]
     assert capture.depth.dtype == np.float32 and np.allclose(capture.depth, 0.7)
     assert (capture.intrinsics.fx, capture.intrinsics.fy) == (60, 61)
     assert (capture.intrinsics.cx, capture.intrinsics.cy) == (31, 24)
-    assert (fake.given, fake.aligned, fake.stopped, fake.played) == (8, 1, 1, None)
+    assert (fake.given, fake.aligned, fake.stopped, fake.played) == (31, 1, 1, None)
     assert fake.streams == [("depth", "z16"), ("color", "rgb8")]
 
 
@@ -59,7 +59,7 @@ def test_a_recording_is_played_once_and_in_its_own_format(realsense, tmp_path, f
 def test_what_fails_is_named_and_the_camera_is_let_go(realsense, options, words):
     fake = realsense(**options)
     with pytest.raises(FungraspError, match=words):
-        capture_from_camera(warm_up=2)
+        capture_from_camera()
     assert fake.stopped == (0 if "start_error" in options else 1)
 
 
@@ -83,14 +83,12 @@ def test_bad_recordings(realsense, tmp_path):
     file.write_bytes(b"cut short")
     with pytest.raises(FungraspError, match=r"can't be played: is it damaged.*Error reading version line"):
         capture_from_camera(file)
-    with pytest.raises(FungraspError, match="not be negative"):
-        capture_from_camera(warm_up=-1)
 
 
 def test_distortion_is_told(realsense, caplog):
     realsense(coeffs=(0.1, -0.2, 0, 0, 0))
     with caplog.at_level(logging.WARNING):
-        capture_from_camera(warm_up=0)
+        capture_from_camera()
     assert "distortion is not taken into account" in caplog.text
 
 

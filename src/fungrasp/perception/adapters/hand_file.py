@@ -60,9 +60,7 @@ METRIC_SPREAD = 0.01  # Standard deviation of joints whose distance is known [m]
 
 
 @guarded("hand file")
-def read_hand_estimate(
-    path: str | Path, capture: Capture, *, side: Side | None = None, hand: int | None = None
-) -> HandEstimate:
+def read_hand_estimate(path: str | Path, capture: Capture, *, side: Side | None = None) -> HandEstimate:
     """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
 
     The file is JSON or ``.npz`` with named arrays; docs/your-estimator.md says which. Size and distance of
@@ -71,9 +69,8 @@ def read_hand_estimate(
     Args:
         capture: the image that the program saw, with its depth; its mask, if there is one, says what is not
             the hand.
-        side: which hand is meant, if the file has several.
-        hand: which one, counted from 0; by default the one nearest to the capture's mask, box or
-            point, or the largest.
+        side: which hand is meant, if the file has several; of that side, the one nearest to the capture's
+            mask, box or point, or the largest.
 
     Returns:
         Joints in the camera frame, with covariances; a left hand is not mirrored. The score is the file's,
@@ -85,10 +82,6 @@ def read_hand_estimate(
     """
     fields = read_fields(path)
     hands = hands_of(fields, capture.intrinsics)
-    if hand is not None:
-        if not 0 <= hand < len(hands):
-            raise FungraspError(f"{path} has {len(hands)} hands, counted from 0; there is no hand {hand}")
-        hands = [hands[hand]]
     if not hands:
         raise FungraspError(f"{path} has no hand")
     if side is not None and all(one.side != side for one in hands):

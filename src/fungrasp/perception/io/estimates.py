@@ -8,7 +8,7 @@ Camera frame: OpenCV (x right, y down, z forward) [m].
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -158,10 +158,6 @@ class PoseEvidence:
     """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
     mask_piece: float
     """The largest piece of the given mask beyond the silhouette [pixels]."""
-
-    def as_dict(self) -> dict[str, float]:
-        """By name."""
-        return {one.name: float(getattr(self, one.name)) for one in fields(self)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from fungrasp.perception.io.capture import CameraFrame, Capture, Intrinsics
 from fungrasp.perception.io.image_files import check_depth_range
 
 RECORDINGS = (".bag", ".db3")  # Kinds of files in which a camera's images are recorded.
+WARM_UP = 30  # Images that are left out first: exposure and white balance settle in them.
 FIRST_WAIT = 5000  # Longest time that the first images may take [ms]: a camera has to start.
 WAIT = 2000  # Longest time that each further one may take [ms]; a recording that gives none is at its end.
 # Formats of color that are understood, and where red, green and blue are in them.
@@ -30,29 +31,24 @@ DISTORTION = 1e-6  # Coefficients below this are none.
 _log = logging.getLogger(__name__)
 
 
-def capture_from_camera(
-    recording: str | Path | None = None, warm_up: int = 30, *, image: int | None = None
-) -> Capture:
+def capture_from_camera(recording: str | Path | None = None, *, image: int | None = None) -> Capture:
     """Take one capture: color, and depth aligned to it.
 
     Args:
         recording: a recording (``.bag``, newer ``.db3``) to take it from; None takes the first camera that is
             connected.
-        warm_up: images left out before, in which exposure and white balance settle. Of a shorter recording
-            the last image is taken.
-        image: number of the image that is taken, the first is 0; None takes the one after the warm-up.
+        image: number of the image that is taken, the first is 0; None takes the one after ``WARM_UP`` others,
+            or a shorter recording's last.
 
     Raises:
         FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there or it gives no
             images, the recording is missing, damaged, too short or without color or depth, or its depth
             can't be right.
     """
-    if warm_up < 0:
-        raise FungraspError(f"the number of images left out before must not be negative, not {warm_up}")
     if image is not None and image < 0:
         raise FungraspError(f"images are numbered from 0; there is no image {image}")
     with RealSenseCamera(recording) as camera:
-        return camera.capture(warm_up, image)
+        return camera.capture(image)
 
 
 @dataclass(frozen=True)
@@ -155,11 +151,11 @@ class RealSenseCamera:
         except RuntimeError as error:
             raise self._failed(error) from error
 
-    def capture(self, warm_up: int = 30, image: int | None = None) -> Capture:
+    def capture(self, image: int | None = None) -> Capture:
         """One capture; arguments and errors as of ``capture_from_camera``."""
         frames = None
         try:
-            for count in range(1 + (warm_up if image is None else image)):
+            for count in range(1 + (WARM_UP if image is None else image)):
                 there, latest = self._pipeline.try_wait_for_frames(FIRST_WAIT if count == 0 else WAIT)
                 if not there:
                     if image is not None and count:
