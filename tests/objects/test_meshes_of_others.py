@@ -77,8 +77,10 @@ def test_the_table_is_told_in_any_position() -> None:
             assert bool(said) == told
             if told:
                 terms, least = re.search(r"all with (.*) < (-?[\d.]+) m", said[0]).groups()  # type: ignore[union-attr]
-                factors = dict(reversed(term.split()) for term in terms.split(" + "))
-                normal = np.array([float(factors.get(axis, 0.0)) for axis in "xyz"])
+                factors = {
+                    term.split()[-1]: float(term.split()[0]) for term in terms.split(" + ") if " " in term
+                }
+                normal = np.array([factors.get(axis, float(axis == terms)) for axis in "xyz"])
                 kept = mesh.vertices @ normal >= float(least)
                 # What is left is the cup.
                 np.testing.assert_array_equal(kept[: len(cup.vertices)], cup.vertices[:, 2] > -0.049)

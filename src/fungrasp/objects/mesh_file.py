@@ -225,7 +225,8 @@ def _doubts(vertices: np.ndarray, faces: np.ndarray) -> Iterator[str]:
             continue
         outside = ((flat < rest.min(axis=0)) | (flat > rest.max(axis=0))).any(axis=1)
         top = height[outside & (height < TABLE_THICKNESS)].max() + 1e-3 + (vertices @ normal).min()
-        plane = " + ".join(f"{c:.3g} {axis}" for c, axis in zip(normal, "xyz", strict=True) if abs(c) > 1e-3)
+        terms = zip(normal, "xyz", strict=True)
+        plane = " + ".join(a if c > 0.9995 else f"{c:.3g} {a}" for c, a in terms if abs(c) > 1e-3)
         yield (
             f"a flat piece of {1e3 * sides[0]:.0f} x {1e3 * sides[1]:.0f} mm is much wider than the rest: if "
             f"it is the table, cut off all with {plane} < {top:.4f} m"
