@@ -305,7 +305,7 @@ def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest
     cell = near_cell()
     cell = replace(cell, watchdog=replace(cell.watchdog, arm_silence=1.5))
     seen: dict[str, Any] = {}
-    send, read = TwinArm._send, TwinArm.read
+    command, read = TwinArm.command, TwinArm.read
 
     def lost(self: Any) -> bool:
         return self._world.time > seen.get("put down", np.inf) + 0.8
@@ -314,7 +314,7 @@ def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest
         self.frozen = lost(self)
         return read(self)
 
-    monkeypatch.setattr(TwinArm, "_send", lambda self, *goal: None if lost(self) else send(self, *goal))
+    monkeypatch.setattr(TwinArm, "command", lambda self, q: q if lost(self) else command(self, q))
     monkeypatch.setattr(TwinArm, "read", silent)
 
     def phase(now: Phase) -> None:
