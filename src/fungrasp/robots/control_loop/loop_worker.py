@@ -307,6 +307,9 @@ def run_worker() -> None:
     def watch() -> None:
         source.read()
         orphaned.set()
+        # A client library may wait for ever for a device that went at the same moment, with our lock.
+        time.sleep(2 * HALTING)
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
     # Ctrl-C in a terminal goes to both processes: the driver's decides how to stop.
