@@ -79,7 +79,7 @@ def test_logs_of_others_are_refused_and_left_alone(tmp_path: Path) -> None:
         BringUpLog(other, "one", "0")
     assert other.read_text() == "# My notes\n"
     BringUpLog(log, "one", "0123").append(BringUpStep("doctor", "It answers.", ()), PASSED, ["a\nb"])
-    with pytest.raises(FungraspError, match="is of the cell one, not two"):
+    with pytest.raises(FungraspError, match="is from the cell one, not two"):
         BringUpLog(log, "two", "0123")
     assert not BringUpLog(log, "one", "0123").other_cell
     assert BringUpLog(log, "one", "another").other_cell

@@ -32,7 +32,7 @@ def planned(device: EmulatedRobot, meanwhile: Any) -> tuple[str, float, list[Pha
         run.run(grasp)
     if run.fault:
         # It is latched.
-        with pytest.raises(RobotError, match="in the state of fault"):
+        with pytest.raises(RobotError, match="in the state 'fault'"):
             run.run(grasp)
     return run.fault, float(np.abs(device.postures()[0] - before).max()), begun
 

@@ -80,7 +80,7 @@ def test_damage_is_found(tmp_path: Path, name: str, change, message: str) -> Non
 def test_what_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(FungraspError, match="does not exist"):
         read_result(tmp_path / "none.json")
-    with pytest.raises(FungraspError, match=r"written as \.json"):
+    with pytest.raises(FungraspError, match=r"must end in \.json"):
         write_result(tmp_path / "r.csv", {}, [])
     with pytest.raises(FungraspError, match="cannot write"):
         write_result(tmp_path / "r.json", {"rate": float("nan")}, ROWS)

@@ -174,12 +174,12 @@ def test_shapes_are_mirrored_like_other_objects():
     ("name", "words"),
     [
         ("box:60x28", "write box:LENGTHxWIDTHxHEIGHT"),
-        ("box:60x28x-3", "no shape"),
-        ("sphere:nan", "no shape"),
+        ("box:60x28x-3", "not a shape"),
+        ("sphere:nan", "not a shape"),
         ("cylinder:0.01x100", "1 to 1500 mm"),
-        ("box:" + "9" * 5000, "no shape"),
+        ("box:" + "9" * 5000, "not a shape"),
         ("cone:3x4", "unknown object"),
-        ("box:60x28x30" + "x1" * 100, "no shape"),
+        ("box:60x28x30" + "x1" * 100, "not a shape"),
     ],
 )
 def test_other_names_are_refused_in_words(name, words):

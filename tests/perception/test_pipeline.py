@@ -440,7 +440,7 @@ def test_an_image_may_be_where_it_is(tmp_path):
     np.testing.assert_array_equal(by_folder.grasps.hand_joints, by_files.grasps.hand_joints)
     with pytest.raises(FungraspError, match="not 2 files"):
         perceive(files[:2], scene.model, **options)
-    with pytest.raises(FungraspError, match="has its mass"):
+    with pytest.raises(FungraspError, match="already has a mass"):
         perceive(scene.capture, scene.model, mass=0.3, **options)
 
 

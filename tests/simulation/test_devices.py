@@ -89,7 +89,7 @@ def test_the_driver_is_asked_without_any_package():
     [
         ("mujoco-warp", "3.9.1", r"mujoco-warp 4\.0\.x, not 3\.9\.1"),
         ("mujoco", "3.17.0", r"mujoco 4\.x, not 3\.17\.0"),
-        ("warp-lang", None, r"warp-lang 1\.19\.x, not none.*fungrasp\[gpu\]"),
+        ("warp-lang", None, r"warp-lang 1\.19\.x, not none.*\.\[gpu\]"),
         ("mujoco-core", "4.0.1", r"of one version, not 4\.0\.0, 4\.0\.1: pip install mujoco==4\.0\.1"),
     ],
 )
@@ -104,7 +104,7 @@ def test_packages_that_do_not_fit_together_are_refused(packages, name, version, 
 
 def test_an_engine_that_is_not_installed_says_how_to_install_it(monkeypatch):
     monkeypatch.setattr(warp_device, "find_spec", lambda name: None)
-    with pytest.raises(FungraspError, match=r'warp, which is not installed: pip install "fungrasp\[gpu\]"'):
+    with pytest.raises(FungraspError, match=r'warp, which is not installed: pip install "\.\[gpu\]"'):
         warp_device.check_warp_packages("cuda")
 
 

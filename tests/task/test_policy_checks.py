@@ -34,7 +34,7 @@ class NoAct:
         (NoReset(), r"NoReset lacks the method reset\(plan, observation\)"),
         (NoAct(), r"NoAct lacks the method act\(observation\)"),
         (3.0, "lacks the method reset.* and act"),
-        (OpenLoopPolicy, r"give an object of it, OpenLoopPolicy\(\)"),
+        (OpenLoopPolicy, r"pass an instance, OpenLoopPolicy\(\)"),
     ],
 )
 def test_missing_methods_are_named(robot, policy, words):
