@@ -172,7 +172,9 @@ def test_torque_limits_are_judged_by_the_hand(tmp_path: Path):
     assert any(re.search(r"changed \[N m\]: z1_j 60 to 0\.\d+;", message) for message in said)
     hand, said = added(tmp_path, with_torques(dict.fromkeys(sound, 30.0)))
     assert hand.actuators["a1_j"].force_limit < 2
-    assert any("implausible torque limits were changed" in message and "and 4 more" in message for message in said)
+    assert any(
+        "implausible torque limits were changed" in message and "and 4 more" in message for message in said
+    )
 
 
 def test_a_coupling_may_have_an_offset(tmp_path: Path):

@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 TOPICS = ("/setpoint", "/step", "/event")
 """Topics of a log."""
 
-_MISSING = 'logs are MCAP files: pip install "fungrasp[deploy]"'
+_MISSING = 'logs are MCAP files: pip install ".[deploy]" in the clone'
 
 
 class McapLog(DeploymentObserver):

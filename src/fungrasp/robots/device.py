@@ -266,7 +266,7 @@ def import_client(module: str, extra: str, device: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise RobotError(
-            f'{device} needs a package that is not installed ({error}): pip install "fungrasp[{extra}]"'
+            f'{device} needs a package that is not installed ({error}): pip install ".[{extra}]" in the clone'
         ) from error
 
 

@@ -94,7 +94,7 @@ def test_distortion_is_told(realsense, caplog):
 
 def test_without_pyrealsense2_the_way_to_get_it_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(FungraspError, match=r'pip install "fungrasp\[realsense\]".*none for macOS'):
+    with pytest.raises(FungraspError, match=r'pip install "\.\[realsense\]".*none for macOS'):
         capture_from_camera()
 
 

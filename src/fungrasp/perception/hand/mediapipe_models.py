@@ -216,7 +216,7 @@ def model_runtime() -> Any:
         return importlib.import_module("ai_edge_litert.interpreter")
     except ImportError as error:
         raise FungraspError(
-            'finding hands in images needs the package ai-edge-litert: pip install "fungrasp[perception]"'
+            'finding hands needs the package ai-edge-litert: pip install ".[perception]" in the clone'
         ) from error
 
 

@@ -190,7 +190,7 @@ def _module() -> Any:
         return importlib.import_module("pyrealsense2")
     except ModuleNotFoundError as error:
         raise FungraspError(
-            'a RealSense camera needs pyrealsense2: pip install "fungrasp[realsense]" (Linux and Windows on '
+            'RealSense needs pyrealsense2: pip install ".[realsense]" in the clone (Linux, Windows on '
             "x86-64, Linux on arm64 with Python 3.12; there is none for macOS); or save the images with "
             "another program and give them as files"
         ) from error

@@ -90,7 +90,7 @@ class PalmFollower:
         try:
             import mink
         except ImportError as error:
-            raise FungraspError('moving an arm needs mink: pip install "fungrasp[deploy]"') from error
+            raise FungraspError('moving an arm needs mink: pip install ".[deploy]" in the clone') from error
         self._mink, self._kinematics = mink, kinematics
         model = kinematics.model
         self._configuration = mink.Configuration(model)
