@@ -72,7 +72,8 @@ def test_the_table_is_told_in_any_position() -> None:
         whole = trimesh.util.concatenate([cup, plate.apply_translation([0.05, 0.02, -0.053])])
         turn = trimesh.transformations.rotation_matrix(1.0, [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
         for place in (np.eye(4), turn):
-            mesh = whole.copy().apply_transform(place)
+            mesh = whole.copy()
+            mesh.apply_transform(place)
             said = list(_doubts(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
             assert bool(said) == told
             if told:
