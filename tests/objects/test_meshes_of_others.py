@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def test_the_table_is_told_in_any_position() -> None:
     cup = trimesh.creation.cylinder(0.04, 0.1)
     for size, told in ((0.35, True), (0.1, False)):
         plate = trimesh.creation.box((size, size, 0.008))
-        whole = trimesh.util.concatenate([cup, plate.apply_translation([0.05, 0.02, -0.053])])
+        whole: Any = trimesh.util.concatenate([cup, plate.apply_translation([0.05, 0.02, -0.053])])
         turn = trimesh.transformations.rotation_matrix(1.0, [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
         for place in (np.eye(4), turn):
             mesh = whole.copy()
