@@ -19,7 +19,6 @@ import numpy as np
 
 from fungrasp.core.formats.checks import one_line
 from fungrasp.evaluation.result_files import ResultFile, read_result
-from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.task.use import load_use_motions, motion_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,6 +42,8 @@ RENAMED = {
 """Beginnings of commands in results, and of the same ones today."""
 USED = ("allegro", "shadow", "inspire")
 """Hands of the use test."""
+SHOWN = "held_as_shown"
+"""Name of the share that is held as shown."""
 
 
 class Table(NamedTuple):
@@ -67,71 +68,69 @@ def percent(share: float | None) -> str:
 
 
 def hands() -> Table:
-    """Static quality and success of each hand."""
-    head = ("hand", "contact error [mm]", "contact gap [mm]", "link direction [°]")
-    head += ("object penetration, mean / p95 [mm]", "success", "contact ratio", "success, not adapted")
+    """Each hand: grasps before physics, one planned motion, and the student."""
     rows = []
     for name, title in HANDS.items():
-        header = read(f"hand-{name}").header
-        q = header["quality"]
+        plain, student = read(f"hand-{name}").header, read(f"student-{name}").header
+        q = plain["quality"]
         rows.append(
             (
                 title,
-                f"{q['contact_error_mm']['mean']:.1f}",
-                f"{q['contact_gap_mm']['mean']:.2f}",
-                f"{q['link_direction_error_deg']['mean']:.0f}",
+                percent(q["held_as_shown"]["mean"]),
+                f"{q['place_error_mm']['mean']:.1f} / {q['place_error_mm']['p90']:.1f}",
                 f"{q['object_penetration_mm']['mean']:.1f} / {q['object_penetration_mm']['p95']:.1f}",
-                percent(header["success_rate"]),
-                f"{header['contact_ratio']:.2f}",
-                percent(read(f"hand-{name}-unadapted").header["success_rate"]),
+                f"{percent(plain['success_rate'])}, {percent(plain['held_as_shown'])}",
+                percent(student["success_rate"]),
+                f"{percent(student['held_as_shown'])} ({_interval(student['held_as_shown_interval'])})",
+                f"{student['rollouts_per_grasp']:.0f}",
             )
         )
-    files = [file for name in HANDS for file in (f"hand-{name}", f"hand-{name}-unadapted")]
-    return Table(head, rows, files)
+    head = ("hand", "grasp as shown", "place error, mean / p90 [mm]", "object penetration, mean / p95 [mm]")
+    head += ("one motion: success, as shown", "`student`: success", "`student`: held as shown (95 %)")
+    files = [file for name in HANDS for file in (f"hand-{name}", f"student-{name}")]
+    return Table((*head, "rollouts per grasp"), rows, files)
 
 
 def policies() -> Table:
-    """Success of what comes with the package: belief right, and belief wrong."""
+    """Policies of the package with Allegro: worlds as believed, and the reality protocol."""
     files = {
-        "`reference`": ("hand-allegro", "reference-pose-noise"),
-        "`reference`, `--refine 16` in the test's own world": ("refined", None),
-        "`student`, `--no-rollouts`": ("student-no-rollouts", None),
-        "`student`": ("student", "student-pose-noise"),
-        "`plan`: the student's plan, open loop": ("plan", None),
+        "`reference`: one motion, open loop": "hand-allegro",
+        "`plan`: the student's plan, open loop": "plan",
+        "`student`": "student-allegro",
+        "`student`, reality protocol, two attempts": "reality-allegro",
     }
-    rows, used = [], []
-    for title, names in files.items():
-        found = [name for name in names if name and (RESULTS / f"{name}.json").is_file()]
-        if names[0] not in found:
-            continue
-        headers = [read(name).header for name in found]
-        low, high = headers[0]["success_interval"]
-        wrong = percent(headers[1]["success_rate"]) if len(found) > 1 else NONE
-        cells = (percent(headers[0]["success_rate"]), f"{100 * low:.0f} – {100 * high:.0f} %")
-        rows.append((title, *cells, f"{headers[0]['contact_ratio']:.2f}", wrong))
-        used += found
-    head = ("policy", "success", "95 % interval", "contact ratio", "success, object 1 cm and 10° off")
-    return Table(head, rows, used)
+    rows = []
+    for title, name in files.items():
+        h = read(name).header
+        cells = (f"{percent(h[key])} ({_interval(h[f'{key}_interval'])})" for key in ("success_rate", SHOWN))
+        rows.append((title, *cells, f"{h['place_error_mm']:.1f}", f"{h['contact_ratio']:.2f}"))
+    head = ("policy", "success (95 %)", "held as shown (95 %)", "place error [mm]", "contact ratio")
+    return Table(head, rows, list(files.values()))
+
+
+def _interval(ends: Sequence[float]) -> str:
+    return "{:.0f} – {:.0f}".format(*(100 * end for end in ends))
 
 
 def use_test() -> Table:
-    """The use test of the built-in grasps whose task has a motion, by hand; of all, not of those held."""
+    """The use test of the built-in grasps whose task has a motion, by motion and hand."""
     known = load_use_motions().values()
-    rows = []
+    count: dict[str, dict[str, np.ndarray]] = {}
     for hand in USED:
-        counts: dict[str, list[bool]] = {motion.name: [] for motion in known}
-        held = []
         for row in read(f"use-{hand}").rows:
             if (motion := motion_of(row["task"], known)) is not None:
-                counts[motion.name].append(row["use_success"])
-                held.append(row["success"])
-        number, used = len(held), sum(map(sum, counts.values()))
-        low, high = wilson_interval(used, number)
-        whole = f"{used}: {100 * used / number:.0f} % ({100 * low:.0f} – {100 * high:.0f})"
-        each = (f"{sum(passed)} of {len(passed)}" for passed in counts.values())
-        rows.append((HANDS[hand], str(number), str(sum(held)), whole, *each))
-    motions = (motion.name.replace("_", " ") for motion in known)
-    return Table(("hand", "grasps", "held", "used", *motions), rows, [f"use-{hand}" for hand in USED])
+                passed = bool(row["use_success"])
+                numbers = np.array([1, row["success"], row["success"] and row[SHOWN], passed], dtype=int)
+                for name in (motion.name, "all"):
+                    of = count.setdefault(name, {})
+                    of[hand] = of.get(hand, 0) + numbers
+    rows = []
+    for name in (*sorted(set(count) - {"all"}), "all"):
+        by_hand = [count[name][hand] for hand in USED]
+        cells = [f"{held}, {shown}, {used}" for _, held, shown, used in by_hand]
+        rows.append((name.replace("_", " "), str(by_hand[0][0]), *cells))
+    head = ("motion", "grasps", *(f"{HANDS[hand]}: held, as shown, used" for hand in USED))
+    return Table(head, rows, [f"use-{hand}" for hand in USED])
 
 
 PACKAGES = {"ours": "fungrasp", "contact": "fungrasp"}
