@@ -102,8 +102,9 @@ def policies() -> Table:
     rows = []
     for title, name in files.items():
         h = read(name).header
-        cells = (f"{percent(h[key])} ({_interval(h[f'{key}_interval'])})" for key in ("success_rate", SHOWN))
-        rows.append((title, *cells, f"{h['place_error_mm']:.1f}", f"{h['contact_ratio']:.2f}"))
+        success = f"{percent(h['success_rate'])} ({_interval(h['success_interval'])})"
+        shown = f"{percent(h[SHOWN])} ({_interval(h[f'{SHOWN}_interval'])})"
+        rows.append((title, success, shown, f"{h['place_error_mm']:.1f}", f"{h['contact_ratio']:.2f}"))
     head = ("policy", "success (95 %)", "held as shown (95 %)", "place error [mm]", "contact ratio")
     return Table(head, rows, list(files.values()))
 
