@@ -14,7 +14,7 @@ class Phases(fungrasp.DeploymentObserver):
 
 
 # As fast as the machine goes: the twin has a clock of its own.
-spec = fungrasp.DeploymentSpec(cell="ur5e-allegro", policy="plan", real_time=False)
+spec = fungrasp.DeploymentSpec(cell="ur5e-allegro", policy="plan")
 result = fungrasp.deploy(robot, objects, spec=spec, log="lift.mcap", observer=Phases())
 
 print(result)

@@ -19,7 +19,6 @@ import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,6 @@ import pytest
 
 import fungrasp
 from fungrasp.cli.main import COMMANDS, every_command, main, parsed
-from fungrasp.deployment import deploy
 from fungrasp.evaluation import StaticQuality, Trajectory
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet, grasp_files, save_human_grasps
 from fungrasp.media import demonstration
@@ -111,8 +109,8 @@ def run(arguments: list[str]) -> int:
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the reader's data; few built-in grasps, and films of few small frames; twins that run
-    as fast as they go; a viewer that nobody looks at."""
+    """A folder with the reader's data; few built-in grasps, films of few small frames, and a viewer that ends
+    at once."""
     builtin = grasp_files.builtin_grasps()
     assert builtin.task is not None
     first = {
@@ -124,7 +122,6 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_human_grasps(tmp_path / "few.npz", builtin.select(np.array([*named, *others[: MOST - 1]])))
     monkeypatch.setattr(grasp_files, "BUILTIN_PATH", tmp_path / "few.npz")
     monkeypatch.setattr(demonstration, "FILM", replace(demonstration.FILM, fps=2.0, width=240, height=136))
-    monkeypatch.setattr(deploy, "DeploymentSpec", partial(deploy.DeploymentSpec, real_time=False))
     monkeypatch.setattr("fungrasp.viewer.view.Viewer.wait", lambda viewer: viewer.close())
     mine = builtin.select(np.flatnonzero(builtin.object_name == "box")[REACHED])
     (tmp_path / "meshes").mkdir()

@@ -93,7 +93,7 @@ def test_what_one_verb_returns_the_next_one_takes():
 def test_a_given_plan_is_deployed(human):
     robot = retarget(fungrasp.builtin_grasps()[52])
     plans = fungrasp.plan(robot)
-    spec = fungrasp.DeploymentSpec(policy="reference", real_time=False, until="lift")
+    spec = fungrasp.DeploymentSpec(policy="reference", until="lift")
     seen = []
 
     class Watch(fungrasp.DeploymentObserver):

@@ -185,7 +185,6 @@ class TwinSetup:
             attempts=variant.attempts,
             until="lift",
             gravity_compensation=variant.compensate,
-            real_time=False,
             look_time=0.4,
         )
         task = DeploymentTask(spec, self.cell, self.hand, obj, placed.grasp, self.policy, planner, dynamics)

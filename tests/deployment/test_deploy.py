@@ -17,7 +17,7 @@ from fungrasp.grasps import HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.objects import builtin_object
 
-FAST = DeploymentSpec(policy="reference", until="lift", real_time=False)
+FAST = DeploymentSpec(policy="reference", until="lift")
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ class Told(DeploymentObserver):
 
 def spec(**options: Any) -> DeploymentSpec:
     """A short look, without a clock."""
-    return DeploymentSpec(**{"look_time": 0.3, "real_time": False, "policy": "reference", **options})
+    return DeploymentSpec(**{"look_time": 0.3, "policy": "reference", **options})
 
 
 def task(

@@ -150,6 +150,7 @@ class GraspJob(DeploymentObserver):
             speed=request.speed,
             dry_run=request.dry_run,
             threads=request.choice.threads,
+            real_time=True,
         )
         task = deployment_task(grasp, objects, spec)
         about = {"version": __version__, "robot": self._name, "policy": self._policy}

@@ -84,8 +84,8 @@ class DeploymentSpec:
     """Seed of the plan."""
     twin: int = 0
     """For a twin: its number, 0, 1, 2 ... It determines the hidden parameters."""
-    real_time: Annotated[bool, tyro.conf.Suppress] = True
-    """For a twin: run on the clock of the wall; else as fast as it goes, the same to the last bit."""
+    real_time: Annotated[bool, tyro.conf.Suppress] = False
+    """For a twin: run in real time; else as fast as possible, with the same result to the last bit."""
     look_time: Annotated[float, tyro.conf.Suppress] = 1.0
     """Time in which poses of the object are collected before planning [s]."""
     threads: Annotated[int, tyro.conf.Suppress] = 0
