@@ -103,7 +103,7 @@ def test_a_log_that_breaks_off_is_read_up_to_there(lifted: tuple[Any, Path], tmp
 
 
 def test_a_log_is_not_overwritten(lifted: tuple[Any, Path]) -> None:
-    with pytest.raises(FungraspError, match="exists already"):
+    with pytest.raises(FungraspError, match="already exists"):
         McapLog(lifted[1])
 
 
