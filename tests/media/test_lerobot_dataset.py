@@ -128,7 +128,7 @@ def test_what_can_not_be_exported_is_said(tmp_path, capsys):
         ([episode(), replace(episode(), hand="shadow")], "x", "of one hand"),
         ([replace(episode(), controls=None)], "x", "no controls"),
         ([replace(episode(), times=np.array([0, 1, 2, 3, 4, 5, 9.0]))], "x", "not evenly spaced"),
-        ([episode()], "there", "exists already"),
+        ([episode()], "there", "already exists"),
     )
     for episodes, name, words in cases:
         with pytest.raises(FungraspError, match=words):

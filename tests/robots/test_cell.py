@@ -67,7 +67,7 @@ def test_bad_cells_are_refused_in_one_line(tmp_path: Path, text: str, said: str)
 def test_a_new_cell_is_slow_and_refused_until_it_is_filled_in(tmp_path: Path, hand: str) -> None:
     path = tmp_path / "mine.toml"
     write_new_cell(path, hand)
-    with pytest.raises(FungraspError, match="exists already"):
+    with pytest.raises(FungraspError, match="already exists"):
         write_new_cell(path, hand)
     text = path.read_text()
     filled = {

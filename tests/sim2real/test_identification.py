@@ -285,7 +285,7 @@ def test_a_log_that_was_broken_off_can_be_read_and_fitted(log: MotionLog, tmp_pa
     assert 0.6 * len(log.times) < len(left.times) < 0.8 * len(log.times)
     assert np.allclose(left.positions, log.positions[: len(left.times)], atol=1e-6)
     left.check_excitation()
-    with pytest.raises(FungraspError, match="exists already"):
+    with pytest.raises(FungraspError, match="already exists"):
         MotionLogWriter(path)
 
 

@@ -280,7 +280,7 @@ def write_new_cell(path: str | Path, hand: str) -> None:
     if path.suffix != ".toml":
         raise FungraspError(f"{path}: a cell is a .toml file")
     if path.exists():
-        raise FungraspError(f"{path} exists already")
+        raise FungraspError(f"{path} already exists")
     text = (head + devices[hand] + rest).replace("HAND", hand).replace("NAME", path.stem)
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
