@@ -113,7 +113,7 @@ def test_what_is_no_recorded_trial(tmp_path):
     with pytest.raises(FungraspError, match=r"recorded episode .* can't be read"):
         replay(tmp_path / "text.npz")
     np.savez(tmp_path / "other.npz", times=np.zeros(3))
-    with pytest.raises(FungraspError, match="no recorded episode"):
+    with pytest.raises(FungraspError, match="not a recorded episode"):
         replay(tmp_path / "other.npz")
 
 

@@ -33,7 +33,7 @@ class List(Answering):
                 name,
                 card.kind,
                 card.hand,
-                f"{sizes[name] / 1e6:.2g} MB",
+                f"{sizes[name] / 1e3:.0f} kB",
                 ", ".join(f"{what} {share:.0%}".strip() for what, share in _successes(card.measured)),
                 card.licence,
                 ", ".join(data.name for data in card.training_data),

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
-from fungrasp.grasps.importers.motions import data_object, each, grasp_from_motion, numbers, table
+from fungrasp.grasps.importers.motions import data_object, each, grasp_from_motion, numbers, subtable
 from fungrasp.grasps.mano import ManoHand
 
 
@@ -33,8 +33,8 @@ def import_grab(
 
     def grasp(path: Path) -> HumanGrasp:
         fields = load_arrays_pickle(path)
-        right, thing = (table(path, fields, name) for name in ("rhand", "object"))
-        params, pose = table(path, right, "params"), table(path, thing, "params")
+        right, thing = (subtable(path, fields, name) for name in ("rhand", "object"))
+        params, pose = subtable(path, right, "params"), subtable(path, thing, "params")
         turns = Rotation.from_rotvec(-numbers(path, pose, "global_orient", (None, 3)))
         places = numbers(path, pose, "transl", (None, 3))
         template = None if subjects is None else read_mesh(Path(subjects) / str(right.get("vtemp")))[0]

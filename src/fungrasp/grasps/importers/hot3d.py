@@ -11,7 +11,14 @@ from scipy.spatial.transform import Rotation
 from fungrasp.core.formats.checks import read_text
 from fungrasp.core.formats.text_files import parse_json, read_json
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
-from fungrasp.grasps.importers.motions import data_object, each, each_moved, grasp_from_motion, numbers, table
+from fungrasp.grasps.importers.motions import (
+    data_object,
+    each,
+    each_moved,
+    grasp_from_motion,
+    numbers,
+    subtable,
+)
 from fungrasp.grasps.mano import ManoHand
 
 LARGEST = 1 << 28
@@ -59,7 +66,7 @@ def import_hot3d(root: str | Path, mano: str | Path, objects: str | Path) -> Hum
                 fields = hands.get(times[t])
                 if fields is None:
                     return None
-                wrist = table(path, fields, "wrist_xform")
+                wrist = subtable(path, fields, "wrist_xform")
                 turn = Rotation.from_quat(numbers(path, wrist, "q_wxyz", (4,)), scalar_first=True).as_rotvec()
                 betas, pose = numbers(path, fields, "betas", (10,)), numbers(path, fields, "pose", (15,))
                 return hand.joints(betas, turn, pose, numbers(path, wrist, "t_xyz", (3,)))

@@ -126,7 +126,7 @@ def data_object(folder: str | Path, name: str, mass: float | None = None) -> Res
     return replace(found, model=replace(found.model, name=name))
 
 
-def table(path: Path, fields: Any, name: Any) -> Mapping[Any, Any]:
+def subtable(path: Path, fields: Any, name: Any) -> Mapping[Any, Any]:
     """A field that holds fields.
 
     Raises:

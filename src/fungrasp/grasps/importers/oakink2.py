@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 from fungrasp.core.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.from_arrays import as_pose
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
-from fungrasp.grasps.importers.motions import data_object, each, each_moved, grasp_from_motion, numbers, table
+from fungrasp.grasps.importers.motions import (
+    data_object,
+    each,
+    each_moved,
+    grasp_from_motion,
+    numbers,
+    subtable,
+)
 from fungrasp.grasps.mano import ManoHand
 
 
@@ -32,11 +39,11 @@ def import_oakink2(root: str | Path, mano: str | Path, objects: str | Path) -> H
 
     def grasps(path: Path) -> list[HumanGrasp]:
         fields = load_arrays_pickle(path)
-        hands, things = table(path, fields, "raw_mano"), table(path, fields, "obj_transf")
+        hands, things = subtable(path, fields, "raw_mano"), subtable(path, fields, "obj_transf")
         frames = [int(frame) for frame in numbers(path, fields, "mocap_frame_id_list", (None,))]
 
         def joints(t: int) -> np.ndarray:
-            params = table(path, hands, frames[t])
+            params = subtable(path, hands, frames[t])
             turns = Rotation.from_quat(
                 numbers(path, params, "rh__pose_coeffs", (1, 16, 4))[0], scalar_first=True
             )
@@ -49,7 +56,7 @@ def import_oakink2(root: str | Path, mano: str | Path, objects: str | Path) -> H
 
         poses = {}
         for name in things:
-            matrices = [numbers(path, table(path, things, name), frame, (4, 4)) for frame in frames]
+            matrices = [numbers(path, subtable(path, things, name), frame, (4, 4)) for frame in frames]
             poses[str(name)] = np.array([as_pose(matrix) for matrix in matrices])
         return each_moved(poses, grasp, path)
 

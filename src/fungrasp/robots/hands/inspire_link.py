@@ -190,6 +190,7 @@ class ModbusLink:
         return None if answer.isError() else answer
 
     def close(self) -> None:
+        """End the connection. Never raises."""
         with contextlib.suppress(Exception):
             self._client.close()
 
@@ -219,6 +220,7 @@ class SerialLink:
         self._port: Any = None
 
     def connect(self) -> bool:
+        """See ``ModbusLink``, as for the other methods."""
         try:
             # Another program on the same port would take half of the answers.
             self._port = self._serial.Serial(**self._options, exclusive=True)
@@ -227,15 +229,18 @@ class SerialLink:
         return True
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
+        """Registers."""
         size = 1 if address in SINGLE_BYTES else 2 * count
         data = self._ask(InspireFrame(self._device, READ, address, bytes([size])))
         return registers_of(data) if data is not None and len(data) == size else None
 
     def write(self, address: int, values: list[int]) -> bool:
+        """Write registers."""
         data = bytes(values) if address in SINGLE_BYTES else register_bytes(values)
         return self._ask(InspireFrame(self._device, WRITE, address, data)) == TAKEN
 
     def close(self) -> None:
+        """End the connection."""
         with contextlib.suppress(Exception):
             if self._port is not None:
                 self._port.close()

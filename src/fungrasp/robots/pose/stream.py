@@ -33,16 +33,27 @@ class PoseMessage:
     """What a tracker says: the entries of its map, but for schema and version."""
 
     sequence: int
+    """Count of the tracker's answers."""
     clock: str
+    """Identifies the sender's clock."""
     captured: float
+    """When the image was taken, by the sender's clock [s]."""
     sent: float
+    """When the message was sent, by the sender's clock [s]."""
     object: str
+    """Name of the object."""
     frame: str
+    """Frame of the pose: "world", "camera"."""
     position: tuple[float, ...]
+    """Position of the object in the frame [m], length 3."""
     rotation: tuple[float, ...]
+    """Its rotation, wxyz, length 4."""
     score: float
+    """Confidence, 0 to 1."""
     status: TrackingStatus
+    """Whether the pose may be used."""
     wall: float | None = None
+    """When the message was sent, by the time of day [s since 1970]; None if the sender does not say it."""
 
     def entries(self) -> dict[str, Any]:
         """The map."""

@@ -77,43 +77,53 @@ class TwinSpread:
 
 @dataclass(frozen=True, eq=False)
 class TwinParameters:
-    """The truth of one twin: what was drawn from the range of the same name in ``TwinSpread``, in its units.
-    M joints of the hand, coupled ones included; U independent ones."""
+    """The truth of one twin. M joints of the hand, coupled ones included; U independent ones."""
 
     stiffness: np.ndarray
-    """Shape [U]; ``gain`` times what was drawn."""
+    """Factor on the torque that each servo makes of an error of position, shape [U]: ``gain`` times that of
+    its torque constant."""
     gain: float
+    """Factor on the position gains of all servos."""
     damping: np.ndarray
-    """Shape [M]."""
+    """Factor on each joint's damping, shape [M]."""
     armature: np.ndarray
-    """Shape [M]."""
+    """Factor on each joint's rotor inertia, shape [M]."""
     friction: np.ndarray
-    """Shape [U]."""
+    """Dry friction of each driven joint at rest, as a share of its torque limit, shape [U]."""
     sliding: np.ndarray
-    """Shape [U]."""
+    """Share of it that is left while moving, shape [U]."""
     stribeck_speed: float
+    """Speed at which most of the difference is gone [rad/s]."""
     torque_limit: np.ndarray
-    """Shape [U]."""
+    """Factor on each servo's largest torque, shape [U]."""
     backlash: np.ndarray
-    """Shape [U]."""
+    """Lost motion of each drive to each side [rad], shape [U]."""
     encoder_bias: np.ndarray
-    """Shape [U]."""
+    """Error of each encoder [rad], shape [U]."""
     encoder_step: float
+    """Resolution of the encoders [rad]."""
     hand_delay: float
+    """Time until a setpoint reaches the hand's servos [s]."""
     arm_delay: float
+    """Time until a setpoint reaches the arm's servos [s]."""
     camera_error: np.ndarray
     """What is seen of the world: pose of the true world in the believed one, shape [7]."""
     tracker_noise: tuple[float, float]
+    """Standard deviation of the tracker's noise [m], [rad]."""
     tracker_delay: float
+    """Age of a tracked pose when it is delivered [s]."""
     tracker_period: float
     """Time between frames [s]."""
     tracker_dropout: float
+    """Share of the frames that are missing."""
     mass: float
+    """Factor on the object's mass."""
     center_of_mass: np.ndarray
-    """Shape [3]."""
+    """Displacement of the center of mass, as a share of the object's size, shape [3]."""
     object_friction: float
+    """Sliding friction of hand, object and table."""
     surface_amplitude: float
-    """Of ``surface`` [m]."""
+    """Largest error of the mesh's surface [m]."""
     table_tilt: np.ndarray
     """Rotation vector of the table, world frame [rad], shape [3]."""
     table_height: float
