@@ -258,7 +258,8 @@ def wire_trial(scene: Scene, drawn: Drawn, patience: float) -> FaultTrial:
         when=when,
         reason=reason,
         lifted=judge.held,
-        said=str(said),
+        # The address is that of this run alone.
+        said=str(said).replace(cell.hand_device.address, "its line"),
         opened=bool(opened),
     )
 

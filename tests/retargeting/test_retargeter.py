@@ -105,6 +105,8 @@ def test_what_is_not_a_hand_is_refused():
         Retargeter("allegro").follow(grasp.hand_joints, grasp.object_pose)
     with pytest.raises(FungraspError, match="unknown order of joints"):
         Retargeter("allegro", order="mediapip")
+    with pytest.raises(FungraspError, match="rate must be positive, not 0"):
+        RetargeterSettings(rate=0.0)
 
 
 def gestures(frames: int = 60) -> np.ndarray:

@@ -82,7 +82,7 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals.reshape(-1, 3, 3).astype(np.float32)
 
 
-@lru_cache(256)
+@lru_cache(64)
 def _kept_normals(vertices: bytes, faces: bytes) -> np.ndarray:
     """``corner_normals``, computed once for meshes that several pictures show."""
     return corner_normals(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, int).reshape(-1, 3))

@@ -82,6 +82,16 @@ class RetargeterSettings:
     first_iterations: int = 40
     """Solver iterations of the first frame."""
 
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value of the smoothing is not positive.
+        """
+        for name in ("rate", "cutoff", "lag"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise FungraspError(f"{name} must be positive, not {value:g}")
+
 
 class FollowedPose(NamedTuple):
     """A robot hand at one frame."""
@@ -169,7 +179,7 @@ class Retargeter:
 
     def _filter(self) -> Callable[[np.ndarray], np.ndarray]:
         s = self._settings
-        return OneEuroFilter(s.rate, s.cutoff, s.lag) if s.rate else lambda points: points
+        return (lambda points: points) if s.rate is None else OneEuroFilter(s.rate, s.cutoff, s.lag)
 
     def follow(self, hand_joints: np.ndarray, object_pose: np.ndarray | None = None) -> FollowedPose:
         """The robot hand at the next frame.

@@ -10,10 +10,7 @@ from scipy.spatial.transform import Rotation
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.text_files import read_json
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
-from fungrasp.grasps.importers.motions import data_object, each, grasp_from_motion, numbers
-
-LARGEST = 1 << 28
-"""Bytes of the largest file of joints that is read."""
+from fungrasp.grasps.importers.motions import LARGEST, data_object, each, grasp_from_motion, numbers
 
 
 def import_gigahands(root: str | Path) -> HumanGraspSet:

@@ -12,6 +12,7 @@ from fungrasp.core.formats.checks import read_text
 from fungrasp.core.formats.text_files import parse_json, read_json
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.importers.motions import (
+    LARGEST,
     data_object,
     each,
     each_moved,
@@ -20,9 +21,6 @@ from fungrasp.grasps.importers.motions import (
     subtable,
 )
 from fungrasp.grasps.mano import ManoHand
-
-LARGEST = 1 << 28
-"""Bytes of the largest file of poses that is read."""
 
 RIGHT = "1"
 """The right hand's name in ``hand_poses``."""

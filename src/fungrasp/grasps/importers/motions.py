@@ -22,6 +22,9 @@ from fungrasp.objects import ObjectModel, ResolvedObject, mesh_files, resolve_ob
 MOVED = 0.01
 """How far an object has moved when it counts as grasped [m]."""
 
+LARGEST = 1 << 28
+"""Bytes of the largest text file of a sequence that is read."""
+
 Item = TypeVar("Item")
 
 _log = logging.getLogger(__name__)
