@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lerobot_adapter import LeRobotRobot
-from robot_cells import cell_and_hand, placed
+from robot_cells import cell_and_hand
 from twin_robots import twin_robot
 
 from fungrasp.cli.main import main
@@ -29,14 +29,14 @@ from fungrasp_emulators.plants import ServoPlant
 pytest.importorskip("mink")
 
 
-def sink(robot: Robot, world: TwinWorld, until: float = -0.2) -> None:
+def sink(robot: Robot, world: TwinWorld) -> None:
     """As LeRobot's loop does, ask again and again for a palm that is a little lower."""
     adapter = LeRobotRobot(robot)
     adapter.connect()
     world.advance(world.time + 0.2)
     seen = adapter.get_observation()
     action = {name: seen.get(name, 0.0) for name in adapter.action_features}
-    while action["palm.z"] > until:
+    while action["palm.z"] > -0.2:
         action["palm.z"] -= 0.02
         adapter.send_action(action)
         world.advance(world.time + 0.02)
@@ -70,18 +70,6 @@ def test_the_stop_file_of_the_cell_stops_lerobot(tmp_path: Path) -> None:
     with pytest.raises(SafetyStop, match="stop file"):
         sink(robot, world)
     assert robot.state().arm.status is DeviceStatus.STOPPED
-
-
-def test_without_a_guard_only_by_a_word_that_every_start_says(caplog: pytest.LogCaptureFixture) -> None:
-    robot, world = twin_robot(replace(cell_and_hand()[0], guard="off"))
-    below = placed()[2] - 0.1
-    try:
-        sink(robot, world, until=below)
-    except SafetyStop as stop:
-        assert "reach" in stop.reason
-    assert caplog.text.count('guard = "off"') == 1
-    robot.connect()
-    assert caplog.text.count('guard = "off"') == 2
 
 
 def test_a_wired_robot_has_the_cells_guard_and_switch(tmp_path: Path) -> None:

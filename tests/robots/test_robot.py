@@ -93,13 +93,13 @@ def test_the_twins_encoders_are_off_and_its_setpoints_late() -> None:
     truth = world.truth
     with robot:
         measured = robot.state().hand.positions
-        steps = measured / truth.encoder_step
+        steps = measured / truth.spread.encoder_step
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
         target = measured + 0.2
         before = world.hand_state()[0]
         robot.hand_driver.command(target)
         world.advance(world.time + 0.9 * truth.hand_delay)
-        np.testing.assert_allclose(world.hand_state()[0], before, atol=2.1 * truth.encoder_step)
+        np.testing.assert_allclose(world.hand_state()[0], before, atol=2.1 * truth.spread.encoder_step)
         world.advance(world.time + 0.5)
         assert np.abs(world.hand_state()[0] - before).max() > 0.1
 
@@ -141,8 +141,8 @@ def test_a_hand_with_gains_of_its_own_sags_and_is_carried_by_what_is_told() -> N
     np.testing.assert_allclose(truth.stiffness, 0.25)
     # The palm sideways: the fingers' weight is on their joints.
     home = (*cell.arm.home[:3], -3.2, cell.arm.home[4], 0.5 * np.pi)
-    # With the palm outside the workspace.
-    weak = replace(weak, arm=replace(weak.arm, home=home), guard="off")
+    everywhere = replace(weak.workspace, lower=(-2.0, -2.0, -2.0), upper=(2.0, 2.0, 2.0))
+    weak = replace(weak, arm=replace(weak.arm, home=home), workspace=everywhere)
     off = []
     for compensate in (False, True):
         world = TwinWorld(weak, hand, grasp_and_object()[1], truth)

@@ -18,20 +18,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Calibrate(Answering):
-    """Calibrate the fixed camera of a cell: its pose in the world frame, written to a file for the cell.
-
-    Uses either images of a board held by the hand (--images), or points that a fingertip touched and the
-    camera saw (--points)."""
+    """Calibrate the fixed camera of a cell from images of a board held by the hand: its pose in the world
+    frame, written to a file for the cell."""
 
     cell: CellName
     """A built-in robot cell, or a TOML file."""
     out: Path
     """File to write (.toml)."""
-    images: Path | None = None
+    images: Path
     """Folder with images of the board, arm.json (arm joints [rad] by image file name) and camera.json
     (intrinsics)."""
-    points: Path | None = None
-    """JSON file with two lists of points [m]: seen (camera frame) and touched (world frame)."""
     board: Board = field(default_factory=Board)
     """The board."""
 
@@ -39,14 +35,7 @@ class Calibrate(Answering):
         from fungrasp.robots.calibration.camera import save_calibration
         from fungrasp.robots.cell import load_cell
 
-        if (self.images is None) == (self.points is None):
-            raise FungraspError("give either --images or --points")
-        cell = load_cell(self.cell)
-        if self.images is not None:
-            found, source = self._from_images(cell, self.images)
-        else:
-            assert self.points is not None
-            found, source = self._from_points(self.points)
+        found, source = self._from_images(load_cell(self.cell), self.images)
         save_calibration(self.out, found, source)
         place = ", ".join(f"{x:.4f}" for x in found.pose_world_camera[:3])
         text = (
@@ -85,18 +74,3 @@ class Calibrate(Answering):
         lens = read_intrinsics(folder / "camera.json", size).intrinsics
         used = sum(len(view.points) > 0 for view in views)
         return calibrate_from_board(views, lens), f"{used} of {len(views)} images of a board"
-
-    def _from_points(self, path: Path) -> tuple[CameraCalibration, str]:
-        import numpy as np
-
-        from fungrasp.core.formats.text_files import read_json
-        from fungrasp.robots.calibration.camera import calibrate_from_points
-
-        tree = read_json(path, "touched points")
-        if not isinstance(tree, dict) or not {"seen", "touched"} <= set(tree):
-            raise FungraspError(f"{path} must hold lists 'seen' and 'touched'")
-        try:
-            seen, touched = (np.array(tree[name], dtype=float) for name in ("seen", "touched"))
-        except (TypeError, ValueError) as error:
-            raise FungraspError(f"{path}: points must be lists of 3 numbers") from error
-        return calibrate_from_points(seen, touched), f"{len(seen)} touched points"

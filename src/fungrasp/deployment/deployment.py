@@ -15,12 +15,12 @@ from fungrasp.deployment.preparation import PreparedGrasp, Preparer
 from fungrasp.deployment.scripted_motion import ScriptedMotion, locate_object
 from fungrasp.deployment.spec import LAST_PHASES, DeploymentSpec, Phase
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.planning.attempts import make_attempts
+from fungrasp.planning.attempts import AttemptCarrier, make_attempts
 from fungrasp.robots.device import DeviceStatus, RobotCommand, RobotError, RobotState, SafetyStop, StopKind
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.safety import action_problem, check_pose
 from fungrasp.task import Policy
-from fungrasp.task.attempt_judge import AttemptJudge, AttemptVerdict
+from fungrasp.task.attempt_judge import AttemptJudge
 
 MOVED = 0.02
 """A joint of the arm that is farther from where it was has moved [rad]."""
@@ -29,8 +29,10 @@ AWAKE = 1.0
 """Drivers that held because nobody asked them follow again within this time [s]."""
 
 
-class Deployment:
-    """Carries one grasp through all phases. Whatever goes wrong ends in FAULT with the robot stopped."""
+class Deployment(AttemptCarrier):
+    """Carries one grasp through all phases. Whatever goes wrong ends in FAULT with the robot stopped.
+
+    Attempts are those of ``make_attempts``, whose one world, number 0, is this robot."""
 
     def __init__(
         self,
@@ -63,6 +65,10 @@ class Deployment:
         self._object_pose = np.full(7, np.nan)
         self._last_goal = np.full((1, 7), np.nan)
         self._attempts, self._missed, self._why_no_more = 0, False, ""
+        self._grasp: RobotGraspSet | None = None
+        self._state: RobotState | None = None
+        self._gap = np.zeros(1)
+        self._postures: list[np.ndarray] = []
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
         """Grasp, lift, hold, put down, go home, with one grasp. Never raises for what goes wrong with the
@@ -71,15 +77,15 @@ class Deployment:
         if self.phase is not Phase.IDLE:
             said = f" ({self.fault})" if self.fault else ""
             raise RobotError(f"the robot is in the state '{self.phase}'{said}: look at it, then start again")
-        robot = self.robot
+        robot, self._grasp = self.robot, grasp
         robot.watch = self._watch
         robot.due = lambda planned: self.setpoint_ticks.record(planned, robot.clock.now())
         try:
             self._times[Phase.IDLE] = robot.clock.now()
             object_pose, state = locate_object(robot, self.spec.look_time)
-            self._prepare(grasp, object_pose, state.arm.positions)
+            self._prepare(object_pose, state.arm.positions)
             if self.goes_on_to(Phase.MOVE_TO_START):
-                self._carry_out(grasp, object_pose, state)
+                self._carry_out(object_pose, state)
             else:
                 self.phase = Phase.DONE
         except SafetyStop as stop:
@@ -114,14 +120,13 @@ class Deployment:
             dict(self.robot.guard.longest_silence),
         )
 
-    def _carry_out(self, grasp: RobotGraspSet, object_pose: np.ndarray, state: RobotState) -> None:
+    def _carry_out(self, object_pose: np.ndarray, state: RobotState) -> None:
         """All that moves."""
         robot = self.robot
         self._ask(Phase.MOVE_TO_START)
-        state = self._awake(state)
-        made = _RobotAttempts(self, grasp, state)
-        names = grasp.object_name.tolist()
-        make_attempts(made, self.spec.attempts, object_pose[None], names, self._preparer.objects)
+        self._postures = [self._awake(state).arm.positions]
+        names = [str(self.prepared.plan.object_name[0])]
+        make_attempts(self, self.spec.attempts, object_pose[None], names, self._preparer.objects)
         if not self._missed and self.goes_on_to(Phase.PUT_DOWN):
             self._ask(Phase.PUT_DOWN)
             self._begin(Phase.PUT_DOWN)
@@ -132,7 +137,7 @@ class Deployment:
             return
         self._ask(Phase.HOME)
         self._begin(Phase.HOME)
-        back = [robot.palm_follower_joints, *made.postures[-2::-1]]
+        back = [robot.palm_follower_joints, *self._postures[-2::-1]]
         self.scripted.move(back, self.prepared.start_fingers)
         self._begin(Phase.DONE)
 
@@ -174,10 +179,9 @@ class Deployment:
             with suppress(Exception):
                 observer.fault(now, reason)
 
-    def _prepare(
-        self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0
-    ) -> None:
-        prepared = self._preparer.prepare(grasp, object_pose, arm, attempt=attempt)
+    def _prepare(self, object_pose: np.ndarray, arm: np.ndarray, attempt: int = 0) -> None:
+        assert self._grasp is not None, "run() comes first"
+        prepared = self._preparer.prepare(self._grasp, object_pose, arm, attempt=attempt)
         self._prepared, self._object_pose = prepared, object_pose
         for observer in self._observers:
             observer.planned(self.robot, prepared)
@@ -276,6 +280,53 @@ class Deployment:
             step += 1
             self.scripted.check_length(self.phase, step)
 
+    # Attempts, as ``make_attempts`` asks for them.
+
+    def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
+        """Go to the start, grasp, lift and hold; a single attempt ends as it ends: nothing is judged."""
+        self._attempts, self._missed = number + 1, False
+        self._begin(Phase.MOVE_TO_START)
+        self.scripted.move([self._postures[-1], *self.prepared.corners], self.prepared.start_fingers)
+        self._postures.extend(self.prepared.corners)
+        if self.goes_on_to(Phase.GRASP):
+            several = self.spec.attempts > 1
+            judge = AttemptJudge(self.prepared.plan, self._preparer.objects) if several else None
+            self._follow_policy(judge)
+            if judge is not None:
+                verdict = judge.verdict()
+                self._missed, self._gap = bool(verdict.missed[0]), verdict.gap
+        return np.array([self._missed])
+
+    def withdraw(self, ids: np.ndarray, number: int) -> None:
+        """Open the hand and leave the object, after the last attempt too."""
+        self._begin(Phase.WITHDRAW)
+        self.scripted.withdraw(self.prepared.plan, self._gap)
+
+    def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the tracker sees the object."""
+        pose, self._state = locate_object(self.robot, self.spec.look_time)
+        return ids, pose[None]
+
+    def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
+        """Plan from where the arm is."""
+        arm = self.robot.palm_follower_joints
+        try:
+            self._prepare(object_pose[0], arm, number)
+        except FungraspError as error:
+            self.give_up(ids, str(error))
+            return ids[:0]
+        assert self._state is not None, "look() comes first"
+        self._awake(self._state)
+        self._postures.append(arm)
+        return ids
+
+    def give_up(self, ids: np.ndarray, why: str) -> None:
+        """Noted in the log."""
+        if len(ids):
+            self._why_no_more = why
+            for observer in self._observers:
+                observer.note(self.robot.clock.now(), why)
+
     def _watch(self, state: RobotState, command: RobotCommand) -> None:
         """After each setpoint."""
         for observer in self._observers:
@@ -289,64 +340,3 @@ class Deployment:
         problem = check_pose(state.tracked, self._object_pose, state.time, self.robot.cell)
         if problem:
             raise SafetyStop(problem, StopKind.HOLD)
-
-
-class _RobotAttempts:
-    """Carries out the attempts of a robot (``AttemptCarrier``): its one world is number 0."""
-
-    def __init__(self, deployment: Deployment, grasp: RobotGraspSet, state: RobotState):
-        """deployment: with the first plan. state: of the robot now."""
-        self._d, self._grasp, self._state = deployment, grasp, state
-        self.postures = [state.arm.positions]
-        """Of the arm on its way so far, the last one where it is."""
-        self._verdict: AttemptVerdict | None = None
-
-    def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
-        """Go to the start, grasp, lift and hold; a single attempt ends as it ends: nothing is judged."""
-        d = self._d
-        d._attempts, d._missed = number + 1, False
-        d._begin(Phase.MOVE_TO_START)
-        d.scripted.move([self.postures[-1], *d.prepared.corners], d.prepared.start_fingers)
-        self.postures.extend(d.prepared.corners)
-        if not d.goes_on_to(Phase.GRASP):
-            return np.array([False])
-        if d.spec.attempts == 1:
-            d._follow_policy(None)
-            return np.array([False])
-        judge = AttemptJudge(d.prepared.plan, d._preparer.objects)
-        d._follow_policy(judge)
-        self._verdict = judge.verdict()
-        d._missed = bool(self._verdict.missed[0])
-        return self._verdict.missed
-
-    def withdraw(self, ids: np.ndarray, number: int) -> None:
-        """Open the hand and leave the object, after the last attempt too."""
-        assert self._verdict is not None
-        self._d._begin(Phase.WITHDRAW)
-        self._d.scripted.withdraw(self._d.prepared.plan, self._verdict.gap)
-
-    def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the tracker sees the object."""
-        d = self._d
-        pose, self._state = locate_object(d.robot, d.spec.look_time)
-        return ids, pose[None]
-
-    def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
-        """Plan from where the arm is."""
-        d, arm = self._d, self._d.robot.palm_follower_joints
-        try:
-            d._prepare(self._grasp, object_pose[0], arm, number)
-        except FungraspError as error:
-            self.give_up(ids, str(error))
-            return ids[:0]
-        d._awake(self._state)
-        self.postures.append(d.robot.palm_follower_joints)
-        return ids
-
-    def give_up(self, ids: np.ndarray, why: str) -> None:
-        """Noted in the log."""
-        d = self._d
-        if len(ids):
-            d._why_no_more = why
-            for observer in d._observers:
-                observer.note(d.robot.clock.now(), why)

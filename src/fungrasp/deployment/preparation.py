@@ -46,12 +46,9 @@ PLANS = 3
 """Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of
 the arm, and what one plan can't do, or to whose start it finds no free way, the next often can."""
 
-LOW_PALM = 0.09
-"""A palm lower than this beside an object [m] is often out of reach of a UR, wherever the object stands: the
-flange of its wrist does not go between hand and table (decision 0048)."""
-
-FROM_ABOVE = np.cos(np.deg2rad(45))
-"""Cosine of the largest angle between a palm's normal and the vertical for a grasp from above."""
+ANOTHER = "take another grasp: higher on the object, or from above"
+"""What a person can do about a grasp that is out of reach wherever the object stands: most often the flange
+of the wrist does not go between hand and table."""
 
 TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 """Turns of the object about the vertical that are tried [rad]."""
@@ -149,7 +146,7 @@ class GraspPreparer(Preparer):
         if beyond:
             raise UnreachableError(f"where the arm is now, {beyond}: move it by hand, or widen the box")
         # Before time is spent on planning: can the arm do about this?
-        obstacle = self._obstacle(grasp, object_pose, arm)
+        obstacle = self.obstacle(grasp, object_pose, arm)
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle))
         start, fingers = self._start(grasp, object_pose)
@@ -218,11 +215,11 @@ class GraspPreparer(Preparer):
             np.concatenate([start[None], palm[1:], up]), np.concatenate([joints, last]), plan.control_period
         )
 
-    def _obstacle(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> str:
-        """Why the arm can't do about the motion that a plan will have, straight to the grasp, then up; "" if
-        it can. arm: its joints at first [rad], shape [A]."""
+    def obstacle(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> str:
+        """Why the arm can't do about the motion that a plan will have, straight to the grasp, then up, as a
+        phrase; "" if it can. object_pose: as of ``prepare``; arm: its joints at first [rad], shape [A]."""
         start, fingers = self._start(grasp, object_pose)
-        target = _target(grasp, object_pose)
+        target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
         share = np.linspace(0.0, 1.0, 9)[:, None]
         # A start that was turned upwards turns back on the way.
         turned = _between(start[3:], target[3:], share[:, 0])
@@ -243,30 +240,12 @@ class GraspPreparer(Preparer):
             moved[:2] += x, y
             rotation = quaternion_from_rotation_vector(np.array([0.0, 0.0, turn]))
             moved[3:] = quaternion_multiply(rotation, moved[3:])
-            if not self._obstacle(grasp, moved, home):
+            if not self.obstacle(grasp, moved, home):
                 yield (
                     moved,
                     f"moved by ({100 * x:g}, {100 * y:g}) cm and turned by {np.rad2deg(turn):.0f} degrees "
                     "about the vertical",
                 )
-
-    def hindrance(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> str:
-        """Why the arm can't reach a grasp, however it is planned, and what a person can do about it, as a
-        phrase; "" where it can. object_pose: as of ``prepare``."""
-        obstacle = self._obstacle(grasp, object_pose, np.asarray(self._cell.arm.home))
-        return obstacle and f"{obstacle}; {self._remedy(grasp, object_pose)}"
-
-    def _remedy(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> str:
-        """What to show instead, as a phrase: a palm that is low beside the object is so wherever that
-        stands."""
-        palm = _target(grasp, object_pose)
-        downwards = -rotate(palm[3:], self._hand.palm_normal)[2]
-        if palm[2] > LOW_PALM or downwards > FROM_ABOVE:
-            return "take another grasp"
-        return (
-            f"the palm, {100 * palm[2]:.0f} cm above the table beside the object, is too low for the arm's "
-            "wrist: show a grasp that is higher on the object, or from above"
-        )
 
     def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str) -> str:
         """One line: what is in the way, and which placement would do."""
@@ -276,13 +255,8 @@ class GraspPreparer(Preparer):
         moved = (p for p in self.placements(grasp, object_pose) if not np.array_equal(p[0], object_pose))
         found = next(moved, None)
         if found is None:
-            return f"{said}; no placement nearby would do: {self._remedy(grasp, object_pose)}"
+            return f"{said}; no placement nearby would do: {ANOTHER}"
         return f"{said}; it would be with the object {found[1]}"
-
-
-def _target(grasp: RobotGraspSet, object_pose: np.ndarray) -> np.ndarray:
-    """Palm at the grasp of an object elsewhere, world frame, shape [7]."""
-    return compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
 
 
 def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -345,10 +319,10 @@ def reachable_placements(
     if refused is not None:
         yield refused
     elif not found:
-        why = preparer.hindrance(grasp, middle)
+        why = preparer.obstacle(grasp, middle, home)
         raise UnreachableError(
             f"no placement of '{obj.name}' was found from which the arm can grasp it: "
-            + (why or "take another grasp")
+            + (f"{why}; {ANOTHER}" if why else ANOTHER)
         )
 
 

@@ -32,25 +32,14 @@ PLANNED = ("palm_speed", "palm_rotation_speed", "arm_speed", "hand_speed")
 PLANNED += ("palm_acceleration", "palm_rotation_acceleration")
 """Limits that decide how fast a plan is carried out."""
 
-LARGEST_LIMITS = {
-    "palm_speed": 0.25,
-    "palm_acceleration": 0.3,
-    "palm_rotation_speed": 1.0,
-    "arm_speed": 3.14,
-    "setpoint_acceleration": 400.0,
-    "setpoint_lead": 0.35,
-}
-"""Limits above what the paper and the data sheets allow are refused, not clipped silently."""
-
-OTHER_UNITS = {
-    "m": ("meters", "mm", 1e-3),
-    "s": ("seconds", "ms", 1e-3),
-    "rad": ("radians", "degrees", np.pi / 180),
-    "rad/s": ("rad/s", "degrees/s", np.pi / 180),
-}
-"""Name of a unit, the other one that is likely, and how large that is."""
-
 LARGEST = {
+    "limits.palm_speed": (0.25, "m/s"),
+    "limits.palm_acceleration": (0.3, "m/s^2"),
+    "limits.palm_rotation_speed": (1.0, "rad/s"),
+    "limits.arm_speed": (3.14, "rad/s"),
+    "limits.setpoint_acceleration": (400.0, "rad/s^2"),
+    "limits.setpoint_lead": (0.35, "rad"),
+    "arm.home": (2 * np.pi, "rad"),
     "arm.pose_world_base tracker.pose_world_camera workspace.lower workspace.upper": (5.0, "m"),
     "mount.pose_flange_hand mount.adapter_length watchdog.pose_jump": (0.5, "m"),
     "mount.adapter_radius": (0.3, "m"),
@@ -62,8 +51,9 @@ LARGEST = {
     "watchdog.arm_silence watchdog.hand_silence watchdog.pose_stale watchdog.overrun": (5.0, "s"),
     "watchdog.pose_turn": (np.pi, "rad"),
 }
-"""Numbers beyond these are in another unit, by our judgment, as a UR5 reaches 0.95 m; and a limit in another
-unit would be none."""
+"""Largest numbers of a cell, and their units. Limits are those of the paper and the data sheets; the others
+are by our judgment, as a UR5 reaches 0.95 m: what is larger is in another unit, in which a limit would be
+none."""
 
 BASE_AXIS = np.array([[0.0, 0.0, z] for z in (0.02, 0.08, 0.14)])
 """Points within an arm's base and shoulder, on its first axis [m]; the pedestal below ends at zero."""
@@ -73,9 +63,14 @@ UPRIGHT: Vector = (1.0, 0.0, 0.0, 0.0)
 LARGEST_RESIDUAL = 0.005
 """A camera's calibration that misses by more is refused [m]."""
 
-REAL_ARM_OPTIONS = {"velocity": 3.14, "acceleration": 10.0, "jerk": 200.0}
-"""Most that a real arm's driver is told: [rad/s] of the data sheet, [rad/s^2] and [rad/s^3] of our judgment,
-four times the driver's defaults. Emulators keep up with more."""
+REAL_ARM_OPTIONS = {
+    "velocity": (3.14, "rad/s"),
+    "acceleration": (10.0, "rad/s^2"),
+    "jerk": (200.0, "rad/s^3"),
+    "payload": (20.0, "kg"),
+}
+"""Most that a real arm's driver is told, and the units: the velocity is of the data sheet, the others are of
+our judgment, four times the driver's defaults. Emulators keep up with more."""
 
 
 @dataclass(frozen=True)
@@ -228,8 +223,6 @@ class RobotCell:
     none."""
     stop_file: str = ""
     """The robot stops as soon as this file exists, which is relative to the cell's file; "" for none."""
-    guard: str = "on"
-    """"on"; "off": nothing checks what is sent (``fungrasp.robots.safety``), and every start says so."""
 
 
 def cell_files() -> dict[str, Path]:
@@ -320,7 +313,7 @@ def is_wired(cell: RobotCell) -> bool:
 
 def cell_faults(cell: RobotCell) -> list[str]:
     """What can't be in a cell, one phrase each."""
-    faults = [*_unit_faults(cell), *_limit_faults(cell)]
+    faults = _limit_faults(cell)
     box, mount, residual = cell.workspace, cell.mount, cell.tracker.calibration_residual
     faults += [
         f"'workspace.{name}' must have 3 numbers"
@@ -360,8 +353,6 @@ def cell_faults(cell: RobotCell) -> list[str]:
         arm_spec(cell.arm.model)
     except FungraspError as error:
         faults.append(str(error))
-    if cell.guard not in ("on", "off"):
-        faults.append(f"'guard' must be \"on\" or \"off\", not '{cell.guard}'")
     if cell.watchdog.late_tick >= cell.watchdog.overrun:
         faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
     return faults or _obstacle_faults(cell)
@@ -374,11 +365,22 @@ def _limit_faults(cell: RobotCell) -> list[str]:
             value = getattr(section, f.name)
             if not (np.isfinite(value) and value > 0):
                 faults.append(f"'{f.name}' must be positive, not {value:g}")
-    for name, largest in LARGEST_LIMITS.items():
-        value = getattr(cell.limits, name)
-        if value > largest:
-            faults.append(f"'{name}' may be at most {largest:g}, not {value:g}")
+    for names, (most, unit) in LARGEST.items():
+        for name in names.split():
+            section, _, key = name.partition(".")
+            part = getattr(cell, section)
+            for one in part if isinstance(part, tuple) else (part,):
+                values = np.atleast_1d(np.array(getattr(one, key), dtype=float))
+                # Of poses the position.
+                values = np.abs(values[:3] if key.startswith("pose_") else values)
+                faults += _too_large(name, values.max(initial=0.0), most, unit)
     return faults
+
+
+def _too_large(name: str, value: float, most: float, unit: str) -> list[str]:
+    if value <= most:
+        return []
+    return [f"'{name}' is in {unit} and may be at most {most:.4g}, not {value:g}"]
 
 
 def _wired_faults(cell: RobotCell) -> list[str]:
@@ -386,48 +388,14 @@ def _wired_faults(cell: RobotCell) -> list[str]:
     faults = []
     if not cell.arm.address:
         faults.append("'arm.address' is missing: where the arm's controller is")
-    for name, largest in REAL_ARM_OPTIONS.items():
+    for name, (most, unit) in REAL_ARM_OPTIONS.items():
         value = cell.arm.options.get(name, 0.0)
-        if isinstance(value, int | float) and value > largest:
-            faults.append(
-                f"'arm.options.{name}' may be at most {largest:g} on a real arm, not {value:g}: that is "
-                "an emulator's; begin with 'fungrasp robots new'"
-            )
+        if isinstance(value, int | float):
+            faults += _too_large(f"arm.options.{name}", value, most, unit)
     if not cell.mount.pose_flange_hand:
         faults.append(
             "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 meters and "
             "a unit quaternion wxyz"
-        )
-    return faults
-
-
-def _unit_faults(cell: RobotCell) -> list[str]:
-    """What must be a mistake of units in a cell."""
-    faults = []
-    known = {name: largest for names, largest in LARGEST.items() for name in names.split()}
-    for name, (most, sign) in known.items():
-        section, _, key = name.partition(".")
-        part = getattr(cell, section)
-        word, other, size = OTHER_UNITS[sign]
-        for one in part if isinstance(part, tuple) else (part,):
-            values = np.atleast_1d(np.array(getattr(one, key), dtype=float))
-            # Of poses the position.
-            largest = float(np.abs(values[:3] if key.startswith("pose_") else values).max(initial=0.0))
-            if largest > most:
-                faults.append(
-                    f"'{name}' is in {word}, and {largest:g} {sign} can't be: is it {largest:g} {other}, "
-                    f"{largest * size:.4g} {sign}?"
-                )
-    turned = max((abs(q) for q in cell.arm.home), default=0.0)
-    if turned > 2 * np.pi:
-        faults.append(
-            f"'arm.home' is in radians, and {turned:g} is beyond a whole turn: is it {turned:g} degrees, "
-            f"{np.deg2rad(turned):.4f} rad?"
-        )
-    payload = cell.arm.options.get("payload", 0.0)
-    if isinstance(payload, int | float) and payload > 20.0:
-        faults.append(
-            f"'arm.options.payload' is in kilograms, and {payload:g} kg can't be: is it {payload:g} g?"
         )
     return faults
 

@@ -28,7 +28,7 @@ from fungrasp.robots.device import (
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
 from fungrasp.robots.kinematics.inverse import PalmFollower
-from fungrasp.robots.safety import SafetyGuard, warn_unguarded
+from fungrasp.robots.safety import SafetyGuard
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset
 from fungrasp.task import Action, LiftProtocol, Observation
@@ -107,10 +107,9 @@ class Robot:
         """How much higher than asked the palm goes once the lift has begun [m]."""
 
     def connect(self) -> None:
-        """Connect to all devices. Nothing moves. A cell without a guard is warned of, and a hand that may let
-        go though nobody said so. Raises: RobotError: one of them is not there or not the one configured; the
-        others are closed again."""
-        warn_unguarded(self.cell)
+        """Connect to all devices. Nothing moves. A hand that may let go though nobody said so is warned of.
+        Raises: RobotError: one of them is not there or not the one configured; the others are closed again.
+        """
         if self.hand_driver.lets_go:
             _log.warning("%s lets go of an object %s", self.hand_driver.name, self.hand_driver.lets_go)
         opened: list[JointDriver | PoseSource] = []
@@ -346,10 +345,9 @@ class Robot:
             rotation = self.kinematics.palm_pose(state.arm.positions)[3:]
             torques = self._gravity.torques(rotation, state.hand.positions)
         command = RobotCommand(arm, fingers, torques, palm)
-        if self.cell.guard != "off":
-            command = self.guard(state, command)
-            self._paused += max(min(self.guard.lost, state.time - self._paused - self._planned), 0.0)
-            self._planned = np.inf
+        command = self.guard(state, command)
+        self._paused += max(min(self.guard.lost, state.time - self._paused - self._planned), 0.0)
+        self._planned = np.inf
         if not self.dry_run:
             sent_arm = self.arm.command(command.arm)
             if self.hand_driver.takes_feedforward:

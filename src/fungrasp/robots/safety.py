@@ -26,7 +26,6 @@ opens. After either the robot is in the state of fault until a person starts ane
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -47,8 +46,6 @@ from fungrasp.robots.device import (
 from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance, outside
 from fungrasp.task import Action
 from fungrasp.task.setpoints import SETPOINT_PERIOD
-
-_log = logging.getLogger(__name__)
 
 TOLERANCE = 1.02
 """Commanded speeds may exceed their limits by this factor, for rounding."""
@@ -137,12 +134,6 @@ def action_problem(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
     return ""
-
-
-def warn_unguarded(cell: RobotCell) -> None:
-    """Say at a start that a cell has no guard."""
-    if cell.guard == "off":
-        _log.warning("cell '%s' says guard = \"off\": nothing checks what is sent to its devices", cell.name)
 
 
 class SafetyGuard:

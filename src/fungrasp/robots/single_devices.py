@@ -26,7 +26,7 @@ from fungrasp.robots.device import (
     WallClock,
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.safety import SafetyGuard, check_posture, warn_unguarded
+from fungrasp.robots.safety import SafetyGuard, check_posture
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.identification.excitation import ExcitationMotion
 from fungrasp.sim2real.identification.motion_log import MotionHeader, MotionLog, MotionSample, motion_log
@@ -102,13 +102,11 @@ class GuardedDriver(JointDriver):
         self.lets_go = driver.lets_go
         self.switch = StopSwitch(cell.stop_file) if switch is None else switch
         """Stops the device."""
-        self._driver, self._cell, self._part, self._clear = driver, cell, part, clearance
+        self._driver, self._part, self._clear = driver, part, clearance
         self._clock = clock or WallClock()
         self._guard = SafetyGuard(cell, {part: driver.limits})
 
     def connect(self) -> None:
-        """See ``JointDriver.connect``. A cell without a guard is warned of."""
-        warn_unguarded(self._cell)
         self._driver.connect()
         self._guard.reset()
 
@@ -129,7 +127,7 @@ class GuardedDriver(JointDriver):
         try:
             if self.switch.reason:
                 raise SafetyStop(self.switch.reason)
-            if self._cell.guard != "off" and np.isfinite(goal).all():
+            if np.isfinite(goal).all():
                 goal = self._guard.joints(self._part, self._driver.read(), goal, self._clock.now())
                 problem = self._clear(goal)
                 if problem:

@@ -1,5 +1,5 @@
 """Where a fixed camera stands in the world of a cell: from a flat board that the hand holds in front of it in
-several poses of the arm, or from points that the hand has touched and the camera has seen.
+several poses of the arm.
 
 With P_i the pose of the palm in the world by forward kinematics, B that of the board on the palm, X that of
 the camera in the world, and C_i that of the board in the camera, P_i B = X C_i. Between two views palm and
@@ -44,16 +44,10 @@ OUTLIER = 1.0
 LARGEST_UNCERTAINTY = 0.01
 """A calibration whose camera position is less certain says nothing of use [m]."""
 
-LEAST_POINTS = 4
-"""Three would determine the answer; a fourth tells a bad one."""
-
-LEAST_SPREAD = 0.05
-"""Points whose second largest deviation from their mean is smaller lie about on a line [m]."""
-
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board as OpenCV generates it, or a checkerboard."""
+    """A ChArUco board as OpenCV generates it."""
 
     columns: int = 7
     """Squares along x."""
@@ -62,13 +56,12 @@ class Board:
     square: float = 0.03
     """Side of a square, measured on the print [m]."""
     marker: float = 0.022
-    """Side of a marker, measured on the print [m]; 0: a checkerboard without markers, which must be seen
-    whole."""
+    """Side of a marker, measured on the print [m]."""
     dictionary: str = "DICT_4X4_50"
     """Of the markers (OpenCV's name)."""
 
     def __post_init__(self) -> None:
-        if min(self.columns, self.rows) < 3 or not 0 <= self.marker < self.square:
+        if min(self.columns, self.rows) < 3 or not 0 < self.marker < self.square:
             raise FungraspError(
                 "a board has 3 or more squares to each side, and markers smaller than its squares"
             )
@@ -93,7 +86,7 @@ class CameraCalibration:
     pose_world_camera: np.ndarray
     """Camera (OpenCV: x right, y down, z forward) in the world, shape [7]."""
     residual: float
-    """RMS distance of what was seen from where the answer has it [m]."""
+    """RMS distance of the corners that were seen from where the answer has them [m]."""
     position_deviation: float
     """Standard deviation of the camera's position, as far as the data tell [m]."""
     rotation_deviation: float
@@ -116,15 +109,6 @@ def find_corners(color: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarra
     """
     cv2 = import_client("cv2", "calibration", "finding a calibration board")
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
-    nothing = np.zeros((0, 3)), np.zeros((0, 2))
-    if board.marker == 0:
-        inner = board.columns - 1, board.rows - 1
-        there, pixels = cv2.findChessboardCornersSB(gray, inner)
-        if not there:
-            return nothing
-        x, y = np.meshgrid(np.arange(1, board.columns), np.arange(1, board.rows))
-        flat = board.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
-        return flat, pixels.reshape(-1, 2).astype(float)
     if not hasattr(cv2.aruco, board.dictionary):
         raise FungraspError(f"OpenCV has no dictionary of markers '{board.dictionary}': try DICT_4X4_50")
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
@@ -132,7 +116,7 @@ def find_corners(color: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarra
     charuco = cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
     pixels, numbers, *_ = cv2.aruco.CharucoDetector(charuco).detectBoard(gray)
     if numbers is None or not len(numbers):
-        return nothing
+        return np.zeros((0, 3)), np.zeros((0, 2))
     points = np.asarray(charuco.getChessboardCorners(), dtype=float)[np.ravel(numbers)]
     return points, np.asarray(pixels, dtype=float).reshape(-1, 2)
 
@@ -184,43 +168,6 @@ def board_pose(view: BoardView, intrinsics: Intrinsics) -> np.ndarray:
     # Of a matrix that is no rotation the nearest one is taken.
     turn = Rotation.from_matrix(np.stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])], axis=1))
     return np.concatenate([h[:, 2], turn.as_quat(scalar_first=True)])
-
-
-def calibrate_from_points(seen: np.ndarray, touched: np.ndarray) -> CameraCalibration:
-    """Find the camera by the rotation and translation that minimize sum |X seen_k - touched_k|^2 (Kabsch).
-
-    Args:
-        seen: points in the camera frame [m], shape [K, 3], of the depth image.
-        touched: the same points, world frame [m], shape [K, 3], from the arm's forward kinematics.
-
-    Raises:
-        FungraspError: too few points, about on a line, or not finite.
-    """
-    if seen.shape != touched.shape or seen.ndim != 2 or seen.shape[1:] != (3,) or len(seen) < LEAST_POINTS:
-        raise FungraspError(
-            f"calibration needs as many seen as touched points, {LEAST_POINTS} or more of 3 numbers, not "
-            f"{list(seen.shape)} and {list(touched.shape)}"
-        )
-    if not (np.isfinite(seen).all() and np.isfinite(touched).all()):
-        raise FungraspError("points of a calibration must be finite numbers")
-    middle = touched.mean(axis=0)
-    spread = np.linalg.svd(touched - middle, compute_uv=False) / np.sqrt(len(touched))
-    if spread[1] < LEAST_SPREAD:
-        raise FungraspError("the touched points lie about on a line: touch points all over the workspace")
-    turn = Rotation.align_vectors(touched - middle, seen - seen.mean(axis=0))[0]
-    place = middle - turn.apply(seen.mean(axis=0))
-    missed = turn.apply(seen) + place - touched
-    # Of 3 K numbers six are used up.
-    variance = float(np.sum(missed**2)) / (3 * len(seen) - 6)
-    # The camera is away from the points, so that their rotation's error moves it.
-    rotation = np.sqrt(variance / len(seen)) * np.linalg.norm(1.0 / spread[:2])
-    position = np.hypot(np.sqrt(3 * variance / len(seen)), rotation * np.linalg.norm(middle - place))
-    return CameraCalibration(
-        np.concatenate([place, turn.as_quat(scalar_first=True)]),
-        float(np.sqrt(np.mean(np.sum(missed**2, axis=1)))),
-        float(position),
-        float(rotation),
-    )
 
 
 def save_calibration(path: str | Path, found: CameraCalibration, source: str) -> None:

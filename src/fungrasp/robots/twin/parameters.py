@@ -79,6 +79,8 @@ class TwinSpread:
 class TwinParameters:
     """The truth of one twin. M joints of the hand, coupled ones included; U independent ones."""
 
+    spread: TwinSpread
+    """What it was drawn from, with what all of its twins have in common."""
     stiffness: np.ndarray
     """Factor on the torque that each servo makes of an error of position, shape [U]: ``gain`` times that of
     its torque constant."""
@@ -92,38 +94,26 @@ class TwinParameters:
     """Dry friction of each driven joint at rest, as a share of its torque limit, shape [U]."""
     sliding: np.ndarray
     """Share of it that is left while moving, shape [U]."""
-    stribeck_speed: float
-    """Speed at which most of the difference is gone [rad/s]."""
     torque_limit: np.ndarray
     """Factor on each servo's largest torque, shape [U]."""
     backlash: np.ndarray
     """Lost motion of each drive to each side [rad], shape [U]."""
     encoder_bias: np.ndarray
     """Error of each encoder [rad], shape [U]."""
-    encoder_step: float
-    """Resolution of the encoders [rad]."""
     hand_delay: float
     """Time until a setpoint reaches the hand's servos [s]."""
     arm_delay: float
     """Time until a setpoint reaches the arm's servos [s]."""
     camera_error: np.ndarray
     """What is seen of the world: pose of the true world in the believed one, shape [7]."""
-    tracker_noise: tuple[float, float]
-    """Standard deviation of the tracker's noise [m], [rad]."""
     tracker_delay: float
     """Age of a tracked pose when it is delivered [s]."""
-    tracker_period: float
-    """Time between frames [s]."""
-    tracker_dropout: float
-    """Share of the frames that are missing."""
     mass: float
     """Factor on the object's mass."""
     center_of_mass: np.ndarray
     """Displacement of the center of mass, as a share of the object's size, shape [3]."""
     object_friction: float
     """Sliding friction of hand, object and table."""
-    surface_amplitude: float
-    """Largest error of the mesh's surface [m]."""
     table_tilt: np.ndarray
     """Rotation vector of the table, world frame [rad], shape [3]."""
     table_height: float
@@ -145,28 +135,23 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
     tilt, around = rng.uniform(0, s.table_tilt), rng.uniform(0, 2 * np.pi)
     offset = rng.uniform(-s.camera_position, s.camera_position, 3)
     return TwinParameters(
+        spread=s,
         stiffness=gain * factor(s.stiffness, driven),
         gain=gain,
         damping=factor(s.damping, joints),
         armature=factor(s.armature, joints),
         friction=rng.uniform(*s.friction, driven),
         sliding=rng.uniform(*s.sliding, driven),
-        stribeck_speed=s.stribeck_speed,
         torque_limit=factor(s.torque_limit, driven),
         backlash=rng.uniform(0, s.backlash, driven),
         encoder_bias=rng.uniform(-s.encoder_bias, s.encoder_bias, driven),
-        encoder_step=s.encoder_step,
         hand_delay=float(rng.uniform(*s.hand_delay)),
         arm_delay=float(rng.uniform(*s.arm_delay)),
         camera_error=np.concatenate([offset, quaternion_from_rotation_vector(turn)]),
-        tracker_noise=s.tracker_noise,
         tracker_delay=float(rng.uniform(*s.tracker_delay)),
-        tracker_period=1.0 / s.tracker_rate,
-        tracker_dropout=s.tracker_dropout,
         mass=float(factor(s.mass)),
         center_of_mass=rng.uniform(-s.center_of_mass, s.center_of_mass, 3),
         object_friction=float(rng.uniform(*s.object_friction)),
-        surface_amplitude=s.surface,
         table_tilt=tilt * np.array([np.cos(around), np.sin(around), 0.0]),
         table_height=float(rng.uniform(-s.table_height, s.table_height)),
     )

@@ -106,7 +106,7 @@ def _add_object(spec: mujoco.MjSpec, obj: ObjectModel, truth: TwinParameters, p:
     body.ipos = center
     i = obj.inertia * truth.mass
     body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
-    for number, piece in enumerate(true_pieces(obj, truth.surface_amplitude, p.pieces)):
+    for number, piece in enumerate(true_pieces(obj, truth.spread.surface, p.pieces)):
         mesh = spec.add_mesh(name=f"{OBJECT}/{number}")
         mesh.uservert, mesh.userface = piece.vertices.ravel().tolist(), piece.faces.ravel().tolist()
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

@@ -158,9 +158,9 @@ class TwinWorld:
     def hand_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the hand's encoders say, as ``arm_state``; each of shape [U]."""
         with self.lock:
-            d, t = self.data, self.truth
-            measured = d.qpos[self._finger_qpos] + t.encoder_bias
-            measured = t.encoder_step * np.round(measured / t.encoder_step)
+            d, step = self.data, self.truth.spread.encoder_step
+            measured = d.qpos[self._finger_qpos] + self.truth.encoder_bias
+            measured = step * np.round(measured / step)
             return measured, d.qvel[self._finger_dofs], d.actuator_force[self._fingers]
 
     def finger_positions(self) -> np.ndarray:
@@ -235,7 +235,7 @@ class TwinWorld:
         mujoco.mj_step(m, d)
         self._steps += 1
         if now >= self._next_frame:
-            self._next_frame = now + self.truth.tracker_period
+            self._next_frame = now + 1.0 / self.truth.spread.tracker_rate
             self._track()
 
     def _drive_fingers(self) -> None:
@@ -258,15 +258,15 @@ class TwinWorld:
     def _update_friction(self) -> None:
         """Dry friction of the fingers: that at rest falls to that of sliding as a joint moves (Stribeck)."""
         t = self.truth
-        speed = self.data.qvel[self._finger_dofs] / t.stribeck_speed
+        speed = self.data.qvel[self._finger_dofs] / t.spread.stribeck_speed
         share = t.sliding + (1.0 - t.sliding) * np.exp(-(speed**2))
         self.model.dof_frictionloss[self._finger_dofs] = share * self._static_friction
 
     def _track(self) -> None:
         """A frame of the tracker, unless it is missing."""
         t, rng = self.truth, self._rng
-        noise = rng.normal(size=6) * np.repeat(t.tracker_noise, 3)
-        if not self.tracking or rng.random() < t.tracker_dropout:
+        noise = rng.normal(size=6) * np.repeat(t.spread.tracker_noise, 3)
+        if not self.tracking or rng.random() < t.spread.tracker_dropout:
             return
         seen = compose(t.camera_error, self.data.qpos[self._object_qpos : self._object_qpos + 7])
         seen[:3] += noise[:3]
