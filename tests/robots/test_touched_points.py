@@ -18,7 +18,6 @@ from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.robots.calibration.touched import (
     add_touched,
-    check_base,
     check_touched_base,
     check_touched_mount,
     touched_point,
@@ -53,12 +52,13 @@ def test_a_base_that_is_turned_or_shifted_is_named(
     assert "turned by 0 degrees about z, and off by (20, 0, 0) mm" in capsys.readouterr().err
 
 
-def test_too_few_or_too_near_points_are_refused() -> None:
-    points = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.0]])
-    with pytest.raises(FungraspError, match="3 touched points or more"):
-        check_base(points[:2], points[:2])
-    with pytest.raises(FungraspError, match="too near"):
-        check_base(0.1 * points, 0.1 * points)
+def test_too_few_or_too_near_points_are_refused(tmp_path: Path) -> None:
+    (cell, hand), path = cell_and_hand(), tmp_path / "touched.json"
+    here = ArmKinematics(cell, hand).flange_position(JOINTS[0]).tolist()
+    for count, said in ((2, "3 touched points or more"), (3, "too near")):
+        path.write_text(json.dumps({"joints": JOINTS[:1].tolist() * count, "flange": [here] * count}))
+        with pytest.raises(FungraspError, match=said):
+            check_touched_base(path, cell, hand)
 
 
 def touched_by_hand(cell: Any, hand: Any, point: list[float], error: np.ndarray) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def test_a_hand_mounted_otherwise_is_seen_by_what_it_touches(tmp_path: Path) -> 
     found = check_touched_mount(path, straight, hand)
     assert found is not None and "pose_flange_hand" in found.fault
     path.write_text(json.dumps({"hand": [[0, 0, 0]]}))
-    with pytest.raises(FungraspError, match="'hand' needs 'hand_joints'"):
+    with pytest.raises(FungraspError, match="'hand_joints' needs a posture of 6 joints for each point"):
         check_touched_mount(path, cell, hand)
 
 

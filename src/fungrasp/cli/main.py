@@ -34,7 +34,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "deploy": ("fungrasp.cli.deploy", "grasp an object with a robot or its twin"),
     "view": ("fungrasp.cli.view", "show grasps, episodes, results, logs, captures or hands in a browser"),
     "export": ("fungrasp.cli.export", "write recorded episodes for LeRobot or as MCAP files"),
-    "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read and replay their logs"),
+    "robots": ("fungrasp.cli.robots", "list, check and emulate robot cells; read their logs"),
     "hands": ("fungrasp.cli.hands", "list, show, check, add and export robot hands"),
     "objects": ("fungrasp.cli.objects", "list and show objects"),
     "grasps": ("fungrasp.cli.grasps", "list, show, check, convert, import and make human grasps"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -229,39 +229,6 @@ class ShowLog(Answering):
         )
 
 
-@dataclass(frozen=True)
-class ReplayLog(Answering):
-    """Feed the observations of a log to its policy again and compare the actions."""
-
-    log: Annotated[Path, tyro.conf.Positional]
-    """An MCAP file of `fungrasp deploy`."""
-    objects: Path | None = None
-    """Folder of meshes <name>.obj; built-in objects need none."""
-    policy: str = ""
-    """Another policy. Default: the one in the log."""
-
-    def run(self) -> CommandResult:
-        from fungrasp.deployment.log import read_log, replay_log
-        from fungrasp.hands import load_hand
-        from fungrasp.objects import load_object
-        from fungrasp.policies import make_policy
-        from fungrasp.task import Policy
-
-        log = read_log(self.log)
-        if log.plan is None:
-            raise FungraspError(f"{self.log} ends before a plan was made: nothing to replay")
-        name, mass = str(log.plan.object_name[0]), float(log.plan.object_mass[0])
-        objects = {name: load_object(name, mass, self.objects)}
-        policy = make_policy(self.policy or log.about["policy"], load_hand(log.plan.hand), objects)
-        if not isinstance(policy, Policy):
-            raise FungraspError("this policy needs privileged observations, which a log does not have")
-        result = replay_log(log, policy)
-        fault = f"{result.different} of {result.steps} actions differ, by {result.largest:.3g} at most"
-        if result.different:
-            return CommandResult(asdict(result), fault=fault)
-        return CommandResult(asdict(result), f"{result.steps} actions, all equal")
-
-
 def _axis(vector: np.ndarray) -> str:
     """Name of a direction."""
     for number, part in enumerate(vector):
@@ -289,5 +256,4 @@ COMMAND = {
     "bring-up": "fungrasp.cli.bring_up:BringUp",
     "emulate": Emulate,
     "log": ShowLog,
-    "replay": ReplayLog,
 }

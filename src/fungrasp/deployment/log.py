@@ -2,7 +2,7 @@
 
 Records are written as they come and flushed at every control step, not compressed, so that a file whose
 writer was killed can be read up to there. Numbers are JSON with all their digits: a policy that is shown the
-logged observations again (``replay_log``) must answer with the logged actions, to the last bit.
+logged observations again must answer with the logged actions, to the last bit.
 
 | topic | message |
 | --- | --- |
@@ -21,7 +21,7 @@ import logging
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -31,7 +31,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.spec import Phase
 from fungrasp.robots.device import JointState, RobotCommand, RobotState
-from fungrasp.task import Action, GraspPlan, Observation, Policy
+from fungrasp.task import Action, GraspPlan, Observation
 
 if TYPE_CHECKING:
     from fungrasp.deployment.preparation import PreparedGrasp
@@ -150,12 +150,6 @@ class RecordedDeployment:
     """By topic, in the order of time."""
     complete: bool
     """Whether the log was closed; else its writer died."""
-    observations: list[Observation] = field(default_factory=list)
-    """Of each control step, one row each."""
-    actions: list[Action] = field(default_factory=list)
-    """What the policy answered, one row each."""
-    further_plans: list[GraspPlan] = field(default_factory=list)
-    """Those of further attempts, in each of which the observations' clock begins anew."""
 
 
 def read_log(path: str | Path) -> RecordedDeployment:
@@ -167,59 +161,21 @@ def read_log(path: str | Path) -> RecordedDeployment:
         raise FungraspError(_MISSING) from error
     topics: dict[int, str] = {}
     messages: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
-    plans: list[GraspPlan] = []
+    plan: GraspPlan | None = None
     about, complete = {}, False
     for record in _records(Path(path)):
         if isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Message) and topics.get(record.channel_id) in messages:
             messages[topics[record.channel_id]].append(json.loads(record.data))
-        elif isinstance(record, Attachment) and record.name == "plan.npz":
+        elif isinstance(record, Attachment) and record.name == "plan.npz" and plan is None:
             with np.load(io.BytesIO(record.data), allow_pickle=False) as data:
-                plans.append(GraspPlan.from_arrays(dict(data)))
+                plan = GraspPlan.from_arrays(dict(data))
         elif isinstance(record, Metadata) and record.name == "about":
             about = record.metadata
         elif isinstance(record, DataEnd):
             complete = True
-    steps = messages["/step"]
-    observations = [_row(Observation, step["observation"]) for step in steps]
-    actions = [_row(Action, step["action"]) for step in steps]
-    first = plans[0] if plans else None
-    return RecordedDeployment(first, about, messages, complete, observations, actions, plans[1:])
-
-
-@dataclass(frozen=True)
-class ReplayResult:
-    """How a policy's answers compare with those in a log."""
-
-    steps: int
-    """Number of control steps."""
-    different: int
-    """Number of those with another action."""
-    largest: float
-    """Largest difference of any number of an action."""
-
-
-def replay_log(log: RecordedDeployment, policy: Policy) -> ReplayResult:
-    """Feed the observations of a log to a policy and compare its actions. Raises: FungraspError: the log ends
-    before the policy began."""
-    if log.plan is None or not log.observations:
-        raise FungraspError("the log ends before the policy began: nothing to replay")
-    policy.reset(log.plan, log.observations[0])
-    further, before = iter(log.further_plans), -np.inf
-    different, largest = 0, 0.0
-    for observation, logged in zip(log.observations, log.actions, strict=True):
-        if observation.time[0] < before:
-            policy.reset(next(further), observation)
-        before = observation.time[0]
-        action = policy.act(observation).arrays()
-        apart = [
-            float(np.max(np.abs(action[name].astype(float) - value.astype(float))))
-            for name, value in logged.arrays().items()
-        ]
-        different += max(apart) > 0
-        largest = max(largest, *apart)
-    return ReplayResult(len(log.observations), different, largest)
+    return RecordedDeployment(plan, about, messages, complete)
 
 
 def _records(path: Path) -> Iterator[Any]:
@@ -239,10 +195,6 @@ def _records(path: Path) -> Iterator[Any]:
                 return
     except OSError as error:
         raise FungraspError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def _row(kind: type[Any], values: Mapping[str, Any]) -> Any:
-    return kind.from_arrays({name: np.asarray(value)[None] for name, value in values.items()})
 
 
 def _joints(state: JointState) -> dict[str, Any]:

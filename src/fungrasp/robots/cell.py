@@ -19,6 +19,8 @@ from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.hands.arm import Mount, arm_spec
 
 Vector = tuple[float, ...]
+Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 """Numbers as a TOML file gives them."""
 
 SHIPPED = Path(__file__).parent / "cells"
@@ -115,9 +117,9 @@ class TrackerSettings(DeviceSettings):
 class Workspace:
     """Where the palm may be."""
 
-    lower: Vector = (-0.5, -0.5, 0.0)
+    lower: Point = (-0.5, -0.5, 0.0)
     """Lowest corner of the box, world frame [m]."""
-    upper: Vector = (0.5, 0.5, 0.9)
+    upper: Point = (0.5, 0.5, 0.9)
     """Highest corner of the box, world frame [m]."""
     table_clearance: float = 0.005
     """Least distance of the arm from the table [m]."""
@@ -131,11 +133,11 @@ class Workspace:
 class Obstacle:
     """A box that the robot keeps clear of: a pedestal, a wall, a camera's post."""
 
-    center: Vector
-    """World frame [m], length 3."""
-    size: Vector
-    """Whole edges along its axes [m], length 3."""
-    rotation: Vector = (1.0, 0.0, 0.0, 0.0)
+    center: Point
+    """World frame [m]."""
+    size: Point
+    """Whole edges along its axes [m]."""
+    rotation: Quaternion = (1.0, 0.0, 0.0, 0.0)
     """Of its axes in the world, quaternion wxyz."""
 
 
@@ -315,12 +317,7 @@ def cell_faults(cell: RobotCell) -> list[str]:
     """What can't be in a cell, one phrase each."""
     faults = _limit_faults(cell)
     box, mount, residual = cell.workspace, cell.mount, cell.tracker.calibration_residual
-    faults += [
-        f"'workspace.{name}' must have 3 numbers"
-        for name in ("lower", "upper")
-        if len(getattr(box, name)) != 3
-    ]
-    if not faults and not all(a < b for a, b in zip(box.lower, box.upper, strict=True)):
+    if not all(a < b for a, b in zip(box.lower, box.upper, strict=True)):
         faults.append("'workspace.lower' must be below 'workspace.upper' along all axes")
     if residual > LARGEST_RESIDUAL:
         faults.append(
@@ -343,12 +340,8 @@ def cell_faults(cell: RobotCell) -> list[str]:
     if len(cell.arm.home) == 0:
         faults.append("'arm.home' is missing: joints where the arm waits [rad]")
     for number, one in enumerate(cell.obstacles, 1):
-        lengths = len(one.center), len(one.size), len(one.rotation)
-        if lengths != (3, 3, 4) or min(one.size) <= 0 or not _unit(one.rotation):
-            faults.append(
-                f"obstacle {number} needs a center of 3 numbers, a size of 3 positive ones, and a unit "
-                "quaternion wxyz"
-            )
+        if min(one.size) <= 0 or not _unit(one.rotation):
+            faults.append(f"obstacle {number} needs a size of positive numbers and a unit quaternion wxyz")
     try:
         arm_spec(cell.arm.model)
     except FungraspError as error:

@@ -1,23 +1,18 @@
 """Whether an arm stands where its cell says, and its hand is on the flange as it says: by points that the
-robot has touched, which a file of JSON holds.
-
-``flange`` are marked points that the middle of the flange has touched, world frame [m], and ``joints`` the
-postures of the arm meanwhile [rad]; ``hand`` and ``hand_joints`` the same of a point of the hand, which is
-``hand_point``, in the frame that ``mount.pose_flange_hand`` is the pose of [m].
-"""
+robot has touched, which a file of JSON holds (``TouchedPoints``)."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.text_files import read_json
+from fungrasp.core.records import record_from_json, record_to_json
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import MOUNTING_GAP, mounting_pose
@@ -36,9 +31,23 @@ LEAST_HAND_POINTS = 2
 LEAST_SPREAD = 0.1
 """Points nearer to their middle than this say little of the turn [m]."""
 
+Point = tuple[float, float, float]
 
-POSTURES = {"flange": "joints", "hand": "hand_joints"}
-"""Name of the postures in which something touched points."""
+
+@dataclass(frozen=True)
+class TouchedPoints:
+    """Marked points, world frame [m], and postures of the arm in which they were touched [rad]."""
+
+    joints: tuple[tuple[float, ...], ...] = ()
+    """Postures in which the middle of the flange touched points."""
+    flange: tuple[Point, ...] = ()
+    """Those points."""
+    hand_joints: tuple[tuple[float, ...], ...] = ()
+    """Postures in which a point of the hand touched points."""
+    hand: tuple[Point, ...] = ()
+    """Those points."""
+    hand_point: Point | None = None
+    """That point of the hand, in the frame that ``mount.pose_flange_hand`` is the pose of [m]."""
 
 
 @dataclass(frozen=True)
@@ -55,20 +64,13 @@ class TouchCheck:
 
 def check_touched_base(path: str | Path, cell: RobotCell, hand: Hand) -> TouchCheck:
     """Compare where the flange was with where the cell has it. Raises: FungraspError: the file can't be read,
-    or has too few points."""
+    or has too few points, or too near to one another."""
     kinematics = ArmKinematics(cell, hand)
-    joints, points = load_touched(path, "flange", len(kinematics.lower))
-    return check_base(np.array([kinematics.flange_position(q) for q in joints]).reshape(-1, 3), points)
-
-
-def check_base(computed: np.ndarray, touched: np.ndarray) -> TouchCheck:
-    """Compare where the flange is by the cell with where it was. computed: by forward kinematics, world frame
-    [m], shape [K, 3]; touched: the marked points, world frame [m], shape [K, 3]. Raises: FungraspError: too
-    few points, or too near to one another."""
-    if computed.shape != touched.shape or touched.ndim != 2 or len(touched) < LEAST_POINTS:
-        raise FungraspError(
-            f"the base is checked with {LEAST_POINTS} touched points or more, of 3 numbers each"
-        )
+    known = load_touched(path, len(kinematics.lower))
+    if len(known.flange) < LEAST_POINTS:
+        raise FungraspError(f"{path}: the base is checked with {LEAST_POINTS} touched points or more")
+    computed = np.array([kinematics.flange_position(np.array(q)) for q in known.joints])
+    touched = np.array(known.flange)
     a, b = (points - points.mean(axis=0) for points in (computed, touched))
     if np.linalg.norm(b[:, :2], axis=1).max() < LEAST_SPREAD:
         raise FungraspError("the touched points are too near to one another: 30 cm apart and more")
@@ -91,15 +93,17 @@ def check_touched_mount(path: str | Path, cell: RobotCell, hand: Hand) -> TouchC
     """Compare where a point of the hand was with where the cell has it; None if the hand touched nothing.
     Raises: FungraspError: the file can't be read, or has too few points."""
     kinematics = ArmKinematics(cell, hand)
-    joints, touched = load_touched(path, "hand", len(kinematics.lower))
-    if not len(joints):
+    known = load_touched(path, len(kinematics.lower))
+    if known.hand_point is None:
         return None
-    if len(joints) < LEAST_HAND_POINTS:
+    if len(known.hand) < LEAST_HAND_POINTS:
         raise FungraspError(
             f"{path}: the mount is checked with {LEAST_HAND_POINTS} points that the hand touched"
         )
-    flange, on_flange = _flange(joints, kinematics, cell, hand), _on_flange(load_hand_point(path), cell)
-    seen = np.array([inverse_transform_points(f, t[None])[0] for f, t in zip(flange, touched, strict=True)])
+    flange = _flange(np.array(known.hand_joints), kinematics, cell, hand)
+    on_flange = _on_flange(np.array(known.hand_point), cell)
+    touched = np.array(known.hand)[:, None]
+    seen = np.concatenate([inverse_transform_points(f, t) for f, t in zip(flange, touched, strict=True)])
     miss = float(np.linalg.norm(seen - on_flange, axis=1).max())
     # Without a sign before zero.
     x, y, z = np.round(1e3 * (seen - on_flange).mean(axis=0)) + 0.0
@@ -107,7 +111,7 @@ def check_touched_mount(path: str | Path, cell: RobotCell, hand: Hand) -> TouchC
         f"the points that the hand touched are up to {1e3 * miss:.0f} mm from where 'mount.pose_flange_hand' "
         f"has them, in the mean by ({x:.0f}, {y:.0f}, {z:.0f}) mm in the frame of the flange"
     )
-    return TouchCheck(miss, len(joints), said if miss > LARGEST_MISS else "")
+    return TouchCheck(miss, len(touched), said if miss > LARGEST_MISS else "")
 
 
 def touched_point(
@@ -138,36 +142,19 @@ def _on_flange(hand_point: np.ndarray, cell: RobotCell) -> np.ndarray:
     return transform_points(given, hand_point[None])[0]
 
 
-def load_touched(path: str | Path, what: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Postures of the arm [rad], shape [K, M], and the points that were touched in them, world frame [m],
-    shape [K, 3]; none where ``what`` has touched nothing. what: touched them: "flange" or "hand". Raises:
-    FungraspError: the file is none of these."""
-    tree, names = _read(path), (POSTURES[what], what)
-    if what not in tree:
-        return np.zeros((0, count)), np.zeros((0, 3))
-    try:
-        joints, points = (np.array(tree[name], dtype=float) for name in names)
-    except (KeyError, TypeError, ValueError) as error:
-        raise FungraspError(f"{path}: '{what}' needs '{names[0]}', both lists of lists of numbers") from error
-    if not len(joints) == len(points) == 0 and (joints.ndim != 2 or points.shape != (len(joints), 3)):
-        raise FungraspError(f"{path}: as many '{names[0]}' as points of 3 numbers in '{what}' are needed")
-    if len(joints) and joints.shape[1] != count:
-        raise FungraspError(f"{path}: a posture has {count} joints")
-    if not (np.isfinite(joints).all() and np.isfinite(points).all()):
-        raise FungraspError(f"{path}: numbers must be finite")
-    return joints.reshape(-1, count), points.reshape(-1, 3)
-
-
-def load_hand_point(path: str | Path) -> np.ndarray:
-    """The point of the hand that has touched others, in the mount's frame [m], shape [3]. Raises:
-    FungraspError: the file does not say it."""
-    try:
-        point = np.array(_read(path)["hand_point"], dtype=float)
-    except (KeyError, TypeError, ValueError):
-        point = np.zeros(0)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise FungraspError(f"{path}: 'hand' needs 'hand_point', 3 numbers")
-    return point
+def load_touched(path: str | Path, count: int) -> TouchedPoints:
+    """Points of a file, as many as postures. count: joints of the arm. Raises: FungraspError: the file is
+    none of these."""
+    known = record_from_json(TouchedPoints, read_json(path, "touched points"), str(path))
+    for what, points, postures in (
+        ("joints", known.flange, known.joints),
+        ("hand_joints", known.hand, known.hand_joints),
+    ):
+        if len(points) != len(postures) or any(len(posture) != count for posture in postures):
+            raise FungraspError(f"{path}: '{what}' needs a posture of {count} joints for each point")
+    if bool(known.hand) != (known.hand_point is not None):
+        raise FungraspError(f"{path}: 'hand' and 'hand_point' go together")
+    return known
 
 
 def add_touched(
@@ -184,22 +171,15 @@ def add_touched(
     Raises:
         FungraspError: the file is none of these, has another point of the hand, or can't be written.
     """
-    what = "flange" if hand_point is None else "hand"
-    tree = _read(path) if Path(path).exists() else {}
-    known, points = load_touched(path, what, len(joints)) if tree else (np.zeros((0, 0)), np.zeros((0, 3)))
-    if hand_point is not None:
-        if len(known) and not np.allclose(load_hand_point(path), hand_point):
+    known = load_touched(path, len(joints)) if Path(path).exists() else TouchedPoints()
+    posture, there = tuple(joints.tolist()), tuple(point.tolist())
+    if hand_point is None:
+        known = replace(known, joints=(*known.joints, posture), flange=(*known.flange, there))
+    else:
+        if known.hand_point is not None and not np.allclose(known.hand_point, hand_point):
             raise FungraspError(f"{path} is of another point of the hand: take another file")
-        tree["hand_point"] = hand_point.tolist()
-    tree[POSTURES[what]] = [*known.tolist(), joints.tolist()]
-    tree[what] = [*points.tolist(), point.tolist()]
+        postures, points = (*known.hand_joints, posture), (*known.hand, there)
+        known = replace(known, hand_joints=postures, hand=points, hand_point=tuple(hand_point.tolist()))
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
-    return len(tree[what])
-
-
-def _read(path: str | Path) -> dict[str, Any]:
-    tree = read_json(path, "touched points")
-    if not isinstance(tree, dict) or not {*POSTURES} & set(tree):
-        raise FungraspError(f"{path}: no touched points ('flange' with 'joints', 'hand' with 'hand_joints')")
-    return tree
+        temporary.write_text(json.dumps(record_to_json(known), indent=1) + "\n", encoding="utf-8")
+    return len(known.flange if hand_point is None else known.hand)

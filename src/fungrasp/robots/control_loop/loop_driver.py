@@ -120,11 +120,6 @@ class LoopProcess:
                 self._errors = [*self._errors[-19:], text]
 
 
-STOP_MODES = {
-    StopKind.HOLD: LoopMode.HOLD,
-    StopKind.OPEN: LoopMode.OPEN,
-    StopKind.POWER_OFF: LoopMode.POWER_OFF,
-}
 CONNECT_TIMEOUT = 15.0
 """A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
@@ -219,7 +214,7 @@ class LoopDriver(JointDriver):
         with self._lock:
             self._stopped = kind.value
             if self._host is not None:
-                self._tell(STOP_MODES[kind])
+                self._tell(LoopMode[kind.name])
 
     def close(self) -> None:
         with self._lock:
