@@ -13,8 +13,9 @@ import numpy as np
 from fungrasp.core.jobs import PartStore, part_key
 from fungrasp.deployment.deploy import DeploymentTask, deploy_on_twin
 from fungrasp.deployment.deployment_result import DeploymentResult
+from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.preparation import UnreachableError, reachable_placements
-from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.deployment.spec import DeploymentSpec, Phase
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -22,8 +23,12 @@ from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.selection.search import Feasible
 from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import RobotCell
+from fungrasp.robots.device import RobotCommand, RobotState
+from fungrasp.robots.robot import Robot
+from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
+from fungrasp.robots.twin.world import TwinWorld
 from fungrasp.task import Belief, GraspPlan, Policy
 
 OutcomeT = TypeVar("OutcomeT")
@@ -189,12 +194,18 @@ class TwinSetup:
         )
         task = DeploymentTask(spec, self.cell, self.hand, obj, placed.grasp, self.policy, planner, dynamics)
 
+        errors = FingerErrors()
+
         def deploy_at(where: np.ndarray) -> DeploymentResult:
-            return deploy_on_twin(task, where, truth, advise=False)
+            return deploy_on_twin(task, where, truth, observers=[errors], advise=False)
 
         def deploy() -> dict[str, np.ndarray]:
             outcome, count, said = deploy_where_reached(placed.placements, deploy_at)
-            return _refused(said[:80], count) if outcome is None else _measured(outcome, count)
+            return (
+                _refused(said[:80], count)
+                if outcome is None
+                else _measured(outcome, *errors.before_closing(outcome), count)
+            )
 
         found = self._kept(
             "episode",
@@ -226,9 +237,39 @@ class TwinSetup:
         return self.store.kept(part_key(what, self.cell, self.hand, held, *besides), make)
 
 
-def _measured(outcome: DeploymentResult, placements: int) -> dict[str, np.ndarray]:
+class FingerErrors(DeploymentObserver):
+    """Keeps by how much the fingers of a twin's hand miss their setpoints during the grasp."""
+
+    def __init__(self) -> None:
+        self._world: TwinWorld | None = None
+        self._errors: list[tuple[float, np.ndarray]] = []
+
+    def connected(self, robot: Robot) -> None:
+        assert isinstance(robot.hand_driver, TwinHand)
+        self._world, self._errors = robot.hand_driver.world, []
+
+    def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
+        if phase is Phase.GRASP and self._world is not None:
+            self._errors.append((self._world.time, self._world.finger_positions() - command.hand))
+
+    def before_closing(self, result: DeploymentResult) -> tuple[float, float]:
+        """Before the fingers close: RMS of their errors, and the largest mean of a joint's [rad]; nan if the
+        motion did not begin."""
+        if not self._errors or result.prepared is None or Phase.GRASP not in result.times:
+            return np.nan, np.nan
+        plan = result.prepared.plan
+        closing = result.times[Phase.GRASP] + float(plan.closing_step[0]) * plan.control_period
+        before = np.array([error for time, error in self._errors if time < closing])
+        if not len(before):
+            return np.nan, np.nan
+        return float(np.sqrt(np.mean(before**2))), float(np.abs(before.mean(axis=0)).max())
+
+
+def _measured(
+    outcome: DeploymentResult, tracking: float, sag: float, placements: int
+) -> dict[str, np.ndarray]:
     """What was measured in an episode, by the names of ``TwinEpisode``."""
-    values = {"height_m": outcome.height, "tracking_rad": outcome.tracking, "sag_rad": outcome.sag}
+    values = {"height_m": outcome.height, "tracking_rad": tracking, "sag_rad": sag}
     return {
         "success": np.asarray(outcome.success),
         "held_as_shown": np.asarray(bool(outcome.held_as_shown)),

@@ -302,24 +302,20 @@ def deploy_on_twin(
             observer.connected(robot)
         everyone = [watch, *observers]
         result = Deployment(robot, task.policy, task.preparer(advise), spec, everyone).run(task.grasp)
-    sag, tracking = watch.open_hand_errors(result)
     judge = watch.judge
     return replace(
         result,
         success=judge.success,
         height=float(judge.height),
         as_shown=held_as_shown(judge.samples, hand, task.obj, task.grasp),
-        tracking=tracking,
-        sag=sag,
     )
 
 
 class _TwinWatch(DeploymentObserver):
-    """Judges the hold, and keeps by how much the fingers miss their setpoints."""
+    """Judges the hold."""
 
     def __init__(self, world: TwinWorld):
-        self._world, self.judge = world, TwinJudge(world)
-        self._errors: list[tuple[float, np.ndarray]] = []
+        self.judge = TwinJudge(world)
 
     def phase(self, time: float, phase: Phase) -> None:
         if phase is Phase.GRASP:
@@ -327,16 +323,3 @@ class _TwinWatch(DeploymentObserver):
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
         self.judge.watch(phase is Phase.HOLD)
-        if phase is Phase.GRASP:
-            self._errors.append((self._world.time, self._world.finger_positions() - command.hand))
-
-    def open_hand_errors(self, result: DeploymentResult) -> tuple[float, float]:
-        """Largest mean and RMS of the hand's errors before its fingers close [rad]."""
-        if result.prepared is None or Phase.GRASP not in result.times:
-            return np.nan, np.nan
-        plan = result.prepared.plan
-        closing = result.times[Phase.GRASP] + float(plan.closing_step[0]) * plan.control_period
-        before = np.array([error for time, error in self._errors if time < closing])
-        if not len(before):
-            return np.nan, np.nan
-        return float(np.abs(before.mean(axis=0)).max()), float(np.sqrt(np.mean(before**2)))

@@ -76,11 +76,6 @@ class DeploymentResult:
     as_shown: AsShown | None = None
     """How the hand held the object, of a twin: one row. None without a hold, or where the person's places are
     not known."""
-    tracking: float = np.nan
-    """RMS error of a twin's hand from its setpoints before the fingers close [rad]; nan where the motion did
-    not begin."""
-    sag: float = np.nan
-    """Largest mean error of a joint over the same time [rad]."""
 
     @property
     def held_as_shown(self) -> bool | None:

@@ -61,7 +61,7 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
         if len(seen) == 2 or placement[0] < 0:
             raise UnreachableError("the grasp is not reachable: the arm would touch the table")
         held = {"success": True, "held_as_shown": True, "height": 0.12}
-        return SimpleNamespace(fault="", attempts=1, tracking=0.02, sag=np.nan, **held)
+        return SimpleNamespace(fault="", attempts=1, **held)
 
     monkeypatch.setattr(twin_episode, "deploy_on_twin", deploy)
     return seen

@@ -152,15 +152,9 @@ class ClearanceModel:
         arm = [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
         self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in arm])
         self._hand_qpos = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
-        kind = np.zeros(model.nbody, dtype=int)
         palm = model.body(hand.palm).id
-        for body in range(1, model.nbody):
-            kind[body] = 1
-            above = body
-            while above:
-                if above == palm:
-                    kind[body] = 2
-                above = int(model.body_parentid[above])
+        kind = np.array([1 + hangs_on(model, body, palm) for body in range(model.nbody)])
+        kind[0] = 0
         self._object: int | None = None
         if obj is not None:
             kind[model.body(OBJECT).id] = 0
@@ -208,6 +202,13 @@ class ClearanceModel:
             (float(mujoco.mj_geomDistance(m, d, int(row), obj, MARGIN, None)) for row in rows),
             default=MARGIN,
         )
+
+
+def hangs_on(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+    """Whether a body is another or hangs on it."""
+    while body not in (ancestor, 0):
+        body = int(model.body_parentid[body])
+    return body == ancestor
 
 
 def _add_object(spec: mujoco.MjSpec, obj: ObjectModel) -> None:

@@ -99,7 +99,8 @@ class _TwinJoints(JointDriver):
         send: Callable[[np.ndarray, np.ndarray | None], None],
     ):
         """measured: positions, velocities and torques; send: takes targets and feed-forward torques."""
-        self._world, self._measured, self._send = world, measured, send
+        self.world, self._measured, self._send = world, measured, send
+        """The twin that it is a device of."""
         self._status = DeviceStatus.DISCONNECTED
         self._last: np.ndarray | None = None
         self.fault = ""
@@ -114,8 +115,8 @@ class _TwinJoints(JointDriver):
     def read(self) -> JointState:
         if self.frozen and self._frozen_at is not None:
             return self._frozen_at
-        with self._world.lock:
-            now = self._world.time
+        with self.world.lock:
+            now = self.world.time
             q, v, torque = self._measured()
         status = DeviceStatus.FAULT if self.fault else self._status
         self._frozen_at = JointState(q, v, torque, now, now, status, self.fault)
@@ -160,8 +161,8 @@ class TwinArm(_TwinJoints):
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
         super().stop(kind)
         # The servos brake: the position shortly ahead is where a joint can come to rest.
-        q, v, _ = self._world.arm_state()
-        self._world.command_arm(q + 0.05 * v)
+        q, v, _ = self.world.arm_state()
+        self.world.command_arm(q + 0.05 * v)
 
 
 class TwinHand(_TwinJoints):
@@ -181,14 +182,14 @@ class TwinHand(_TwinJoints):
 
     def connect(self) -> None:
         super().connect()
-        self._world.powered = True
+        self.world.powered = True
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
         super().stop(kind)
         if kind is StopKind.POWER_OFF:
-            self._world.powered = False
+            self.world.powered = False
         elif kind is StopKind.OPEN:
-            self._world.command_hand(self._open)
+            self.world.command_hand(self._open)
         # To hold, the servos keep their last targets: an object that is held stays held.
 
 

@@ -18,6 +18,7 @@ from fungrasp.hands.arm import PALM_SITE, arm_spec
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import TrackedPose, TrackingStatus
+from fungrasp.robots.kinematics.arm_model import hangs_on
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, twin_model
 from fungrasp.sim2real import random_stream
@@ -77,7 +78,7 @@ class TwinWorld:
         self._palm = model.site(PALM_SITE).id
         self._object, self._table = model.body(OBJECT).id, model.geom(TABLE).id
         palm_body = model.site_bodyid[self._palm]
-        self._is_hand = np.array([_within(model, body, palm_body) for body in range(model.nbody)])
+        self._is_hand = np.array([hangs_on(model, body, palm_body) for body in range(model.nbody)])
         self._links = [[model.body(name).id for name in members] for members in hand.links]
         torque = np.array([hand.actuators[name].force_limit for name in fingers])
         self._kp = np.array([hand.actuators[name].kp for name in fingers])
@@ -360,10 +361,3 @@ class TwinJudge:
     def success(self) -> bool:
         """``held_throughout``."""
         return held_throughout(self.samples, SETPOINT_PERIOD * len(self.samples))
-
-
-def _within(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
-    """Whether a body is another or hangs on it."""
-    while body not in (ancestor, 0):
-        body = int(model.body_parentid[body])
-    return body == ancestor

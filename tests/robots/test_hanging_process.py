@@ -1,0 +1,43 @@
+"""A device's process whose client library never returns ends after its policy's, and frees the device."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driver_contract import wait_for
+from hanging_loop import HangingLoop
+
+from fungrasp.robots.control_loop.loop_driver import LoopDriver, LoopProcess
+from fungrasp.robots.control_loop.loop_worker import DeviceLock
+from fungrasp.robots.device import RobotError
+
+
+def test_a_process_that_hangs_ends_after_its_drivers_and_frees_the_lock(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    halting, hosts = 0.4, []
+
+    class Watched(LoopProcess):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            hosts.append(self)
+
+    name = f"hanging device of {tmp_path}"
+    driver = LoopDriver(HangingLoop(name, tmp_path / "hangs", halting), Watched)
+    driver.connect()
+    driver.command(np.zeros(1))
+    assert wait_for((tmp_path / "hangs").exists)
+    with pytest.raises(RobotError, match="moved by another program"):
+        DeviceLock(name).take()
+    child = hosts[0]._child
+    began = time.monotonic()
+    # As the policy's process ends, however it does.
+    child.stdin.close()
+    assert child.wait(timeout=20.0) == 1
+    # Not at once: a hand that does not show that it holds is told so again for ``HALTING``.
+    assert time.monotonic() - began > 1.9 * halting
+    lock = DeviceLock(name)
+    lock.take()
+    lock.release()
