@@ -35,9 +35,6 @@ class LoopThread:
         """A thread's errors are in its last state."""
         return ""
 
-    def begun(self) -> None:
-        """Memory of this process has no name."""
-
     def end(self, patience: float) -> bool:
         """Wait for its end, after it was told to. patience: for so long [s]. Returns: whether it ended."""
         self._thread.join(patience)

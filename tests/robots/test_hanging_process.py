@@ -35,7 +35,10 @@ def test_a_process_that_hangs_ends_after_its_drivers_and_frees_the_lock(tmp_path
     began = time.monotonic()
     # As the policy's process ends, however it does.
     child.stdin.close()
-    assert child.wait(timeout=20.0) == 1
+    try:
+        assert child.wait(timeout=20.0) == 1
+    finally:
+        child.kill()
     # Not at once: a hand that does not show that it holds is told so again for ``HALTING``.
     assert time.monotonic() - began > 1.9 * halting
     lock = DeviceLock(name)

@@ -83,9 +83,9 @@ def test_a_message_comes_back():
     [
         ({"version": 2}, "version 2"),
         ({"schema": "other"}, "another kind"),
-        ({"position": [0.0, float("nan"), 0.0]}, "not finite"),
+        ({"position": [0.0, float("nan"), 0.0]}, "expected a finite number"),
         ({"rotation": [1.0, 1.0, 0.0, 0.0]}, "unit quaternion"),
-        ({"rotation": [1.0, 0.0]}, "seven"),
+        ({"rotation": [1.0, 0.0]}, "expected a list of 4, not of 2"),
         ({"status": "asleep"}, "asleep"),
     ],
 )

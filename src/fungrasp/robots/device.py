@@ -276,8 +276,7 @@ def import_emulators(module: str) -> ModuleType:
     try:
         return importlib.import_module(f"fungrasp_emulators.{module}")
     except ModuleNotFoundError as error:
-        if not str(error.name).startswith("fungrasp_emulators"):
-            raise RobotError(f"emulated devices need a package that is not installed ({error})") from error
         raise RobotError(
-            "emulated devices are a package of their own, beside fungrasp's source: pip install ./emulators"
+            "emulated devices are a package of their own, beside fungrasp's source: pip install ./emulators "
+            f"({error})"
         ) from error

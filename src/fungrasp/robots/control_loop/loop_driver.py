@@ -23,12 +23,12 @@ from fungrasp.robots.control_loop.mailbox import (
     MESSAGE_BYTES,
     STARTING,
     Mailbox,
-    SharedMemoryFile,
     goal_kind,
     joint_state,
     mailbox_size,
     put_state,
     record_message,
+    shared_memory,
     state_kind,
 )
 from fungrasp.robots.device import DeviceStatus, JointDriver, JointLimits, JointState, RobotError, StopKind
@@ -54,8 +54,8 @@ class LoopProcess:
         """goal: the first, a record of ``goal_kind``."""
         count = len(task.loop.limits.lower)
         first = mailbox_size(goal_kind(count))
-        self._memory = SharedMemoryFile(first + mailbox_size(state_kind(count)))
-        view = memoryview(self._memory.buffer)
+        descriptor, memory = shared_memory(first + mailbox_size(state_kind(count)))
+        view = memoryview(memory)
         self.goals = Mailbox(view[:first], goal_kind(count))
         self.states = Mailbox(view[first:], state_kind(count))
         self.goals.write(goal)
@@ -66,11 +66,13 @@ class LoopProcess:
             stdout=subprocess.DEVNULL,
             env=worker_environment(),
             start_new_session=True,
+            pass_fds=(descriptor,),
         )
+        os.close(descriptor)
         self._errors: list[str] = []
         self._reader = threading.Thread(target=self._collect, daemon=True)
         self._reader.start()
-        data = pickle.dumps((task, str(self._memory.path)))
+        data = pickle.dumps((task, descriptor))
         assert self._child.stdin is not None
         # Where it has ended already, who waits for its first state will see so.
         with contextlib.suppress(BrokenPipeError):
@@ -91,12 +93,6 @@ class LoopProcess:
         self._reader.join(0.2)
         return f": {self._errors[-1]}" if self._errors else ""
 
-    def begun(self) -> None:
-        """It has said something: nobody needs the name of the memory any more."""
-        with contextlib.suppress(OSError):
-            # Some systems keep the name of what is in use.
-            self._memory.remove()
-
     def end(self, patience: float) -> bool:
         """Wait for its end, after it was told to. patience: for so long [s]. Returns: whether it ended."""
         assert self._child.stdin is not None
@@ -104,7 +100,6 @@ class LoopProcess:
             self._child.wait(patience)
         with contextlib.suppress(BrokenPipeError):
             self._child.stdin.close()
-        self.begun()
         return not self.alive()
 
     def kill(self) -> None:
@@ -250,7 +245,6 @@ class LoopDriver(JointDriver):
             record = self._host.states.read()
             if record is not None and record["phase"] != STARTING:
                 if record["phase"] != ENDED:
-                    self._host.begun()
                     return
                 message = record_message(record)
                 self._end()
@@ -311,8 +305,6 @@ class LoopDriver(JointDriver):
         watched = min(now - self._asked, 0.2)
         self._asked = now
         self._heard = 0.0 if beat != self._beat else self._heard + watched
-        if beat and beat != self._beat and self._replaces and self._host is not None:
-            self._host.begun()
         self._beat = beat
         return self._heard > FROZEN and self._was_taken and isinstance(self._host, LoopProcess)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import mmap
 import os
 import pickle
 import signal
@@ -32,7 +33,6 @@ from fungrasp.robots.control_loop.mailbox import (
     goal_kind,
     loop_goal,
     mailbox_size,
-    map_shared_memory,
     put_state,
     state_kind,
 )
@@ -296,7 +296,7 @@ def run_worker() -> None:
     source = sys.stdin.buffer
     size = LENGTH.unpack(source.read(LENGTH.size))[0]
     # From the process that started this one, through its own pipe.
-    task, path = pickle.loads(source.read(size))
+    task, descriptor = pickle.loads(source.read(size))
     orphaned = threading.Event()
     # Ahead of planning and all other work, client libraries' threads as well; systems allow it to
     # administrators. Linux shares the processors by sessions (autogroup of sched(7)), and this is one.
@@ -315,7 +315,7 @@ def run_worker() -> None:
     # Ctrl-C in a terminal goes to both processes: the driver's decides how to stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: orphaned.set())
-    memory = memoryview(map_shared_memory(Path(path)))
+    memory = memoryview(mmap.mmap(descriptor, 0))
     count = len(task.loop.limits.lower)
     first = mailbox_size(goal_kind(count))
     goals = Mailbox(memory[:first], goal_kind(count))

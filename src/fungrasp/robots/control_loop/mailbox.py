@@ -7,7 +7,6 @@ import mmap
 import os
 import tempfile
 import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,27 +57,19 @@ def mailbox_size(kind: np.dtype) -> int:
     return CHECKSUM.itemsize + kind.itemsize
 
 
-class SharedMemoryFile:
-    """Memory that two processes share: a file without a home on a disk where the system has such."""
+def shared_memory(size: int) -> tuple[int, mmap.mmap]:
+    """Memory without a name, which a child process inherits and which goes with the last of its users.
 
-    def __init__(self, size: int):
-        """size: [bytes]."""
-        folder = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-        handle, name = tempfile.mkstemp(prefix="fungrasp-", dir=folder)
-        os.close(handle)
-        self.path = Path(name)
-        self.path.write_bytes(bytes(size))
-        self.buffer = map_shared_memory(self.path)
+    Args:
+        size: [bytes].
 
-    def remove(self) -> None:
-        """Remove the name; memory that is mapped stays until its users end."""
-        self.path.unlink(missing_ok=True)
-
-
-def map_shared_memory(path: Path) -> mmap.mmap:
-    """The memory of a ``SharedMemoryFile``, seen from this process."""
-    with path.open("r+b") as file:
-        return mmap.mmap(file.fileno(), 0)
+    Returns:
+        File descriptor to pass on, which the caller closes, and the memory as this process sees it.
+    """
+    folder = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.truncate(size)
+        return os.dup(file.fileno()), mmap.mmap(file.fileno(), size)
 
 
 STATUSES = tuple(DeviceStatus)

@@ -16,12 +16,14 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import record_from_json
 from fungrasp.geometry.poses import compose
 from fungrasp.robots.device import PoseSource, RobotError, TrackedPose, TrackingStatus, import_client
 
@@ -44,14 +46,14 @@ class PoseMessage:
     """Name of the object."""
     frame: str
     """Frame of the pose: "world", "camera"."""
-    position: tuple[float, ...]
-    """Position of the object in the frame [m], length 3."""
-    rotation: tuple[float, ...]
-    """Its rotation, wxyz, length 4."""
+    position: tuple[float, float, float]
+    """Position of the object in the frame [m]."""
+    rotation: tuple[float, float, float, float]
+    """Its rotation, wxyz."""
     score: float
     """Confidence, 0 to 1."""
-    status: TrackingStatus
-    """Whether the pose may be used."""
+    status: Literal["tracking", "lost", "initializing"]
+    """Whether the pose may be used (``TrackingStatus``)."""
     wall: float | None = None
     """When the message was sent, by the time of day [s since 1970]; None if the sender does not say it."""
 
@@ -60,31 +62,18 @@ class PoseMessage:
         return {"schema": SCHEMA, "version": VERSION, **vars(self)}
 
 
-def _floats(values: Any) -> tuple[float, ...]:
-    return tuple(map(float, values))
-
-
-KINDS = {"sequence": int, "clock": str, "captured": float, "sent": float, "object": str, "frame": str}
-KINDS |= {"position": _floats, "rotation": _floats, "score": float, "status": TrackingStatus}
-"""How the entries are read that no message may lack."""
-
-
 def read_message(entries: Any) -> PoseMessage:
-    """The message of a map. Raises: RobotError: it is none, of another version, or impossible."""
+    """The message of a map; entries that are not its own are left alone. Raises: RobotError: it is none, of
+    another version, or impossible."""
     if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
         raise RobotError(f"a message of another kind came instead of '{SCHEMA}'")
     if entries.get("version") != VERSION:
         raise RobotError(f"the tracker sends version {entries.get('version')} of '{SCHEMA}', not {VERSION}")
+    own = {f.name: entries[f.name] for f in fields(PoseMessage) if f.name in entries}
     try:
-        values: dict[str, Any] = {name: kind(entries[name]) for name, kind in KINDS.items()}
-        wall = None if entries.get("wall") is None else float(entries["wall"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise RobotError(f"a pose message is incomplete or wrong: {error!r}") from error
-    message = PoseMessage(**values, wall=wall)
-    pose = message.position + message.rotation
-    numbers = (*pose, message.captured, message.sent, message.score, message.wall or 0.0)
-    if len(message.position) != 3 or len(pose) != 7 or not all(math.isfinite(v) for v in numbers):
-        raise RobotError("a pose message holds values that are not finite, or not seven of them")
+        message = record_from_json(PoseMessage, own, "a pose message")
+    except FungraspError as error:
+        raise RobotError(str(error)) from error
     if abs(math.hypot(*message.rotation) - 1.0) > 1e-3:
         raise RobotError("the rotation of a pose message is no unit quaternion")
     return message
@@ -212,7 +201,7 @@ class PoseStream(PoseSource):
         pose = np.array(message.position + message.rotation)
         if self._camera is not None:
             pose = compose(self._camera, pose)
-        return TrackedPose(pose, captured, message.score, message.status)
+        return TrackedPose(pose, captured, message.score, TrackingStatus(message.status))
 
     def _captured(self, message: PoseMessage, now: float, wall: float) -> float:
         """When the image was taken, by our clock [s]. now, wall: our clock and the time of day [s]."""
@@ -264,10 +253,19 @@ class PosePublisher:
             score: confidence, 0 to 1.
             status: whether the pose may be used.
         """
-        place, turn, now = _floats(pose[:3]), _floats(pose[3:]), time.monotonic()
-        names = self._object, self._frame
+        x, y, z, *turn = pose.tolist()
         message = PoseMessage(
-            self._sequence, self._clock, captured, now, *names, place, turn, score, status, time.time()
+            self._sequence,
+            self._clock,
+            captured,
+            time.monotonic(),
+            self._object,
+            self._frame,
+            (x, y, z),
+            tuple(turn),
+            score,
+            status.value,
+            time.time(),
         )
         self._sequence += 1
         self.send_bytes(self._msgpack.packb(message.entries()))
