@@ -121,7 +121,7 @@ MISTAKES = {
     "obstacle through the base": (
         "center = [-0.5, 0.0, 0.14]",
         "center = [-0.5, 0.0, 0.28]",
-        ["obstacle 1 goes through the arm's base", "'center'", "'arm.pose_world_base'"],
+        ["at 'arm.home' the arm or the hand would touch an obstacle"],
     ),
     "unknown driver": (
         'driver = "ur-rtde"',

@@ -85,7 +85,7 @@ class Deployment(AttemptCarrier):
             object_pose, state = locate_object(robot, self.spec.look_time)
             self._prepare(object_pose, state.arm.positions)
             if self.goes_on_to(Phase.MOVE_TO_START):
-                self._carry_out(object_pose, state)
+                self._carry_out(grasp.object_name.tolist(), object_pose, state)
             else:
                 self.phase = Phase.DONE
         except SafetyStop as stop:
@@ -120,12 +120,11 @@ class Deployment(AttemptCarrier):
             dict(self.robot.guard.longest_silence),
         )
 
-    def _carry_out(self, object_pose: np.ndarray, state: RobotState) -> None:
-        """All that moves."""
+    def _carry_out(self, names: list[str], object_pose: np.ndarray, state: RobotState) -> None:
+        """All that moves. names: of the object, one."""
         robot = self.robot
         self._ask(Phase.MOVE_TO_START)
         self._postures = [self._awake(state).arm.positions]
-        names = [str(self.prepared.plan.object_name[0])]
         make_attempts(self, self.spec.attempts, object_pose[None], names, self._preparer.objects)
         if not self._missed and self.goes_on_to(Phase.PUT_DOWN):
             self._ask(Phase.PUT_DOWN)

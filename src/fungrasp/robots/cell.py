@@ -15,7 +15,6 @@ from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.text_files import read_toml
 from fungrasp.core.records import record_from_json
-from fungrasp.geometry.poses import invert, transform_points
 from fungrasp.hands.arm import Mount, arm_spec
 
 Vector = tuple[float, ...]
@@ -56,9 +55,6 @@ LARGEST = {
 """Largest numbers of a cell, and their units. Limits are those of the paper and the data sheets; the others
 are by our judgment, as a UR5 reaches 0.95 m: what is larger is in another unit, in which a limit would be
 none."""
-
-BASE_AXIS = np.array([[0.0, 0.0, z] for z in (0.02, 0.08, 0.14)])
-"""Points within an arm's base and shoulder, on its first axis [m]; the pedestal below ends at zero."""
 
 UPRIGHT: Vector = (1.0, 0.0, 0.0, 0.0)
 
@@ -348,7 +344,7 @@ def cell_faults(cell: RobotCell) -> list[str]:
         faults.append(str(error))
     if cell.watchdog.late_tick >= cell.watchdog.overrun:
         faults.append("'watchdog.overrun' must be greater than 'watchdog.late_tick'")
-    return faults or _obstacle_faults(cell)
+    return faults
 
 
 def _limit_faults(cell: RobotCell) -> list[str]:
@@ -390,20 +386,6 @@ def _wired_faults(cell: RobotCell) -> list[str]:
             "'mount.pose_flange_hand' is missing: where the hand is on the flange of this arm, 3 meters and "
             "a unit quaternion wxyz"
         )
-    return faults
-
-
-def _obstacle_faults(cell: RobotCell) -> list[str]:
-    """Obstacles that go through the arm's own base."""
-    base, faults = np.array(cell.arm.pose_world_base), []
-    for number, box in enumerate(cell.obstacles, 1):
-        frame = np.array([*box.center, *box.rotation])
-        points = transform_points(invert(frame), transform_points(base, BASE_AXIS))
-        if (np.abs(points) < np.array(box.size) / 2).all(axis=1).any():
-            faults.append(
-                f"obstacle {number} goes through the arm's base: 'center' is the middle of the box in the "
-                "world, and a pedestal ends at the height of 'arm.pose_world_base'"
-            )
     return faults
 
 
