@@ -273,18 +273,6 @@ def test_a_disk_that_is_full_at_the_end_hides_no_result(
     assert not read_log(tmp_path / "a.mcap").complete
 
 
-def test_a_dry_run_moves_nothing() -> None:
-    seen = {}
-
-    def keep(world: Any) -> None:
-        seen["world"], seen["before"] = world, world.arm_state()[0].copy()
-
-    outcome = deploy(dry_run=True, spoil=keep)
-    assert outcome.fault == ""
-    assert not outcome.success
-    assert np.abs(seen["world"].arm_state()[0] - seen["before"]).max() < 0.01
-
-
 def test_where_one_plan_has_no_free_way_the_next_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     cell, hand = cell_and_hand()
     (grasp, obj), where = grasp_and_object(), placed()

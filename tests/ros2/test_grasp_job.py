@@ -91,7 +91,7 @@ def test_cancelling_stops_and_ends_with_the_hold(job: Any, monkeypatch: pytest.M
     monkeypatch.setattr(grasp_node, "fill", lambda message, values: values)
     ends: list[str] = []
     goal: Any = SimpleNamespace(
-        request=SimpleNamespace(grasp="mug", grasps="", objects="", until="lift", speed=0.5, dry_run=False),
+        request=SimpleNamespace(grasp="mug", grasps="", objects="", until="lift", speed=0.5),
         publish_feedback=lambda feedback: None,
         is_cancel_requested=True,
         **{name: lambda name=name: ends.append(name) for name in ("canceled", "succeed", "abort")},

@@ -47,8 +47,6 @@ class GraspRequest:
     """Where to end, as ``DeploymentSpec.until``."""
     speed: float = 1.0
     """Share of the cell's speed."""
-    dry_run: bool = False
-    """Send nothing."""
 
 
 class GraspJob(DeploymentObserver):
@@ -148,7 +146,6 @@ class GraspJob(DeploymentObserver):
             self._policy,
             until=request.until,  # pyright: ignore[reportArgumentType]
             speed=request.speed,
-            dry_run=request.dry_run,
             threads=request.choice.threads,
             real_time=True,
         )
@@ -244,7 +241,7 @@ class GraspNode:
             asked.grasps or "builtin",
             Path(asked.objects) if asked.objects else None,
         )
-        request = GraspRequest(choice, asked.until or "home", asked.speed or 1.0, asked.dry_run)
+        request = GraspRequest(choice, asked.until or "home", asked.speed or 1.0)
         done, words, log = self._job.run(
             request, lambda phase: goal.publish_feedback(fill(self._feedback(), {"phase": phase}))
         )

@@ -66,7 +66,7 @@ class Deploy(Answering):
         choice, picture = self.choice, self.picture
         spec = replace(self.spec, real_time=not self.fast, threads=choice.threads, about=choice.words)
         with StopSwitch(cell.stop_file, keyboard=True) as switch:
-            asks = is_wired(cell) and not (spec.dry_run or self.yes)
+            asks = is_wired(cell) and not self.yes
             if asks and not switch.keyboard:
                 raise FungraspError("deploy asks before each phase: run it in a terminal, or give --yes")
             grasp, objects = choice.robot(hand, spec.seed)

@@ -224,7 +224,6 @@ def deploy_on_robot(
         task.hand,
         stiffness=task.stiffness,
         compensate=spec.gravity_compensation,
-        dry_run=spec.dry_run,
         switch=switch,
     )
     with ExitStack() as stack:
@@ -294,7 +293,6 @@ def deploy_on_twin(
             WallClock() if spec.real_time else TwinClock(world),
             stiffness=task.stiffness,
             compensate=spec.gravity_compensation,
-            dry_run=spec.dry_run,
             switch=switch,
         )
         stack.enter_context(robot)

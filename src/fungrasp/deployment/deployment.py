@@ -149,7 +149,7 @@ class Deployment(AttemptCarrier):
     def may_hold(self) -> bool:
         """Whether the hand may hold something: the robot has moved, and did not end as it should before it
         grasped or after it let go."""
-        if Phase.MOVE_TO_START not in self._times or self.robot.dry_run:
+        if Phase.MOVE_TO_START not in self._times:
             return False
         empty = Phase.GRASP not in self._times or any(p in self._times for p in (Phase.PUT_DOWN, Phase.HOME))
         return not (self.phase is Phase.DONE and empty)

@@ -185,9 +185,9 @@ class ScriptedMotion:
         return float(np.linalg.norm(apart)) < ARRIVED
 
     def _lowered(self, goal: np.ndarray) -> bool:
-        """Whether the palm is measured at the height of a goal, shape [1, 7]; on a dry run nothing moves."""
+        """Whether the palm is measured at the height of a goal, shape [1, 7]."""
         palm = self._robot.kinematics.palm_pose(self._robot.arm.read().positions)
-        return self._robot.dry_run or float(palm[2] - goal[0, 2]) < LOWERED
+        return float(palm[2] - goal[0, 2]) < LOWERED
 
     def _step(self, phase: Phase, start: float, step: int, action: Action) -> None:
         """One control step."""

@@ -74,8 +74,6 @@ class DeploymentSpec:
     speed: float = 1.0
     """Slow motion: share of the plan's speed, 0.02 to 1. The hold keeps its duration. Not for policies with
     feedback (student)."""
-    dry_run: bool = False
-    """Read, decide and log everything, but send nothing."""
     gravity_compensation: bool = True
     """Compensate the weight of the hand's links."""
     hand_dynamics: str = ""

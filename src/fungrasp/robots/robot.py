@@ -59,7 +59,6 @@ class Robot:
         *,
         stiffness: np.ndarray | None = None,
         compensate: bool = True,
-        dry_run: bool = False,
         switch: StopSwitch | None = None,
     ):
         """
@@ -70,7 +69,7 @@ class Robot:
         """
         self.cell, self.hand, self.clock = cell, hand, clock
         self.arm, self.hand_driver, self.tracker = arm, hand_driver, tracker
-        self.dry_run, self.compensate = dry_run, compensate
+        self.compensate = compensate
         self.kinematics = ArmKinematics(cell, hand)
         self.protocol = _protocol(cell.limits)
         """Limits of the palm's motion, and the numbers of the task."""
@@ -83,7 +82,6 @@ class Robot:
             {"arm": arm.limits, "hand": hand_driver.limits},
             ClearanceModel(cell, hand).measure,
             self.setpoints.period,
-            moving=not dry_run,
             palm=self.kinematics.palm_pose,
         )
         """Sees every command before it is sent."""
@@ -123,11 +121,10 @@ class Robot:
             raise
 
     def take_control(self) -> None:
-        """Make arm and hand ready to follow, before a motion begins: it may take seconds. Not on a dry run.
-        Raises: RobotError: one of them can't be controlled now."""
-        if not self.dry_run:
-            self.arm.take_control()
-            self.hand_driver.take_control()
+        """Make arm and hand ready to follow, before a motion begins: it may take seconds. Raises: RobotError:
+        one of them can't be controlled now."""
+        self.arm.take_control()
+        self.hand_driver.take_control()
 
     def close(self) -> None:
         """Stop and end all connections, though one of them fails to. May be called twice."""
@@ -348,14 +345,13 @@ class Robot:
         command = self.guard(state, command)
         self._paused += max(min(self.guard.lost, state.time - self._paused - self._planned), 0.0)
         self._planned = np.inf
-        if not self.dry_run:
-            sent_arm = self.arm.command(command.arm)
-            if self.hand_driver.takes_feedforward:
-                sent_hand = self.hand_driver.command(command.hand, command.feedforward)
-            else:
-                offset = setpoint_offset(command.feedforward, self._stiffness)
-                sent_hand = self.hand_driver.command(command.hand + offset) - offset
-            command = replace(command, arm=sent_arm, hand=sent_hand)
+        sent_arm = self.arm.command(command.arm)
+        if self.hand_driver.takes_feedforward:
+            sent_hand = self.hand_driver.command(command.hand, command.feedforward)
+        else:
+            offset = setpoint_offset(command.feedforward, self._stiffness)
+            sent_hand = self.hand_driver.command(command.hand + offset) - offset
+        command = replace(command, arm=sent_arm, hand=sent_hand)
         self.watch(state, command)
         return command
 

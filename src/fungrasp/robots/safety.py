@@ -43,7 +43,7 @@ from fungrasp.robots.device import (
     StopKind,
     TrackedPose,
 )
-from fungrasp.robots.kinematics.arm_model import MARGIN, Clearance, outside
+from fungrasp.robots.kinematics.arm_model import Clearance, outside
 from fungrasp.task import Action
 from fungrasp.task.setpoints import SETPOINT_PERIOD
 
@@ -146,7 +146,6 @@ class SafetyGuard:
         limits: Mapping[str, JointLimits],
         clearance: Callable[[np.ndarray, np.ndarray], Clearance] = lambda arm, fingers: Clearance(),
         period: float = SETPOINT_PERIOD,
-        moving: bool = True,
         palm: Callable[[np.ndarray], np.ndarray] | None = None,
     ):
         """
@@ -154,11 +153,10 @@ class SafetyGuard:
             limits: what the drivers of "arm" and "hand" accept, or that of one alone.
             clearance: of a posture: joints of the arm [A] and of the hand [U].
             period: time between setpoints [s].
-            moving: whether setpoints really are sent: in a dry run the arm does not follow.
             palm: where it is with joints of the arm [A], world frame, shape [7]; if None, where commands say.
         """
         self._cell, self._limits, self._clearance, self._palm = cell, limits, clearance, palm
-        self._period, self._moving = period, moving
+        self._period = period
         self.longest_silence = dict.fromkeys(limits, 0.0)
         """Longest time that a device's time stamp has stood still between setpoints [s]."""
         self.reset()
@@ -189,13 +187,10 @@ class SafetyGuard:
         self._keep_time(state.time)
         allowed = self._within_limits(command)
         lead = max(float(np.abs(q - state.arm.positions).max()) for q in (command.arm, allowed.arm))
-        if self._moving and lead > self._cell.limits.setpoint_lead:
+        if lead > self._cell.limits.setpoint_lead:
             raise SafetyStop("the arm's setpoint is far from where the arm is")
         # Targets of squeezing fingers lie inside what they touch: where the fingers are is what counts.
         gap = self._clearance(allowed.arm, state.hand.positions)
-        if not self._moving:
-            # In a dry run the fingers stay open, so that where the hand would be is not known.
-            gap = replace(gap, hand=MARGIN)
         problem = check_posture(allowed.palm, gap, self._cell.workspace) or self._too_fast(allowed)
         if problem:
             raise SafetyStop(problem)
