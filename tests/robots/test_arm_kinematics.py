@@ -11,8 +11,8 @@ from fungrasp.geometry.poses import compose, relative, rotate, rotation_vector
 from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.inverse import arm_postures, random_starts
 from fungrasp.robots.kinematics.joint_path import OBJECT_CLEAR, FreePath, timed_leg
+from fungrasp.robots.kinematics.reach import arm_postures, random_starts
 
 POSTURE = np.array([0.2, -1.4, 1.6, -1.5, -1.5, 0.3])
 
@@ -48,7 +48,7 @@ def test_no_posture_for_a_pose_out_of_reach(kinematics: ArmKinematics) -> None:
 
 def test_the_palm_is_followed_on_one_branch(kinematics: ArmKinematics) -> None:
     pytest.importorskip("mink")
-    from fungrasp.robots.kinematics.inverse import PalmFollower
+    from fungrasp.robots.kinematics.reach import PalmFollower
 
     follower = PalmFollower(kinematics, 2.0)
     follower.begin(POSTURE)
@@ -66,7 +66,7 @@ def test_the_palm_is_followed_on_one_branch(kinematics: ArmKinematics) -> None:
 
 def test_a_follower_keeps_the_joint_speed_where_the_palm_jumps(kinematics: ArmKinematics) -> None:
     pytest.importorskip("mink")
-    from fungrasp.robots.kinematics.inverse import PalmFollower
+    from fungrasp.robots.kinematics.reach import PalmFollower
 
     follower = PalmFollower(kinematics, 0.5)
     follower.begin(POSTURE)

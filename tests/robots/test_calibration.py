@@ -28,7 +28,7 @@ from fungrasp.robots.calibration.camera import (
 )
 from fungrasp.robots.cell import check_calibrated, load_cell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
-from fungrasp.robots.kinematics.inverse import arm_postures, random_starts
+from fungrasp.robots.kinematics.reach import arm_postures, random_starts
 
 LENS = Intrinsics(640, 480, 615.0, 615.0, 319.5, 239.5)
 

@@ -27,7 +27,7 @@ from fungrasp.robots.device import (
     TrackingStatus,
 )
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
-from fungrasp.robots.kinematics.inverse import PalmFollower
+from fungrasp.robots.kinematics.reach import PalmFollower
 from fungrasp.robots.safety import SafetyGuard
 from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.sim2real.gravity_compensation import GravityCompensation, setpoint_offset

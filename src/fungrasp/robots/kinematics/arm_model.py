@@ -22,6 +22,9 @@ OBSTACLE = "obstacle"
 MARGIN = 0.03
 """Distances beyond this are not told apart [m]."""
 
+CLEAR = 0.005
+"""Distance that the robot keeps from itself and, the hand included, from the table [m]."""
+
 
 class ArmKinematics:
     """The arm of a cell with the palm on its flange, without fingers: M joints."""

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fungrasp.robots.cell import MotionLimits, Workspace
-from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel, outside
-from fungrasp.robots.kinematics.inverse import random_starts
+from fungrasp.robots.kinematics.arm_model import CLEAR, ArmKinematics, ClearanceModel, outside
+from fungrasp.robots.kinematics.reach import random_starts
 
 TRIES = 5000
 """Random postures that the trees of a path grow towards, at most. Most ways are straight; those that need a
@@ -17,9 +17,6 @@ tree take some hundreds, to another branch of solutions up to a few thousand: a 
 
 SPACING = 0.05
 """Largest change of a joint between two postures that are checked for collisions [rad]."""
-
-CLEAR = 0.005
-"""Distance that the robot keeps from itself and, the hand included, from the table [m]."""
 
 
 OBJECT_CLEAR = 0.02
