@@ -81,6 +81,8 @@ def test_another_model_or_serial_number_is_refused():
 def test_impossible_limits_are_refused():
     with pytest.raises(RobotError, match="rad/s"):
         URSettings(velocity=10.0)
+    with pytest.raises(RobotError, match="lookahead"):
+        URSettings(lookahead=0.5)
 
 
 @pytest.mark.parametrize("fault", [Fault.PROTECTIVE_STOP, Fault.EMERGENCY_STOP])

@@ -54,8 +54,6 @@ a millimeter or two; a UR5 and a UR5e differ by 60 to 90 mm."""
 FULL_SPEED = 0.99
 """Below this share the controller stretches the time of its motions: ``servoj`` takes longer than our period,
 setpoints are left out, and the arm falls behind, or catches up when the slider is raised."""
-LOOKAHEAD, GAIN = 0.05, 300.0
-"""Of servoj, which takes 0.03 to 0.2 s and 100 to 2000: the arm follows so much later; how stiffly."""
 LARGEST_JUMP = 0.1
 """A measured joint this far from the one before is not believed [rad] ..."""
 LARGEST_SPEED = 6.3
@@ -83,6 +81,10 @@ class URSettings:
     """Highest jerk of each joint [rad/s^3]."""
     range: float = 2 * np.pi
     """The joints turn so far to both sides [rad]."""
+    lookahead: float = 0.05
+    """Of servoj [s], 0.03 to 0.2: the arm follows so much later."""
+    gain: float = 300.0
+    """Of servoj, 100 to 2000."""
     watchdog: float = 5.0
     """The controller stops its program when it hears less often [Hz]."""
     stale_after: float = 0.04
@@ -96,6 +98,8 @@ class URSettings:
     def __post_init__(self) -> None:
         if len(self.payload_center) not in (0, 3):
             raise RobotError("payload_center has 3 numbers")
+        if not 0.03 <= self.lookahead <= 0.2 or not 100 <= self.gain <= 2000:
+            raise RobotError("servoj takes a lookahead of 0.03 to 0.2 s and a gain of 100 to 2000")
         if not 0 < self.velocity <= 3.14 or not 0 < self.acceleration <= 40 or self.jerk <= 0:
             raise RobotError("a UR joint takes up to 3.14 rad/s and 40 rad/s^2, and a jerk above 0")
 
@@ -410,7 +414,7 @@ class URLoop(DeviceLoop):
         if not all(abs(a - b) <= largest for a, b in zip(new, lead.current_position, strict=True)):
             raise RobotError(f"{self.name}: a setpoint too far away was not sent: this is a fault of ours")
         step.pass_to_input(lead)
-        self._control.servoJ(new, 0.0, 0.0, self._period, LOOKAHEAD, GAIN)
+        self._control.servoJ(new, 0.0, 0.0, self._period, s.lookahead, s.gain)
 
     def _new_lead(self, positions: np.ndarray) -> Any:
         self._target = self._led = None
