@@ -16,12 +16,14 @@ from benchmarks.twins.twin_series import VARIANTS as NAMED
 from benchmarks.twins.twin_series import KnownGrasps, placed_grasps, try_on_twins
 from fungrasp.core.jobs import PartStore
 from fungrasp.deployment.preparation import UnreachableError
+from fungrasp.deployment.spec import Phase
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
 from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import load_cell
+from fungrasp.robots.twin.devices import TwinHand
 
 HAND = load_hand("allegro")
 AT = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
@@ -101,8 +103,25 @@ def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
     assert [compensate for *_, compensate in deployed] == [True, True, False]
     # What was not begun has failed, and says why.
     assert not found[1].success and "not reachable" in found[1].fault and found[1].tracking_rad == -1
-    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", 0.02, -1.0, 0, 1, 1, True)
+    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", -1.0, -1.0, 0, 1, 1, True)
     assert deployed[0][2].servo_stiffness[0] == deployed[0][1]
+
+
+def test_errors_of_fingers_count_until_they_close() -> None:
+    errors, hand = twin_episode.FingerErrors(), object.__new__(TwinHand)
+    plan = SimpleNamespace(closing_step=np.array([10]), control_period=0.1)
+    result: Any = SimpleNamespace(prepared=SimpleNamespace(plan=plan), times={Phase.GRASP: 10.0})
+    world: Any = SimpleNamespace(finger_positions=lambda: world.fingers)
+    hand.world = world
+    errors.connected(SimpleNamespace(hand_driver=hand))  # pyright: ignore[reportArgumentType]
+    assert np.isnan(errors.before_closing(result)).all()
+    for time, error in ((10.0, 0.02), (10.9, -0.04), (11.0, 1.0)):
+        world.time, world.fingers = time, np.array([error, error])
+        sent: Any = SimpleNamespace(hand=np.zeros(2))
+        errors.setpoint(Phase.GRASP, sent, sent)
+    tracking, sag = errors.before_closing(result)
+    assert tracking == pytest.approx(np.sqrt((0.02**2 + 0.04**2) / 2))
+    assert sag == pytest.approx(0.01)
 
 
 def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
