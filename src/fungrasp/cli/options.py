@@ -138,9 +138,10 @@ def json_path(json: str | None) -> Path | None:
 def wired_cell(name: str) -> tuple[RobotCell, Hand]:
     """A cell with real or emulated devices, and its hand."""
     from fungrasp.hands import load_hand
+    from fungrasp.robots.assembly import is_twin
     from fungrasp.robots.cell import load_cell
-    from fungrasp.robots.single_devices import check_wired
 
     cell = load_cell(name if Path(name).suffix != ".toml" else Path(name))
-    check_wired(cell)
+    if is_twin(cell):
+        raise FungraspError(f"cell '{cell.name}' is a twin: it has no devices to connect to")
     return cell, load_hand(cell.hand)

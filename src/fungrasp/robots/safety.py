@@ -61,37 +61,6 @@ LONGEST_STEP = 0.1
 that was [s]."""
 
 
-def check_reading(part: str, state: JointState, silence: float, cell: RobotCell) -> None:
-    """Refuse what a device says of itself. part: "arm" or "hand"; silence: for how long its time stamp has
-    stood still [s]. Raises: SafetyStop: a value is not finite or beyond its limit, or the device is silent.
-    """
-    # Comparisons with limits don't notice what is not finite.
-    values = state.positions, state.velocities, state.device_time, state.torques
-    if not all(np.isfinite(v).all() for v in values if v is not None):
-        raise SafetyStop(f"what the {part} says is not finite")
-    if silence > (cell.watchdog.arm_silence if part == "arm" else cell.watchdog.hand_silence):
-        raise SafetyStop(f"the {part} has been silent for {1e3 * silence:.0f} ms")
-    measured = np.zeros(0) if part == "arm" or state.torques is None else state.torques
-    if np.abs(measured).max(initial=0.0) > cell.limits.hand_torque:
-        raise SafetyStop("the torque of a hand joint is beyond its limit", StopKind.OPEN)
-
-
-def within_speed(
-    part: str, goal: np.ndarray, last: np.ndarray, elapsed: float, limits: JointLimits, cell: RobotCell
-) -> np.ndarray:
-    """A goal that is no farther from the last one than the joints get meanwhile [rad], shape [U].
-
-    Args:
-        part: "arm" or "hand".
-        goal: [rad], shape [U].
-        last: [rad], shape [U].
-        elapsed: since the last one [s].
-    """
-    most = cell.limits.arm_speed if part == "arm" else cell.limits.hand_speed
-    reach = TOLERANCE * np.minimum(limits.velocity, most) * elapsed
-    return np.clip(goal, last - reach, last + reach)
-
-
 def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str:
     """What is wrong with where a robot would be, as a phrase; "" for nothing. palm: world frame, shape
     [7]."""
@@ -183,7 +152,7 @@ class SafetyGuard:
             if joints.status is not DeviceStatus.READY:
                 said = f": {joints.message}" if joints.message else ""
                 raise SafetyStop(f"the {part} does not follow ({joints.status}{said})")
-            check_reading(part, joints, silence, self._cell)
+            self._check_reading(part, joints, silence)
         self._keep_time(state.time)
         allowed = self._within_limits(command)
         lead = max(float(np.abs(q - state.arm.positions).max()) for q in (command.arm, allowed.arm))
@@ -197,6 +166,27 @@ class SafetyGuard:
         self._before, self._previous = self._previous, allowed
         return allowed
 
+    def _check_reading(self, part: str, state: JointState, silence: float) -> None:
+        """Refuse what a device says of itself. silence: for how long its time stamp has stood still [s].
+        Raises: SafetyStop: a value is not finite or beyond its limit, or the device is silent."""
+        # Comparisons with limits don't notice what is not finite.
+        values = state.positions, state.velocities, state.device_time, state.torques
+        if not all(np.isfinite(v).all() for v in values if v is not None):
+            raise SafetyStop(f"what the {part} says is not finite")
+        dog = self._cell.watchdog
+        if silence > (dog.arm_silence if part == "arm" else dog.hand_silence):
+            raise SafetyStop(f"the {part} has been silent for {1e3 * silence:.0f} ms")
+        measured = np.zeros(0) if part == "arm" or state.torques is None else state.torques
+        if np.abs(measured).max(initial=0.0) > self._cell.limits.hand_torque:
+            raise SafetyStop("the torque of a hand joint is beyond its limit", StopKind.OPEN)
+
+    def _within_speed(self, part: str, goal: np.ndarray, last: np.ndarray, elapsed: float) -> np.ndarray:
+        """A goal that is no farther from the last one than the joints get meanwhile [rad], shape [U].
+        elapsed: since the last one [s]."""
+        own = self._cell.limits.arm_speed if part == "arm" else self._cell.limits.hand_speed
+        reach = TOLERANCE * np.minimum(self._limits[part].velocity, own) * elapsed
+        return np.clip(goal, last - reach, last + reach)
+
     def _within_limits(self, command: RobotCommand) -> RobotCommand:
         """A setpoint within the limits of joint positions and speeds, the palm where it is then."""
         parts = {}
@@ -205,7 +195,7 @@ class SafetyGuard:
             allowed = np.clip(given, limits.lower, limits.upper)
             if self._previous is not None:
                 last = getattr(self._previous, part)
-                allowed = within_speed(part, allowed, last, self._period, limits, self._cell)
+                allowed = self._within_speed(part, allowed, last, self._period)
             if np.abs(allowed - given).max(initial=0.0) > 1e-9:
                 parts[part] = allowed
         if "arm" in parts and self._palm is not None:
@@ -254,10 +244,10 @@ class SafetyGuard:
         dog = self._cell.watchdog
         # Between goals nothing is read, so that an old stamp says nothing.
         recent = now - when < (dog.arm_silence if part == "arm" else dog.hand_silence)
-        check_reading(part, state, silence if recent else 0.0, self._cell)
+        self._check_reading(part, state, silence if recent else 0.0)
         limits, elapsed = self._limits[part], min(now - when, LONGEST_STEP)
         goal = np.clip(goal, limits.lower, limits.upper)
-        allowed = within_speed(part, goal, last, elapsed, limits, self._cell)
+        allowed = self._within_speed(part, goal, last, elapsed)
         self._last = allowed, now
         return allowed
 

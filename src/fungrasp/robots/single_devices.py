@@ -12,7 +12,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import arm_spec
-from fungrasp.robots.assembly import arm_driver, hand_driver, is_twin, pose_source
+from fungrasp.robots.assembly import arm_driver, hand_driver, pose_source
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import (
@@ -64,12 +64,6 @@ class DeviceReport:
     """In a line, its part first."""
     well: bool
     """Whether it can be used."""
-
-
-def check_wired(cell: RobotCell) -> None:
-    """Raises: FungraspError: the cell is a twin, which has no devices."""
-    if is_twin(cell):
-        raise FungraspError(f"cell '{cell.name}' is a twin: it has no devices to connect to")
 
 
 def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
