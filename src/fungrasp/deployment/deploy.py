@@ -101,16 +101,13 @@ def deployment_task(
     policy = deployable_policy(spec.policy, hand, {obj.name: obj})
     watches = not isinstance(policy, OpenLoopPolicy)
     check_attempts(spec.attempts, watches)
-    if spec.speed < 1.0 and watches:
+    allowed = plan_speed(cell.limits)
+    if watches and min(spec.speed, allowed) < 1.0:
+        why = f"speed = {spec.speed:g}" if spec.speed < allowed else slowest_limit(cell.limits)
         raise FungraspError(
-            f"the policy '{spec.policy}' needs feedback at 10 Hz and can't be slowed down to "
-            f'{spec.speed:g}; the policies "plan" and "reference" can'
-        )
-    if watches and plan_speed(cell.limits) < 1.0:
-        raise FungraspError(
-            f"with {slowest_limit(cell.limits)} plans are carried out at {plan_speed(cell.limits):.2g} of "
-            f"their speed, and the policy '{spec.policy}' needs feedback and can't be slowed down; the "
-            'policies "plan" and "reference" can'
+            f"with {why} plans are carried out at {min(spec.speed, allowed):.2g} of their speed, and the "
+            f"policy '{spec.policy}' needs feedback at 10 Hz and can't be slowed down; the policies "
+            '"plan" and "reference" can'
         )
     planner = (
         robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)

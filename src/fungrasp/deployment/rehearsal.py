@@ -22,7 +22,6 @@ from fungrasp.robots.device import (
     Clock,
     DeviceStatus,
     JointDriver,
-    JointLimits,
     JointState,
     PoseSource,
     RobotCommand,
@@ -31,7 +30,6 @@ from fungrasp.robots.device import (
     TrackedPose,
     TrackingStatus,
 )
-from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 
@@ -61,20 +59,12 @@ def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Mot
     """Carry a plan out without moving a robot, from the way to the start to the way home. What a policy that
     watches corrects on the way is not in it. robot: connected; it stands where the plan begins, and is only
     read. Raises: FungraspError: the safety filter would stop it."""
-    cell, hand = robot.cell, robot.hand
-    arm, fingers = robot.arm.read().positions, robot.hand_driver.read().positions
     clock, plan = _SteppedClock(), prepared.plan
-    count = len(hand.actuators)
-    kinematics = ArmKinematics(cell, hand)
-    fast = np.full(len(arm), cell.limits.arm_speed)
-    reach = JointLimits(kinematics.lower, kinematics.upper, fast, np.full(len(arm), np.inf))
-    low, high = hand.joint_limits[[hand.joint_names.index(name) for name in hand.actuators]].T
-    servos = JointLimits(low, high, np.full(count, cell.limits.hand_speed), np.full(count, np.inf))
-    driven, closing = _PerfectJoints("arm", arm, reach, clock), _PerfectJoints("hand", fingers, servos, clock)
+    closing = _PerfectJoints(robot.hand_driver, clock)
     rehearsed = Robot(
-        cell,
-        hand,
-        driven,
+        robot.cell,
+        robot.hand,
+        _PerfectJoints(robot.arm, clock),
         closing,
         _StandingObject(plan.object_pose[0], clock),
         clock,
@@ -166,12 +156,13 @@ class _Unconnected:
 class _PerfectJoints(_Unconnected, JointDriver):
     """Joints that are at once where they are told to be, unless something stops them."""
 
-    def __init__(self, name: str, positions: np.ndarray, limits: JointLimits, clock: _SteppedClock):
-        self.name, self._clock, self.limits = name, clock, limits
+    def __init__(self, driver: JointDriver, clock: _SteppedClock):
+        """driver: with the limits, and where the joints are at first."""
+        self.name, self._clock, self.limits = driver.name, clock, driver.limits
         self.takes_feedforward, self.lets_go = False, ""
-        self.positions = np.clip(positions, limits.lower, limits.upper)
+        self._low, self._high = driver.limits.lower, driver.limits.upper
+        self.positions = np.clip(driver.read().positions, self._low, self._high)
         """Where they are [rad]."""
-        self._low, self._high = limits.lower, limits.upper
 
     def stop_at(self, held: np.ndarray, free: np.ndarray) -> None:
         """From now on joints stay between where something stops them and where they are free, or where they

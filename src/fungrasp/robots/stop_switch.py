@@ -11,8 +11,7 @@ from typing import Self
 
 
 class StopSwitch:
-    """Once pressed it stays pressed until it is released. A context manager, which listens to the keyboard
-    meanwhile."""
+    """Once pressed it stays pressed. A context manager, which listens to the keyboard meanwhile."""
 
     def __init__(self, file: str | Path = "", keyboard: bool = False):
         """
@@ -29,10 +28,6 @@ class StopSwitch:
     def press(self, reason: str) -> None:
         """Press it. reason: a phrase."""
         self._reason = self._reason or reason
-
-    def release(self) -> None:
-        """Forget that it was pressed, after a person has looked. While its file exists it is pressed anew."""
-        self._reason = ""
 
     @property
     def reason(self) -> str:

@@ -34,9 +34,8 @@ from fungrasp.robots.device import RobotError, import_client
 MOTORS = 6
 HAND_ID, CLEAR_ERRORS = 1000, 1004
 ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
-ANGLE_ACTUAL, FORCE_ACTUAL, CURRENT = 1546, 1582, 1594
-ERRORS, STATUS, TEMPERATURES = 1606, 1612, 1618
-"""Of these three the six values are bytes, two to a register, the first in the low byte."""
+ANGLE_ACTUAL, ERRORS = 1546, 1606
+"""Errors are six bytes, two to a register, the first in the low byte."""
 
 SINGLE_BYTES = frozenset({HAND_ID, CLEAR_ERRORS})
 """Registers of one byte. Over Modbus each is a register of its own; on a serial line a second byte would be

@@ -17,9 +17,9 @@ from fungrasp.robots.hands import hand_joint_limits, next_setpoint
 
 MODEL_NUMBER, OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, HARDWARE_ERROR = 0, 11, 38, 64, 70
 D_GAIN, I_GAIN, P_GAIN, GOAL_CURRENT, GOAL_POSITION = 80, 82, 84, 102, 116
-PRESENT_CURRENT, PRESENT_VELOCITY, PRESENT_POSITION = 126, 128, 132
+PRESENT_CURRENT = 126
 PRESENT = struct.Struct("<hii")
-"""Current, velocity and position lie in a row."""
+"""Current, velocity and position lie in a row from ``PRESENT_CURRENT`` on."""
 CURRENT_BASED_POSITION = 5
 """Operating mode: position control with a limit of current."""
 

@@ -1,16 +1,5 @@
-"""Object poses from another process, over ZeroMQ, the newest only: one MessagePack map per pose.
-
-| key | value |
-| --- | --- |
-| schema, version | "fungrasp.pose", 1 |
-| sequence | counts the tracker's answers |
-| clock | identifies the clock of the two times; the same text on both sides: the same clock |
-| captured, sent | when the image was taken, and when the message was sent, by that clock [s] |
-| wall | when the message was sent, by the time of day [s since 1970]; may be missing |
-| object, frame | names |
-| position, rotation | [m], and unit quaternion wxyz: object in frame |
-| score, status | 0 to 1; "tracking", "lost" or "initializing" |
-"""
+"""Object poses from another process, over ZeroMQ, the newest only: one MessagePack map per pose, with the
+entries "schema", which is "fungrasp.pose", "version", which is 1, and the fields of ``PoseMessage``."""
 
 from __future__ import annotations
 
@@ -37,7 +26,7 @@ class PoseMessage:
     sequence: int
     """Count of the tracker's answers."""
     clock: str
-    """Identifies the sender's clock."""
+    """Identifies the sender's clock; the same text on both sides: the same clock."""
     captured: float
     """When the image was taken, by the sender's clock [s]."""
     sent: float
@@ -45,7 +34,7 @@ class PoseMessage:
     object: str
     """Name of the object."""
     frame: str
-    """Frame of the pose: "world", "camera"."""
+    """Frame of the pose: "world" or "camera"."""
     position: tuple[float, float, float]
     """Position of the object in the frame [m]."""
     rotation: tuple[float, float, float, float]
@@ -55,7 +44,7 @@ class PoseMessage:
     status: Literal["tracking", "lost", "initializing"]
     """Whether the pose may be used (``TrackingStatus``)."""
     wall: float | None = None
-    """When the message was sent, by the time of day [s since 1970]; None if the sender does not say it."""
+    """When the message was sent, by the time of day [s since 1970]; may be missing."""
 
     def entries(self) -> dict[str, Any]:
         """The map."""
