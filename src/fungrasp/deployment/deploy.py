@@ -307,14 +307,14 @@ def deploy_on_twin(
 
 
 class _TwinWatch(DeploymentObserver):
-    """Judges the hold."""
+    """Judges the hold of the last attempt."""
 
     def __init__(self, world: TwinWorld):
-        self.judge = TwinJudge(world)
+        self._world, self.judge = world, TwinJudge(world)
 
     def phase(self, time: float, phase: Phase) -> None:
         if phase is Phase.GRASP:
-            self.judge.begin_attempt()
+            self.judge = TwinJudge(self._world)
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
         self.judge.watch(phase is Phase.HOLD)

@@ -333,19 +333,13 @@ def held_as_shown(
 
 
 class TwinJudge:
-    """Watches one deployment, at every setpoint."""
+    """Watches one attempt, at every setpoint. The object counts from where it lies as this is made."""
 
     def __init__(self, world: TwinWorld):
         self._world = world
         self._settled = float(world.center_of_mass()[2])
         self.samples: list[HoldSample] = []
         """Of the hold so far."""
-
-    def begin_attempt(self) -> None:
-        """Another attempt begins: what was seen of the one before is forgotten, and the object counts from
-        where it lies now."""
-        self._settled = float(self._world.center_of_mass()[2])
-        self.samples.clear()
 
     def watch(self, holding: bool) -> None:
         """After each setpoint. holding: whether it belongs to the hold."""
