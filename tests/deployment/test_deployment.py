@@ -211,7 +211,7 @@ def test_a_device_that_fails_stops_the_robot(
     read = device.read
 
     def failing(self: Any) -> Any:
-        if self._world.time > 1.5 and self.name.startswith("twin"):
+        if self.world.time > 1.5 and self.name.startswith("twin"):
             setattr(self, how, "motor hot" if how == "fault" else True)
         return read(self)
 
@@ -302,7 +302,7 @@ def test_the_hand_opens_only_where_the_arm_is_seen_to_be_low(monkeypatch: pytest
     command, read = TwinArm.command, TwinArm.read
 
     def lost(self: Any) -> bool:
-        return self._world.time > seen.get("put down", np.inf) + 0.8
+        return self.world.time > seen.get("put down", np.inf) + 0.8
 
     def silent(self: Any) -> Any:
         self.frozen = lost(self)

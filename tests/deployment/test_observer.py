@@ -53,7 +53,7 @@ def test_a_hand_that_falls_silent_is_noticed_as_soon_in_slow_motion(monkeypatch:
     read = TwinHand.read
 
     def failing(self: Any) -> Any:
-        if self._world.time > 3.0 and self.name.startswith("twin"):
+        if self.world.time > 3.0 and self.name.startswith("twin"):
             self.frozen = True
         return read(self)
 
