@@ -24,6 +24,7 @@ from fungrasp.grasps.conversion import Convention, converted, mend_below_table
 from fungrasp.grasps.diagnosis import checked_grasps, diagnosis
 from fungrasp.grasps.human_hand import ORDERS
 from fungrasp.grasps.scene_checks import rows_in_words
+from fungrasp.objects.object_variants import scaled_object
 
 HALF = np.sqrt(0.5)
 
@@ -326,3 +327,24 @@ def test_grasp_files_of_others(tmp_path, capsys, name):
             run_command(capsys, "retarget", "--grasps", tmp_path / "y.npz", "--out", tmp_path / "r.npz")[0]
             == 0
         )
+
+
+@pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the files of others in ../shared/data/foreign")
+def test_a_mesh_with_a_piece_of_the_table_is_not_blamed_on_quaternions(tmp_path, capsys):
+    mugs = builtin_grasps().select(np.flatnonzero(builtin_grasps().object_name == "mug"))
+    save_human_grasps(tmp_path / "mugs.npz", mugs)
+    _, out = run(capsys, "check", tmp_path / "mugs.npz", "--objects", FOREIGN / "mesh_table_included")
+    assert "quaternion" not in out and "to convert" not in out
+    assert "not tested: in which convention the poses of mug are" in out
+
+
+def test_meshes_of_an_odd_size_tell_no_convention():
+    arrays, objects = foreign("xyzw"), load_objects(builtin_grasps())
+    assert diagnosis(arrays, objects).convention.quaternion == "xyzw"
+    tiny = {name: scaled_object(model, 0.05) for name, model in objects.items()}
+    found = diagnosis(arrays, tiny)
+    assert found.convention == Convention() and "odd size" in found.untested[0]
+    assert any("that the mesh fits" in remark.words for remark in found.remarks)
+    # The others tell it where only one is doubted.
+    some = objects | {"mug": tiny["mug"]}
+    assert diagnosis(arrays, some).convention.quaternion == "xyzw"

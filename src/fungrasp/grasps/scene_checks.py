@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
 from fungrasp.grasps.conversion import POSES, UNITS, UP, Convention, converted
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.mesh_file import mesh_doubts
 
 REST_ERROR = 0.02
 """An object at rest is no further above or below the table [m]."""
@@ -70,6 +71,11 @@ def rows_in_words(rows: np.ndarray) -> str:
         return f"grasp {rows[0]}"
     shown = ", ".join(str(row) for row in rows[:6])
     return f"grasps {shown}" + (f" and {len(rows) - 6} more" if len(rows) > 6 else "")
+
+
+def _some_of(names: list[str]) -> str:
+    """At most six names."""
+    return ", ".join(names[:6]) + (" and others" if len(names) > 6 else "")
 
 
 def scene_is_sound(arrays: Mapping[str, np.ndarray]) -> bool:
@@ -136,6 +142,8 @@ class GraspScene:
     """Which of these have the held pose as rest pose, shape [M] bool."""
     surfaces: Mapping[str, tuple[KDTree, np.ndarray]]
     """Points of each known object's surface, and the corners of its convex hull [m], shape [C, 3]."""
+    doubtful: frozenset[str] = frozenset()
+    """Objects whose meshes have an odd size or a piece of the table: they tell no convention."""
 
     @classmethod
     def of(cls, arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> GraspScene:
@@ -155,23 +163,42 @@ class GraspScene:
             model = objects[str(name)]
             tree = KDTree(trimesh.sample.sample_surface(model.mesh, SURFACE_SAMPLES, seed=0)[0])
             surfaces[str(name)] = (tree, np.unique(model.hull.reshape(-1, 3), axis=0))
-        return cls(sound, objects, rows, same[rows], surfaces)
+        doubtful = frozenset(n for n in surfaces if any(mesh_doubts(objects[n].vertices, objects[n].faces)))
+        return cls(sound, objects, rows, same[rows], surfaces, doubtful)
 
     def untested(self) -> list[str]:
         """What could not be tested, and why."""
         unknown = sorted(set(self.arrays["object_name"].astype(str).tolist()) - set(self.objects))
-        if not unknown:
-            return []
-        return [
-            "whether fingers touch what they hold and objects stand on the table: the meshes of "
-            f"{', '.join(unknown[:6])}{' and others' if len(unknown) > 6 else ''} are not given (--objects)"
-        ]
+        words = []
+        if unknown:
+            words.append(
+                "whether fingers touch what they hold and objects stand on the table: the meshes of "
+                f"{_some_of(unknown)} are not given (--objects)"
+            )
+        if self.doubtful:
+            words.append(
+                f"in which convention the poses of {_some_of(sorted(self.doubtful))} are: the meshes have an "
+                "odd size or a piece of the table, see the warnings"
+            )
+        return words
 
     def convention(self, of_hands: Convention) -> tuple[Convention, list[Remark]]:
         """The convention in which hands, objects and table fit together best, and what is wrong even then.
 
         of_hands: as the joints alone tell it.
         """
+        best, remarks = of_hands, []
+        if self._trusted.any():
+            best, remarks = self._only(self._trusted)._told_by_scene(of_hands)
+        return self._with_rest(best, self._fit(best), remarks)
+
+    @property
+    def _trusted(self) -> np.ndarray:
+        """Which grasps' meshes may tell the convention, shape [M] bool."""
+        return ~np.isin(self.arrays["object_name"][self.rows].astype(str), list(self.doubtful))
+
+    def _told_by_scene(self, of_hands: Convention) -> tuple[Convention, list[Remark]]:
+        """The convention in which the scene fits together best, and a remark if the hands don't tell it."""
         best, found = of_hands, self._fit(of_hands)
         told, some = [], self._some()
         for _ in range(3):
@@ -184,18 +211,22 @@ class GraspScene:
             told.append(found.errors - fit.errors > -TIP_ERROR)
             best, found = chosen, fit
         if best is not of_hands and found.good.mean() < EXPLAINED:
-            best, found, told = of_hands, self._fit(of_hands), []
-        remarks = []
+            return of_hands, []
         changes = {n: v for n, v in best.changes.items() if n not in of_hands.changes}
-        if changes:
-            reasons = " and ".join(REASONS[name].format(**changes) for name in changes)
-            rows = self.rows[np.logical_and.reduce(told)]
-            remarks.append(Remark(f"fingers, objects and table fit only if {reasons}", rows, True, True))
-        return self._with_rest(best, found, remarks)
+        if not changes:
+            return best, []
+        reasons = " and ".join(REASONS[name].format(**changes) for name in changes)
+        rows = self.rows[np.logical_and.reduce(told)]
+        return best, [Remark(f"fingers, objects and table fit only if {reasons}", rows, True, True)]
 
     def _some(self) -> GraspScene:
         """The scene of ``TRIED`` grasps at most."""
-        chosen = np.unique(np.linspace(0, len(self.rows) - 1, min(TRIED, len(self.rows))).astype(int))
+        return self._only(
+            np.unique(np.linspace(0, len(self.rows) - 1, min(TRIED, len(self.rows))).astype(int))
+        )
+
+    def _only(self, chosen: np.ndarray) -> GraspScene:
+        """The scene of some of the grasps. chosen: indices into ``rows``, or a mask of them."""
         return replace(self, rows=self.rows[chosen], held_at_rest=self.held_at_rest[chosen])
 
     def _with_rest(
@@ -203,7 +234,7 @@ class GraspScene:
     ) -> tuple[Convention, list[Remark]]:
         """What is wrong even in the best convention."""
         apart, off = fit.gap > HELD, np.abs(fit.height) > REST_ERROR
-        in_air = off & self.held_at_rest
+        in_air = off & self.held_at_rest & self._trusted
         if apart.any():
             words = f"the fingertips are on average {1e3 * fit.gap[apart].max():.0f} mm from what they hold"
             remarks.append(Remark(words, self.rows[apart], True, True))

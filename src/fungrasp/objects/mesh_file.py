@@ -98,7 +98,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         _kept,
         lambda kept: _keep(kept, *_surface(path, *read_mesh(path), repair)),
     )
-    for phrase in (*repairs, *_doubts(vertices, faces)):
+    for phrase in (*repairs, *mesh_doubts(vertices, faces)):
         _log.warning("%s: %s", path, phrase)
     return vertices, faces, repairs
 
@@ -126,7 +126,7 @@ def mend_mesh(
         _kept,
         lambda kept: _keep(kept, *_surface(name, vertices, faces, True)),
     )
-    for phrase in (*repairs, *_doubts(vertices, faces)):
+    for phrase in (*repairs, *mesh_doubts(vertices, faces)):
         _log.warning("%s: %s", name, phrase)
     return vertices, faces, repairs
 
@@ -202,8 +202,13 @@ def _check_size(path: Path | str, length: float) -> None:
         raise FungraspError(f"{path}: only {length:.3g} m long; a mesh must be in meters")
 
 
-def _doubts(vertices: np.ndarray, faces: np.ndarray) -> Iterator[str]:
-    """What a surface has that things in a hand seldom have."""
+def mesh_doubts(vertices: np.ndarray, faces: np.ndarray) -> Iterator[str]:
+    """What a surface has that things in a hand seldom have: an odd size, a piece of the table.
+
+    Args:
+        vertices: [m], shape [V, 3].
+        faces: triangles, shape [F, 3] int.
+    """
     length = float(np.ptp(vertices, axis=0).max())
     if not HELD[0] <= length <= HELD[1]:
         yield (
