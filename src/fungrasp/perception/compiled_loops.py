@@ -27,19 +27,15 @@ def _along(point, first, last):
 
 
 @compiled
-def line_distances(
+def capsule_distances(
     points: np.ndarray, first: np.ndarray, last: np.ndarray, radius: np.ndarray, distance: np.ndarray
 ) -> None:
-    """Write the distance of each point, shape [P, 3], from the nearest of capsules, negative inside, shape
-    [P]; infinite for points that are NaN.
-
-    Args: first, last: ends of their lines, shape [C, 3]; radius: shape [C].
-    """
+    """Write what ``hand_capsules.capsule_distances`` returns. Args: as there; distance: shape [P]."""
     for p in range(len(points)):
         nearest = math.inf
         for c in range(len(first)):
-            _, x, y, z = _along(points[p], first[c], last[c])
-            apart = math.sqrt(x * x + y * y + z * z) - radius[c]
+            part, x, y, z = _along(points[p], first[c], last[c])
+            apart = math.sqrt(x * x + y * y + z * z) - (radius[c, 0] + part * (radius[c, 1] - radius[c, 0]))
             nearest = apart if apart < nearest else nearest
         distance[p] = nearest
 
@@ -182,7 +178,6 @@ def fit_terms(
     weight: np.ndarray,
     scale: np.ndarray,
     samples: np.ndarray,
-    free_weight: float,
     free_scale: float,
     depth: np.ndarray,
     refuge: np.ndarray,
@@ -223,7 +218,7 @@ def fit_terms(
             share = weight[p] / len(points)
             _add(sums, (x, y, z), gradient, distance, share / (1.0 + squared) ** 2)
             cost[h] += share * scale[p] ** 2 * squared / (1.0 + squared)
-        share = free_weight / len(samples)
+        share = 1.0 / len(samples)
         for s in range(len(samples)):
             a, b, c = samples[s, 0], samples[s, 1], samples[s, 2]
             arm = (

@@ -12,7 +12,7 @@ from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture
 from fungrasp.perception.hand import fit
-from fungrasp.perception.hand.finger_search import finger_joints, postures, search_fingers
+from fungrasp.perception.hand.finger_search import postures, search_fingers
 from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, explained_part, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import hand_view
@@ -51,7 +51,7 @@ def test_derivatives_of_points_on_the_skin(held):
 
     def residuals(moved):
         joints, jacobian = moved.joints_and_derivatives()
-        return point_evidence(moved, joints, jacobian, points, (1.0, 1.0, 1.0), 1.0)
+        return point_evidence(moved, joints, jacobian, points, 1.0)
 
     here = residuals(hand)
     for parameter in (0, 4, 9, 30, 45, 80):
@@ -93,7 +93,7 @@ def test_skin_color_leaves_other_things_out(held):
 def test_postures_are_those_of_the_skeleton(held):
     hand = skeleton_through(held[0].joints, 0.003)
     for finger in range(5):
-        joints = finger_joints(hand, finger, hand.angles[None, finger])[0]
+        joints = hand.finger_joints(finger, hand.angles[None, finger])[0]
         np.testing.assert_allclose(joints, hand.joints()[1 + 4 * finger : 5 + 4 * finger], atol=1e-12)
     tried = postures(4, 50, np.random.default_rng(0))
     np.testing.assert_array_equal(tried, postures(4, 50, np.random.default_rng(0)))

@@ -37,7 +37,7 @@ def test_derivatives_of_overlaps():
     hand = crossed()
 
     def residuals(moved):
-        return overlap_evidence(moved, *moved.joints_and_derivatives(), 0.001)
+        return overlap_evidence(moved, *moved.joints_and_derivatives())
 
     here = residuals(hand)
     assert len(here.residual) and (here.residual < 0).all()

@@ -106,7 +106,7 @@ def test_intrusion_by_hand() -> None:
     )
 
     def intruding(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = [intrusion.py_func(*p, space.depth, space.refuge, space.lens, space.lowest) for p in points]
+        found = [intrusion.py_func(*p, space.depth, space.refuge, space.lens, space.table) for p in points]
         return np.array(found)[:, 0], np.array(found)[:, 1:]
 
     distance, gradient = intruding(points)

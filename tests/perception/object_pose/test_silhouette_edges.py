@@ -92,7 +92,7 @@ def mask_piece(length: int, spill: int = 0) -> float:
     assert view is not None, problem
     moved = POSE.copy()
     moved[0] += (length - 240) / 2000
-    return silhouette_edges(view, moved, 0).mask_piece
+    return silhouette_edges(view, moved, 0)["mask_piece"]
 
 
 def test_a_piece_of_the_mask_beyond_what_hides_it_is_found():

@@ -12,6 +12,7 @@ from scipy import ndimage
 from fungrasp.core.errors import FungraspError
 from fungrasp.objects import load_object
 from fungrasp.perception import Capture
+from fungrasp.perception.hand.hand_capsules import SURE_SKIN, capsule_distances
 from fungrasp.perception.io.capture import depth_noise
 from fungrasp.perception.object_pose.object_template import object_template
 from fungrasp.perception.object_pose.object_view import cleaned_mask, view_of_object
@@ -19,7 +20,6 @@ from fungrasp.perception.scene import segmentation
 from fungrasp.perception.scene.pixel_classes import NEVER, SHARP, depth_spread, edge_width
 from fungrasp.perception.scene.segmentation import (
     MASK_SURE,
-    distance_from_hand,
     hinted_odds,
     pointed_pieces,
     segment,
@@ -80,7 +80,8 @@ def test_distance_from_hand() -> None:
     tip = joints[8]
     points = tip + np.array([[-0.03, 0.0, 0.0], [0.0, 0.0, 0.0]])
     # The flesh round the last bone of a finger is 8 mm thick.
-    assert distance_from_hand(points, joints) == pytest.approx([0.022, -0.008], abs=1e-3)
+    distance = capsule_distances(points, *SURE_SKIN.ends(joints), SURE_SKIN.radius)
+    assert distance == pytest.approx([0.022, -0.008], abs=1e-3)
 
 
 def test_pieces_whose_distance_from_the_hand_is_not_known(recwarn: pytest.WarningsRecorder) -> None:

@@ -18,15 +18,12 @@ from fungrasp.perception.hand.skeleton import (
     ANGLE_LOW,
     ANGLE_MEAN,
     ANGLE_SPREAD,
-    BASE_FRAMES,
-    BASES,
     LENGTHS,
     Skeleton,
 )
 
 TRIES = 256  # Postures tried of each finger.
 ORDER = (4, 0, 1, 2, 3)  # Order in which fingers are searched: the thumb first.
-OPPOSED_NEAR = 0.025  # Only fingertips so near to the object [m] say where others touch it.
 MOST_POINTS = 80  # Measured points that a finger is compared with.
 WIDE = 1.3  # Factor on the usual spread of postures for those that are tried.
 SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Parts of each link that are looked at.
@@ -45,37 +42,7 @@ INSIDE_SPREAD = 0.004  # Standard deviation of how deep the finger is in the obj
 OVERLAP_SPREAD = 0.004  # Standard deviation of how deep the finger is in other fingers [m].
 TOUCH_SPREAD = 0.008  # Standard deviation of the gap between the last link and the object [m].
 TOUCH_WORST = 0.02  # Gap beyond which the cost does not grow [m].
-OPPOSED_COST = 4.0  # Cost of thumb and fingers that touch the object from the same side.
 UNUSUAL_WEIGHT = 1.0  # Weight of the cost of an unusual posture.
-
-
-def finger_joints(hand: Skeleton, finger: int, angles: np.ndarray) -> np.ndarray:
-    """Joints of one finger in several postures [m], shape [S, 4, 3].
-
-    angles: [rad], shape [S, 3, 3]: joint, (deviation, flexion, twist).
-    """
-    scale = np.exp(hand.size)
-    lengths = scale * LENGTHS[finger] * np.exp(hand.bones[finger])
-    joints = np.empty((len(angles), 4, 3))
-    joints[:, 0] = hand.position + scale * hand.turn @ (BASES[finger] + hand.bases[finger])
-    frame = np.broadcast_to(hand.turn @ BASE_FRAMES[finger], (len(angles), 3, 3))
-    cosine, sine = np.cos(angles), np.sin(angles)
-    for joint in range(3):
-        c, s = cosine[:, joint], sine[:, joint]
-        frame = frame @ _turns(c, s)
-        joints[:, joint + 1] = joints[:, joint] + lengths[joint] * frame[:, :, 0]
-    return joints
-
-
-def _turns(c: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Rotation about z, then y, then x, by angles of cosine c and sine s, each shape [S, 3]."""
-    (cz, cy, cx), (sz, sy, sx) = c.T, s.T
-    rows = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -117,7 +84,7 @@ def finger_cost(
     spread: float,
 ) -> np.ndarray:
     """What speaks against each posture of a finger, shape [S]. tried: [rad], shape [S, 3, 3]."""
-    joints = finger_joints(hand, finger, tried)
+    joints = hand.finger_joints(finger, tried)
     scale = np.exp(hand.size)
     own = slice(1 + 4 * finger, 5 + 4 * finger)
     off = np.linalg.norm(view.intrinsics.project(joints[:, 1:]) - landmarks[own][1:], axis=-1) / spread
@@ -131,15 +98,12 @@ def finger_cost(
     seen = view.depth_at(view.intrinsics.project(samples))
     front = np.nan_to_num(np.maximum(seen - samples[..., 2] + radius - 0.006, 0.0))
     cost += _limited(front / FRONT_SPREAD, FRONT_WORST / FRONT_SPREAD).sum(axis=1) / 2
-    distance, normal = view.surroundings.object_distance(samples.reshape(-1, 3))
-    distance, normal = distance.reshape(samples.shape[:2]), normal.reshape(samples.shape)
+    distance, _ = view.surroundings.object_distance(samples.reshape(-1, 3))
+    distance = distance.reshape(samples.shape[:2])
     cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / INSIDE_SPREAD).sum(axis=1)
     gap = np.maximum((distance - 0.8 * radius)[:, -3:].min(axis=1), 0.0)
     cost += _limited(gap / TOUCH_SPREAD, TOUCH_WORST / TOUCH_SPREAD)
     cost += np.square(finger_overlap(samples, radius, hand, finger) / OVERLAP_SPREAD).sum(axis=1)
-    facing = _opposite(hand, finger, view)
-    if facing is not None:
-        cost += OPPOSED_COST * 0.5 * (1.0 - normal[:, -1] @ facing)
     table = view.surroundings.table_distance(samples.reshape(-1, 3))
     if table is not None:
         height = table[0].reshape(samples.shape[:2])
@@ -148,20 +112,6 @@ def finger_cost(
     beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
     cost += UNUSUAL_WEIGHT * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
     return cost
-
-
-def _opposite(hand: Skeleton, finger: int, view: HandView) -> np.ndarray | None:
-    """Outward normal that the object should have where a finger touches it: towards the thumb's pad for
-    fingers, away from the mean of the fingers' for the thumb. Unit vector, shape [3]; None if not known."""
-    joints = hand.joints()
-    pads = 0.5 * (joints[3::4] + joints[4::4])
-    distance, normal = view.surroundings.object_distance(pads[4:] if finger < 4 else pads[:4])
-    touching = distance < OPPOSED_NEAR
-    if not touching.any():
-        return None
-    mean = -normal[touching].mean(axis=0)
-    length = float(np.linalg.norm(mean))
-    return mean / length if length > 0.3 else None
 
 
 def _points_cost(hand: Skeleton, finger: int, joints: np.ndarray, view: HandView) -> np.ndarray:

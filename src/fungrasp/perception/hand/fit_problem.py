@@ -53,27 +53,12 @@ LEAST_LANDMARK_SPREAD = 2.0  # Least standard deviation of a landmark [pixels].
 LATE_LANDMARKS = 0.35  # Factor of a landmark's residual once the fingers have been searched, and in the cost.
 HIDDEN_BEHIND = 0.03  # A joint so far behind what is seen there [m] is hidden.
 HIDDEN_LANDMARKS = 0.5  # Further factor of the residual of a hidden joint's landmark then.
-# Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err alike.
-DEPTH_SPREAD = 0.012
 OBJECT_DEPTH = 0.004  # What is seen so near to the known object's surface [m] is the object.
-BACKGROUND_BEHIND = 0.02  # What is seen farther behind a part of the hand [m] is background to it.
 # Number of depth levels that the hand's parts are sorted into to find their background.
 BACKGROUND_LEVELS = 3
 HELD_BACKGROUND_LEVELS = 2  # Number of depth levels where the object is known.
-SILHOUETTE_SPREAD = 3.0  # Standard deviation of the silhouette [pixels].
-# A part farther in the background [pixels] is likelier hidden by a hole in the depth.
-SILHOUETTE_OUTLIER = 20.0
-SILHOUETTE_INSET = 0.7  # Part of the hand's thickness that is surely inside the silhouette.
 DIRECTION_SPREAD = 0.35  # Standard deviation of the landmark model's bone directions [rad].
 TURN_SPREAD = 0.25  # Standard deviation of the turn of all bone directions together [rad].
-# Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm.
-POINT_SPREAD = (0.004, 0.008, 0.025)
-# Number of independent measurements that all measured points together count as: neighbors err alike.
-POINTS_WORTH = 85.0
-FRONT_SPREAD = 0.016  # Standard deviation of how far skin may be in front of what is seen there [m].
-FRONT_OUTLIER = 0.05  # Skin farther in front [m] is likelier a fault of the depth.
-FRONT_SLACK = 0.004  # Skin so little in front [m] is not.
-OVERLAP_SPREAD = 0.002  # Standard deviation of how deep fingers are in each other [m].
 
 
 @dataclass(frozen=True)
@@ -121,8 +106,7 @@ class HandFitProblem:
         self.surroundings = view.surroundings if view is not None else surroundings
         self.size = SIZE if seen is None else SIZE + 3
         if seen is not None:
-            least = LEAST_LANDMARK_SPREAD
-            self._landmark_spread = seen.landmark_spread(LANDMARK_SPREAD, least)
+            self._landmark_spread = seen.landmark_spread(LANDMARK_SPREAD, LEAST_LANDMARK_SPREAD)
         if estimate is not None:
             # W with W^T W the inverse covariance, shape [21, 3, 3].
             self._whitening = np.linalg.cholesky(np.linalg.inv(estimate.covariance)).transpose(0, 2, 1)
@@ -135,9 +119,7 @@ class HandFitProblem:
         points, slopes = SURFACE_SAMPLES.place(*skeleton.joints_and_derivatives())
         pixels, _ = project(points, slopes, lens)
         levels = BACKGROUND_LEVELS if self.view is None else HELD_BACKGROUND_LEVELS
-        self._silhouettes = Silhouettes.around(
-            self.seen.depth, pixels, points[:, 2], levels, BACKGROUND_BEHIND
-        )
+        self._silhouettes = Silhouettes.around(self.seen.depth, pixels, points[:, 2], levels)
         if self.view is not None:
             joints = skeleton.joints()
             self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > HIDDEN_BEHIND
@@ -166,7 +148,7 @@ class HandFitProblem:
         if self.seen is not None:
             found += self._image_evidence(self.seen, parameters, joints, jacobian, stage)
         if self.view is not None:
-            found.append(overlap_evidence(hand, joints, jacobian, OVERLAP_SPREAD))
+            found.append(overlap_evidence(hand, joints, jacobian))
         found += anatomy_evidence(hand)
         if self.surroundings is not None and stage.contact:
             found += contact_evidence(hand, joints, jacobian, self.surroundings)
@@ -194,34 +176,19 @@ class HandFitProblem:
         if self.view is not None:
             distance = self.view.surroundings.object_distance(lens.deproject(pixels, measured))[0]
             of_hand = np.where(distance < OBJECT_DEPTH, 0.0, measured)
-            many = np.sqrt(POINTS_WORTH / max(len(self.view.points), 1))
-            spread = tuple(width / many for width in POINT_SPREAD)
             shown = [
-                point_evidence(hand, joints, jacobian, self.view.points, spread, stage.point_outlier),
-                front_evidence(
-                    points,
-                    slopes,
-                    radius + FRONT_SLACK,
-                    measured,
-                    FRONT_SPREAD,
-                    FRONT_OUTLIER,
-                ),
+                point_evidence(hand, joints, jacobian, self.view.points, stage.point_outlier),
+                front_evidence(points, slopes, radius, measured),
             ]
         bend = DIRECTION_SPREAD if seen.direction_spread is None else seen.direction_spread
         directions = Rotation.from_rotvec(parameters.turn).apply(seen.directions)
         turn_columns = np.hstack([np.zeros((3, SIZE)), np.eye(3)]) / TURN_SPREAD
         return [
             landmark_evidence(joints, jacobian, lens, seen.pixels, landmark_spread),
-            depth_evidence(points, slopes, radius, of_hand, DEPTH_SPREAD, stage.depth_outlier),
+            depth_evidence(points, slopes, radius, of_hand, stage.depth_outlier),
             *shown,
             silhouette_evidence(
-                self._silhouettes,
-                pixels,
-                pixel_slopes,
-                points[:, 2],
-                SILHOUETTE_INSET * radius * lens.fx / points[:, 2],
-                SILHOUETTE_SPREAD,
-                SILHOUETTE_OUTLIER,
+                self._silhouettes, pixels, pixel_slopes, points[:, 2], radius * lens.fx / points[:, 2]
             ),
             direction_evidence(joints, jacobian, directions, bend / weight),
             HandEvidence(parameters.turn / TURN_SPREAD, turn_columns),

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from fungrasp.grasps.human_hand import BONES
 from fungrasp.perception.hand.detected_hand import MIRROR_X, DetectedHand
-from fungrasp.perception.hand.hand_capsules import offsets_from_lines
+from fungrasp.perception.hand.hand_capsules import capsule_distances
 from fungrasp.perception.hand.image_evidence import FAR_BONES, NEAR_BONES
 from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.io.capture import Capture, Intrinsics
@@ -194,8 +194,9 @@ def _skin_colored(pixels: np.ndarray, color: np.ndarray, bones: list[np.ndarray]
     """
     votes = np.zeros(len(pixels))
     for ends in bones:
-        _, offset = offsets_from_lines(pixels, *ends)
-        votes += (np.linalg.norm(offset, axis=-1) < reach).any(axis=1)
+        # Capsules in the image's plane.
+        flat, near, far = (np.insert(points, 2, 0.0, axis=-1) for points in (pixels, *ends))
+        votes += capsule_distances(flat, near, far, np.zeros((len(near), 2))) < reach
     on = np.flatnonzero(votes)
     if len(on) < LEAST_SKIN:
         return np.ones(len(pixels), dtype=bool)

@@ -23,6 +23,20 @@ from fungrasp.perception.io.capture import Intrinsics
 
 NEAR_BONES, FAR_BONES = np.transpose(BONES)
 
+# Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err alike.
+DEPTH_SPREAD = 0.012
+FRONT_SPREAD = 0.016  # Standard deviation of how far skin may be in front of what is seen there [m].
+FRONT_OUTLIER = 0.05  # Skin farther in front [m] is likelier a fault of the depth.
+FRONT_SLACK = 0.004  # Skin so little in front [m] is not.
+SILHOUETTE_SPREAD = 3.0  # Standard deviation of the silhouette [pixels].
+# A part farther in the background [pixels] is likelier hidden by a hole in the depth.
+SILHOUETTE_OUTLIER = 20.0
+SILHOUETTE_INSET = 0.7  # Part of the hand's thickness that is surely inside the silhouette.
+# Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm.
+POINT_SPREAD = np.array([0.004, 0.008, 0.025])
+# Number of independent measurements that all measured points together count as: neighbors err alike.
+POINTS_WORTH = 85.0
+BACKGROUND_BEHIND = 0.02  # What is seen farther behind a part of the hand [m] is background to it.
 FIELD_STEP = 2  # Distances are looked at so many pixels apart: silhouettes are not known better.
 AROUND = 40  # So much is looked at around the hand's parts [pixels].
 NO_BACKGROUND = -1e3  # Distance to the background of a level that has none [pixels].
@@ -68,7 +82,6 @@ def depth_evidence(
     jacobian: np.ndarray,
     radius: np.ndarray,
     measured: np.ndarray,
-    spread: float,
     outlier: tuple[float, float],
 ) -> HandEvidence:
     """The skin seen lies in front of the line between joints by half the hand's thickness.
@@ -76,34 +89,22 @@ def depth_evidence(
     Args:
         radius: distance of the skin from each [m], shape [P].
         measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
-        spread: standard deviation of the difference [m].
         outlier: how far in front of the skin something else is seen, and how far behind [m].
     """
     seen = (measured > 0) & in_front(points, radius)
-    residual = (points[:, 2] - radius - measured)[seen] / spread
-    limit = np.where(residual > 0, outlier[0], outlier[1]) / spread
-    return HandEvidence(residual, jacobian[seen, 2] / spread, limit)
+    residual = (points[:, 2] - radius - measured)[seen] / DEPTH_SPREAD
+    limit = np.where(residual > 0, outlier[0], outlier[1]) / DEPTH_SPREAD
+    return HandEvidence(residual, jacobian[seen, 2] / DEPTH_SPREAD, limit)
 
 
 def front_evidence(
-    points: np.ndarray,
-    jacobian: np.ndarray,
-    radius: np.ndarray,
-    measured: np.ndarray,
-    spread: float,
-    outlier: float,
+    points: np.ndarray, jacobian: np.ndarray, radius: np.ndarray, measured: np.ndarray
 ) -> HandEvidence:
-    """No skin is in front of what is seen.
-
-    Args:
-        radius: distance of the skin from each, and slack [m], shape [P].
-        measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
-        spread: standard deviation of how far skin is in front [m].
-        outlier: skin farther in front is likelier a fault of the depth [m].
-    """
-    ahead = measured - points[:, 2] + radius
+    """No skin is in front of what is seen. Arguments as of ``depth_evidence``."""
+    ahead = measured - points[:, 2] + (radius + FRONT_SLACK)
     wrong = (measured > 0) & (ahead > 0)
-    return HandEvidence(ahead[wrong] / spread, -jacobian[wrong, 2] / spread, outlier / spread)
+    by_step = -jacobian[wrong, 2] / FRONT_SPREAD
+    return HandEvidence(ahead[wrong] / FRONT_SPREAD, by_step, FRONT_OUTLIER / FRONT_SPREAD)
 
 
 def silhouette_evidence(
@@ -112,24 +113,21 @@ def silhouette_evidence(
     slopes: np.ndarray,
     depth: np.ndarray,
     thickness: np.ndarray,
-    spread: float,
-    outlier: float,
 ) -> HandEvidence:
     """Nothing of the hand is where the background is seen.
 
     Args:
         pixels, slopes: of the surface samples and their derivatives, shapes [P, 2] and [P, 2, n].
         depth: of the surface samples [m], shape [P].
-        thickness: least distance of each from the background [pixels], shape [P].
-        spread: standard deviation of that distance [pixels].
-        outlier: a sample deeper in the background [pixels] is likelier hidden by a hole in the depth.
+        thickness: of the hand around each [pixels], shape [P].
     """
     distance, gradient = silhouettes.distance(pixels, depth)
-    residual = distance + thickness
+    residual = distance + SILHOUETTE_INSET * thickness
     out = (residual > 0) & gradient.any(axis=1)
     # Chain rule: image gradient [P, 2] times derivatives of the pixels by the n parameters [P, 2, n].
     by_step = np.einsum("pi,pin->pn", gradient[out], slopes[out])
-    return HandEvidence(residual[out] / spread, by_step / spread, outlier / spread)
+    spread = SILHOUETTE_SPREAD
+    return HandEvidence(residual[out] / spread, by_step / spread, SILHOUETTE_OUTLIER / spread)
 
 
 def direction_evidence(
@@ -161,7 +159,6 @@ def point_evidence(
     joints: np.ndarray,
     jacobian: np.ndarray,
     points: np.ndarray,
-    spread: tuple[float, ...],
     outlier: float,
 ) -> HandEvidence:
     """Every point that shows the hand or its arm lies on the skin.
@@ -169,7 +166,6 @@ def point_evidence(
     Args:
         hand, joints, jacobian: the skeleton, its joints and their derivatives.
         points: [m], shape [P, 3].
-        spread: standard deviation of a point's distance from the skin [m]: at fingers, palm and arm.
         outlier: a point farther from the skin [m] shows something else.
     """
     first, last = HAND_CAPSULES.ends(joints)
@@ -182,7 +178,7 @@ def point_evidence(
     # The nearest point of the bone is a mixture of its joints; the residual falls as it moves outward.
     by_step = np.einsum("pi,pin->pn", normal, jacobian[_NEAR[nearest]]) * (1 - part)
     by_step += np.einsum("pi,pin->pn", normal, jacobian[_FAR[nearest]]) * part
-    width = np.asarray(spread)[kind]
+    width = (POINT_SPREAD / np.sqrt(POINTS_WORTH / max(len(points), 1)))[kind]
     return HandEvidence(distance / width, -by_step / width[:, None], outlier / width)
 
 
@@ -205,7 +201,6 @@ class Silhouettes:
         pixels: np.ndarray,
         parts: np.ndarray,
         levels: int,
-        behind: float,
     ) -> Silhouettes:
         """Look at the image around a hand.
 
@@ -214,14 +209,13 @@ class Silhouettes:
             pixels: of the hand's parts, shape [P, 2].
             parts: their depths [m], shape [P].
             levels: number of depth levels that parts are sorted into.
-            behind: what is farther than a part by this [m] is background to it.
         """
         edge = np.array(depth.shape[::-1])
         low = np.clip(np.floor(pixels.min(axis=0)) - AROUND, 0, edge - 2).astype(int)
         high = np.clip(np.ceil(pixels.max(axis=0)) + AROUND, low + 2, edge).astype(int)
         crop = depth[low[1] : high[1] : FIELD_STEP, low[0] : high[0] : FIELD_STEP]
         depths = np.quantile(parts, np.arange(1, levels + 1) / levels)
-        return cls(low, depths, np.stack([_field(crop > limit + behind) for limit in depths]))
+        return cls(low, depths, np.stack([_field(crop > limit + BACKGROUND_BEHIND) for limit in depths]))
 
     def distance(self, pixels: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How deep each part is in the background.

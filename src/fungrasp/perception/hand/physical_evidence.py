@@ -17,7 +17,7 @@ from fungrasp.perception.hand.hand_capsules import (
     FINGERTIP_SAMPLES,
     HAND_CAPSULES,
     SURFACE_SAMPLES,
-    offsets_from_lines,
+    capsule_distances,
 )
 from fungrasp.perception.hand.skeleton import (
     ALIKE_SPREAD,
@@ -40,6 +40,7 @@ BASE_SPREAD = 0.005  # Standard deviation of where a finger's base is in the pal
 LIMIT_SOFTNESS = np.radians(5.0)
 # Soft tissue gives way by so much [m]: nine in ten of the human grasps at hand have at most that.
 OVERLAP_SLACK = 0.0015
+OVERLAP_SPREAD = 0.002  # Standard deviation of how deep fingers are in each other [m].
 
 
 def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
@@ -111,13 +112,8 @@ def nearest_between(
     return np.clip((uv * t - uw) / uu, 0.0, 1.0), t
 
 
-def overlap_evidence(hand: Skeleton, joints: np.ndarray, jacobian: np.ndarray, spread: float) -> HandEvidence:
-    """Fingers are apart.
-
-    Args:
-        hand, joints, jacobian: the skeleton, its joints and their derivatives.
-        spread: standard deviation of how deep two of them are in each other [m].
-    """
+def overlap_evidence(hand: Skeleton, joints: np.ndarray, jacobian: np.ndarray) -> HandEvidence:
+    """Fingers are apart. Arguments: the skeleton, its joints and their derivatives."""
     first, last = HAND_CAPSULES.ends(joints)
     a, b, c, d = first[_ONE], last[_ONE], first[_OTHER], last[_OTHER]
     s, t = nearest_between(a, b, c, d)
@@ -129,7 +125,8 @@ def overlap_evidence(hand: Skeleton, joints: np.ndarray, jacobian: np.ndarray, s
     inside = np.flatnonzero((gap < 0) & (distance > 1e-6))
     normal = apart[inside] / distance[inside, None]
     slopes = _slopes(jacobian, _ONE[inside], s[inside]) - _slopes(jacobian, _OTHER[inside], t[inside])
-    return HandEvidence(gap[inside] / spread, np.einsum("pi,pin->pn", normal, slopes) / spread)
+    by_step = np.einsum("pi,pin->pn", normal, slopes)
+    return HandEvidence(gap[inside] / OVERLAP_SPREAD, by_step / OVERLAP_SPREAD)
 
 
 def finger_overlap(points: np.ndarray, radius: np.ndarray, hand: Skeleton, finger: int) -> np.ndarray:
@@ -142,10 +139,8 @@ def finger_overlap(points: np.ndarray, radius: np.ndarray, hand: Skeleton, finge
     others = (HAND_CAPSULES.finger >= 0) & (HAND_CAPSULES.finger != finger)
     first, last = HAND_CAPSULES.ends(hand.joints())
     thick = HAND_CAPSULES.radius[others] * np.exp(hand.size)
-    along, away = offsets_from_lines(points, first[others], last[others])
-    distance = np.sqrt(np.einsum("spci,spci->spc", away, away))
-    gap = distance - thick[:, 0] - along * (thick[:, 1] - thick[:, 0]) - radius[:, None] + OVERLAP_SLACK
-    return np.maximum(-gap.min(axis=-1), 0.0)
+    distance = capsule_distances(points.reshape(-1, 3), first[others], last[others], thick)
+    return np.maximum(radius - OVERLAP_SLACK - distance.reshape(points.shape[:2]), 0.0)
 
 
 def _between(ends: np.ndarray, part: np.ndarray) -> np.ndarray:

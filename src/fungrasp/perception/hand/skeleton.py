@@ -163,19 +163,42 @@ class Skeleton:
         joints[0] = self.position
         fingers = joints[1:].reshape(5, 4, 3)
         fingers[:, 0] = self.position + scale * (BASES + self.bases) @ self.turn.T
-        frames = self.turn @ BASE_FRAMES
-        axes, directions = np.empty((5, 3, 3, 3)), np.empty((5, 3, 3))
-        cosine, sine = np.cos(self.angles), np.sin(self.angles)
-        for joint in range(JOINTS_OF_FINGER):
-            c, s = cosine[:, joint], sine[:, joint]
-            axes[:, joint, :, 0] = frames[:, :, 2]
-            frames = frames @ _turns(2, c[:, 0], s[:, 0])
-            axes[:, joint, :, 1] = frames[:, :, 1]
-            frames = frames @ _turns(1, c[:, 1], s[:, 1])
-            axes[:, joint, :, 2] = directions[:, joint] = frames[:, :, 0]
-            frames = frames @ _turns(0, c[:, 2], s[:, 2])
-            fingers[:, joint + 1] = fingers[:, joint] + lengths[:, joint, None] * directions[:, joint]
+        axes, directions = finger_axes(self.turn @ BASE_FRAMES, self.angles)
+        fingers[:, 1:] = fingers[:, :1] + np.cumsum(lengths[..., None] * directions, axis=1)
         return joints, axes, directions
+
+    def finger_joints(self, finger: int, angles: np.ndarray) -> np.ndarray:
+        """Joints of one finger in S postures [m], shape [S, 4, 3].
+
+        angles: [rad], shape [S, 3, 3]: joint, (deviation, flexion, twist).
+        """
+        scale = np.exp(self.size)
+        lengths = scale * LENGTHS[finger] * np.exp(self.bones[finger])
+        frames = np.broadcast_to(self.turn @ BASE_FRAMES[finger], (len(angles), 3, 3))
+        _, directions = finger_axes(frames, angles)
+        base = self.position + scale * self.turn @ (BASES[finger] + self.bases[finger])
+        reach = np.cumsum(lengths[:, None] * directions, axis=1)
+        return base + np.concatenate([np.zeros((len(angles), 1, 3)), reach], axis=1)
+
+
+def finger_axes(frames: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes of F fingers' angles as columns, shape [F, 3, 3, 3], and directions of their bones, [F, 3, 3].
+
+    Args:
+        frames: axes of the extended fingers as columns, shape [F, 3, 3].
+        angles: [rad], shape [F, 3, 3]: joint, (deviation, flexion, twist).
+    """
+    axes, directions = np.empty((len(angles), 3, 3, 3)), np.empty((len(angles), 3, 3))
+    cosine, sine = np.cos(angles), np.sin(angles)
+    for joint in range(JOINTS_OF_FINGER):
+        c, s = cosine[:, joint], sine[:, joint]
+        axes[:, joint, :, 0] = frames[:, :, 2]
+        frames = frames @ _turns(2, c[:, 0], s[:, 0])
+        axes[:, joint, :, 1] = frames[:, :, 1]
+        frames = frames @ _turns(1, c[:, 1], s[:, 1])
+        axes[:, joint, :, 2] = directions[:, joint] = frames[:, :, 0]
+        frames = frames @ _turns(0, c[:, 2], s[:, 2])
+    return axes, directions
 
 
 def _turns(axis: int, c: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -150,14 +150,16 @@ class PoseEvidence:
     foreign: float
     """Part of the given mask's pixels that look like hand or background; 0 without a mask."""
     larger: float
-    """How much larger the outline in the image is than the mesh's silhouette [pixels], see
-    ``SilhouetteEdges``."""
+    """By how much the outline in the image is larger than the mesh's silhouette, from the middle [pixels of
+    an image 640 wide]; negative: smaller."""
     off: float
-    """How far the one is from the other where it is most [pixels]."""
+    """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
+    [pixels of an image 640 wide]."""
     left_over: float
     """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
     mask_piece: float
-    """The largest piece of the given mask beyond the silhouette [pixels]."""
+    """The largest connected piece of the given mask beyond it [pixels]; 0 without a mask. A thing that goes
+    on behind a finger shows again on its other side."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ the same. As in region-based tracking, lines across the silhouette's rim are sea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -74,10 +73,7 @@ def pose_evidence(
         colored=float(view.known.colors is not None),
         edge_width=view.seen.edge_width,
         foreign=view.foreign,
-        larger=edges.larger,
-        off=edges.off,
-        left_over=edges.left_over,
-        mask_piece=edges.mask_piece,
+        **edges,
     )
 
 
@@ -193,29 +189,15 @@ RIM = 2.5, 5.0
 ANOTHER = 0.5
 
 
-@dataclass(frozen=True)
-class SilhouetteEdges:
-    """What the outline of a pose says about it."""
-
-    larger: float
-    """By how much the outline in the image is larger than the silhouette, from the middle [pixels of an image
-    640 wide]; negative: smaller. NaN where too little of it is seen."""
-    off: float
-    """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
-    [pixels]; NaN as above."""
-    left_over: float
-    """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
-    mask_piece: float
-    """The largest connected piece of the given mask beyond it [pixels]; 0 without a mask. A thing that goes
-    on behind a finger shows again on its other side."""
-
-
-def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> SilhouetteEdges:
+def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> dict[str, float]:
     """Compare the silhouette of a pose with the image.
 
     Args:
         pose: object in the camera frame, shape [7].
         owner: the mask that it was fitted to.
+
+    Returns:
+        ``larger``, ``off``, ``left_over`` and ``mask_piece`` of ``PoseEvidence``.
     """
     capture, lens = view.capture, view.capture.intrinsics
     own, mask = view.masks[owner] & capture.measured, capture.mask
@@ -232,7 +214,7 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> Silhouet
     seen = view.known.rays.cast(pose[None], rays)[0].reshape(u.shape)
     inside = np.isfinite(seen)
     if not inside.any():
-        return SilhouetteEdges(np.nan, np.nan, 1.0, 0.0)
+        return {"larger": np.nan, "off": np.nan, "left_over": 1.0, "mask_piece": 0.0}
     from_rim: Any = ndimage.distance_transform_edt(~inside)
     away = step * from_rim
     meters = float(np.median(capture.depth[own])) / lens.fx
@@ -252,7 +234,8 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> Silhouet
             pieces &= height > plane_tolerance(depth)
         piece = step**2 * _largest_piece(pieces, away)
     scale = step * 640 / lens.width
-    return SilhouetteEdges(scale * larger, scale * off, meters * far / view.known.size, piece)
+    far = meters * far / view.known.size
+    return {"larger": scale * larger, "off": scale * off, "left_over": far, "mask_piece": piece}
 
 
 def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
@@ -280,7 +263,7 @@ def edge_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tu
         hidden: where something is in front of the object, shape [H, W] bool.
 
     Returns:
-        ``larger`` and ``off`` of ``SilhouetteEdges`` [pixels].
+        ``larger`` and ``off`` of ``PoseEvidence`` [pixels]; NaN where too little of the outline is seen.
     """
     depth_in: Any = ndimage.distance_transform_edt(inside)
     depth_out: Any = ndimage.distance_transform_edt(~inside)

@@ -35,34 +35,23 @@ from fungrasp.perception.object_pose.scoring import PoseScorer
 BEHIND = 0.01
 # Pixels whose color is the background's forbid the object so far behind what is seen of it [m].
 NOWHERE = 0.2
+# Intrusion of a surface sample into free space [m] at which its pull has fallen to a quarter.
+FREE_SCALE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
     """What the depth image and the table forbid to the object. ``free_space`` makes it."""
 
-    intrinsics: Intrinsics
-    """Intrinsics of the whole image."""
+    lens: np.ndarray
+    """Focal lengths, and the center in ``depth`` [pixels], shape [4]."""
     depth: np.ndarray
     """Depth behind which a surface may be [m], shape [H, W]; 0: anywhere."""
     refuge: np.ndarray
     """Nearest pixel (row, column) that does not show something behind the object, shape [2, H, W]."""
-    table: np.ndarray | None
-    """Plane ``[nx ny nz d]`` with ``n . x + d`` the height above it [m], camera frame, shape [4]."""
-    corner: tuple[int, int] = (0, 0)
-    """Column and row of the whole image at which ``depth``, a part of it, begins."""
-
-    @property
-    def lens(self) -> np.ndarray:
-        """Focal lengths, and the center in ``depth`` [pixels], shape [4]."""
-        k = self.intrinsics
-        return np.array([k.fx, k.fy, k.cx - self.corner[0], k.cy - self.corner[1]])
-
-    @property
-    def lowest(self) -> np.ndarray:
-        """The table's plane, or one that nothing is below, shape [4]."""
-        nowhere = np.array([0.0, 0.0, 0.0, np.inf])
-        return nowhere if self.table is None else np.asarray(self.table, dtype=float)
+    table: np.ndarray
+    """Plane ``[nx ny nz d]`` with ``n . x + d`` the height above it [m], camera frame, shape [4]; without a
+    table one that nothing is below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +78,15 @@ class IcpSettings:
     """Number of surface samples that are used."""
     scale: float
     """Distance [m] at which a point's pull has fallen to a quarter."""
-    free_weight: float = 1.0
-    """Weight of a surface sample in free space, in that of a measured point."""
-    free_scale: float = 0.02
-    """Intrusion of a surface sample into free space [m] at which its pull has fallen to a quarter."""
 
 
 def fit_poses(
     surface: KnownSurface, evidence: ObjectEvidence, poses: np.ndarray, settings: IcpSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move each pose to a nearby minimum of
-    ``mean rho(distance(points)) + free_weight * mean rho(intrusion(samples))`` by Gauss-Newton steps,
-    ``rho(r) = r^2 / (1 + (r / scale)^2)``, means over the points or samples used.
+    ``mean rho(distance(points)) + mean rho(intrusion(samples))`` by Gauss-Newton steps,
+    ``rho(r) = r^2 / (1 + (r / scale)^2)``, means over the points or samples used; the scale of intrusions is
+    ``FREE_SCALE``.
 
     Args:
         poses: starts, object in the camera frame, shape [H, 7].
@@ -118,7 +104,6 @@ def fit_poses(
     from fungrasp.perception.compiled_loops import fit_terms
 
     free, count = evidence.free, len(poses)
-    lens, table = free.lens, free.lowest
     matrix, vector = np.empty((count, 6, 6)), np.empty((count, 6))
     for _ in range(settings.iterations):
         fit_terms(
@@ -127,12 +112,11 @@ def fit_poses(
             weight,
             settings.scale * np.sqrt(wide),
             samples,
-            settings.free_weight,
-            settings.free_scale,
+            FREE_SCALE,
             free.depth,
             free.refuge,
-            lens,
-            table,
+            free.lens,
+            free.table,
             rotation_matrix(poses[:, 3:]),
             np.ascontiguousarray(poses[:, :3]),
             matrix,
@@ -171,7 +155,7 @@ def free_space(
     Args:
         depth: [m], shape [H, W]; 0: not measured.
         shown: which pixels show the object, bool, shape [H, W].
-        table: its plane, see ``FreeSpace``.
+        table: its plane, see ``FreeSpace``, or None.
         tolerance: how far a surface may be in front of the measurement, or below the table [m].
         uncertain: by how much more at each pixel, where the depth is smoothed [m], shape [H, W].
         background: pixels that show no object whatever their depth is, bool, shape [H, W].
@@ -188,8 +172,10 @@ def free_space(
         # Nothing is there but far behind: the way out is sideways.
         allowed = np.where(background & ~shown, np.maximum(allowed, level + NOWHERE), allowed)
     refuge: Any = ndimage.distance_transform_edt(open_space, return_distances=False, return_indices=True)
-    lowered = None if table is None else np.append(table[:3], table[3] + tolerance)
-    return FreeSpace(intrinsics, allowed, refuge, lowered, corner)
+    lowered = np.array([0.0, 0.0, 0.0, np.inf] if table is None else [*table[:3], table[3] + tolerance])
+    k = intrinsics
+    lens = np.array([k.fx, k.fy, k.cx - corner[0], k.cy - corner[1]])
+    return FreeSpace(lens, allowed, refuge, lowered)
 
 
 ROTATIONS = 128  # Starting rotations for the first mask; the others have half as many.

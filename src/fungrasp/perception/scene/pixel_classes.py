@@ -19,6 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from fungrasp.grasps.human_hand import BONES
+from fungrasp.perception.hand.hand_capsules import SURE_SKIN, capsule_distances
 from fungrasp.perception.io.capture import Capture, depth_noise
 
 REACH = 12  # A step is looked for within so many pixels to both sides [pixels of an image 640 wide].
@@ -267,27 +268,17 @@ def _tone_bins() -> tuple[np.ndarray, np.ndarray]:
 _TONE_OF_CELL, _CELLS_OF_TONE = _tone_bins()
 
 
-def hand_in_image(capture: Capture, joints: np.ndarray, radii: np.ndarray, lines: np.ndarray) -> np.ndarray:
+def hand_in_image(capture: Capture, joints: np.ndarray) -> np.ndarray:
     """Distance of every pixel from the outline of a hand in the image, negative inside [m at the hand's
-    depth],
-    shape [H, W].
-
-    Args:
-        joints: of the hand [m], camera frame, shape [21, 3].
-        radii: half the hand's thickness round each line [m], shape [L].
-        lines: joints at the ends of each line, shape [L, 2] int.
-    """
+    depth], shape [H, W]. joints: of the hand [m], camera frame, shape [21, 3]."""
     k = capture.intrinsics
-    pixels = k.project(joints)
     depth = float(np.median(joints[:, 2]))
-    v, u = np.mgrid[0 : k.height : 2, 0 : k.width : 2]
-    best = np.full(u.shape, np.inf)
-    for (first, last), radius in zip(lines, radii, strict=True):
-        start, line = pixels[first], pixels[last] - pixels[first]
-        x, y = u - start[0], v - start[1]
-        along = np.clip((x * line[0] + y * line[1]) / max(float(line @ line), 1e-9), 0.0, 1.0)
-        away = np.hypot(x - along * line[0], y - along * line[1])
-        best = np.minimum(best, away * depth / k.fx - radius)
+    # The hand and its pixels in the plane through its middle that is parallel to the image.
+    ends = (k.project(end) for end in SURE_SKIN.ends(joints))
+    first, last = (k.deproject(end, np.full(len(end), depth)) for end in ends)
+    every = k.rays()[::2, ::2]
+    best = capsule_distances(depth * every.reshape(-1, 3), first, last, SURE_SKIN.radius)
+    best = best.reshape(every.shape[:2])
     return best.repeat(2, axis=0).repeat(2, axis=1)[: k.height, : k.width]
 
 

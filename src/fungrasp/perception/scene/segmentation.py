@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial.distance import cdist
 
-from fungrasp.grasps.human_hand import BONES, FINGER_RADII, LINK_RADII, PALM_RADIUS
+from fungrasp.perception.hand.hand_capsules import SURE_SKIN, capsule_distances
 from fungrasp.perception.io.capture import Box, Capture, Pixel
 from fungrasp.perception.scene.pixel_classes import (
     NEVER,
@@ -27,15 +28,6 @@ from fungrasp.perception.scene.pixel_classes import (
 )
 from fungrasp.perception.scene.table import plane_tolerance
 
-# Lines across the palm that belong to the hand as well, as pairs of joints.
-PALM = ((1, 5), (5, 9), (9, 13), (13, 17), (17, 1))
-# Half the thickness of the hand round each of ``BONES``, then of the lines of ``PALM`` [m].
-CAPSULE_RADII = np.concatenate(
-    [
-        np.column_stack([[PALM_RADIUS] * 4 + [FINGER_RADII[4, 0]], LINK_RADII[1:].reshape(5, 3)]).ravel(),
-        np.full(len(PALM), PALM_RADIUS),
-    ]
-)
 FOREARM = (0.35, 0.045)  # Length and radius of forearm and sleeve [m].
 MARGINS = (0.012, 0.004, 0.02)  # Pixels nearer to the skin [m] are left out of such masks; several are tried.
 TIPS = (4, 8, 12, 16, 20)  # The fingertips among the 21 joints.
@@ -65,39 +57,13 @@ class Segmentation:
     """How many pixels steps in depth are mixed over."""
 
 
-def distance_from_hand(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Distance from the skin of a hand, roughly, negative inside.
-
-    Args:
-        points: [m], shape [P, 3], camera frame.
-        joints: [m], shape [21, 3], camera frame.
-
-    Returns:
-        [m], shape [P].
-    """
-    near, far = joints[np.transpose((*BONES, *PALM))]
-    return _distance_from_capsules(points, near, far, CAPSULE_RADII)
-
-
-def distance_from_forearm(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """``distance_from_hand`` for a sleeved forearm that goes straight on."""
+def _forearm_distance(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Distance of points, shape [P, 3], from a sleeved forearm that goes straight on [m], shape [P]."""
     away = joints[0] - joints[[5, 9]].mean(axis=0)
     away = away / max(float(np.linalg.norm(away)), 1e-6)
     length, radius = FOREARM
     ends = joints[:1] + away * np.array([[radius], [length]])
-    return _distance_from_capsules(points, ends[:1], ends[1:], np.array([radius]))
-
-
-def _distance_from_capsules(
-    points: np.ndarray, near: np.ndarray, far: np.ndarray, radii: np.ndarray
-) -> np.ndarray:
-    # Importing Numba takes half a second: not before it is needed.
-    from fungrasp.geometry.compiling import plain
-    from fungrasp.perception.compiled_loops import line_distances
-
-    distance = np.empty(len(points))
-    line_distances(plain(points), plain(near), plain(far), plain(radii), distance)
-    return distance
+    return capsule_distances(points, ends[:1], ends[1:], np.full((1, 2), radius))
 
 
 def segment(
@@ -127,17 +93,16 @@ def segment(
     if table is not None:
         height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
     if joints is not None and not hinted:
-        tips = joints[list(TIPS)]
-        reach = _distance_from_capsules(points.reshape(-1, 3), tips, tips, np.zeros(len(tips)))
-        prior = np.where(measured & (reach.reshape(prior.shape) < size + 0.03), prior, NEVER)
+        reach = cdist(points.reshape(-1, 3), joints[list(TIPS)]).min(axis=1).reshape(prior.shape)
+        prior = np.where(measured & (reach < size + 0.03), prior, NEVER)
     near = measured & (prior > NEVER)
     candidate = near.copy() if table is None else near & ~(height <= plane_tolerance(capture.depth))
     rows, columns = np.nonzero(candidate)
     flat = points[rows, columns]
     hand, arm = np.full((2, *candidate.shape), np.inf)
     if joints is not None:
-        hand[rows, columns] = distance_from_hand(flat, joints)
-        arm[rows, columns] = distance_from_forearm(flat, joints)
+        hand[rows, columns] = capsule_distances(flat, *SURE_SKIN.ends(joints), SURE_SKIN.radius)
+        arm[rows, columns] = _forearm_distance(flat, joints)
     prior = np.where(measured, prior, NEVER)
     outline, palm, ground = _hand_and_ground(capture, joints, prior > NEVER, samples, height)
     evidence = PixelEvidence(prior, samples, height, spread, outline, arm < hand, palm, ground)
@@ -169,7 +134,7 @@ def _hand_and_ground(
         outline = np.full(near.shape, np.inf)
         palm = np.zeros(near.shape, dtype=bool)
     else:
-        outline = hand_in_image(capture, joints, CAPSULE_RADII, np.array([*BONES, *PALM]))
+        outline = hand_in_image(capture, joints)
         palm = palm_pixels(capture, joints, outline) & ~samples
     # A box or mask is drawn round the object: the table begins right beside it.
     around: Any = ndimage.maximum_filter(near, 2 * GROUND_MARGIN + 1)
