@@ -278,7 +278,7 @@ class CheckGrasps(ObjectsOption, Answering):
         unusual = grouped(check_anatomy(grasps))
         lines += [f"unusual anatomy: {finding}" for finding in unusual]
         lines.append(
-            f"{self.file}: the hands of {len(grasps)} grasps are usable; sound meshes are needed to test the rest"
+            f"{self.file}: the hands of {len(grasps)} grasps are usable; sound meshes would test the rest"
             if found.untested
             else f"{self.file}: {len(grasps)} usable grasps"
         )
