@@ -111,7 +111,15 @@ class PaperTable:
 
     def run(self) -> None:
         prepare_torch()
-        from benchmarks.paper.variants import CONDITIONS, comparison_rows, pooled, table_variants
+        from benchmarks.paper.variants import (
+            CONDITIONS,
+            comparison_rows,
+            curves_svg,
+            paired_rows,
+            paired_tests,
+            pooled,
+            table_variants,
+        )
         from fungrasp.evaluation.result_files import write_result
 
         self._check()
@@ -120,6 +128,7 @@ class PaperTable:
         by_seed = [[self._result(variant, seed) for variant in variants] for seed in self.seeds]
         kept = [list(each) for each in zip(*by_seed, strict=True)]
         numbers = [{which: pooled([one[which] for one in each]) for which in CONDITIONS} for each in kept]
+        tests = paired_tests(variants, kept)
         header = {
             **run_record(list(self.seeds)),
             "table": self.table,
@@ -128,6 +137,7 @@ class PaperTable:
                 {**asdict(variant), "conditions": each}
                 for variant, each in zip(variants, numbers, strict=True)
             ],
+            "paired_tests": tests,
         }
         rows = [
             {"policy": variant.title, "condition": which, "training_seed": seed, **_row(trial)}
@@ -137,7 +147,12 @@ class PaperTable:
             for trial in one[which]["trials"]
         ]
         write_result(self.out / f"{self.table}.json", header, rows)
+        curves = {v.title: self._curves(v) for v in variants if not v.student}
+        if curves and all(curves.values()):
+            (self.out / f"{self.table}.svg").write_text(curves_svg(curves))
         print(table(comparison_rows(variants, numbers)))
+        if tests:
+            print(table(paired_rows(tests)))
         count = len(kept[0][0][CONDITIONS[0]]["trials"])
         print(
             f"{int(self.steps):,} steps each, {len(self.seeds)} seeds, tested on {count} grasps; "
@@ -165,6 +180,18 @@ class PaperTable:
     def _folder(self, variant: Variant, seed: int) -> Path:
         """Where the trainings of a hand with a seed are."""
         return self.out / Path(self._hand(variant)).stem / f"seed-{seed}"
+
+    def _curves(self, variant: Variant) -> list[np.ndarray]:
+        """Learning curves of a variant, one a seed, where there is one: columns steps, success and share held
+        as shown."""
+        from fungrasp.training.learning_curve import CURVE, read_curve
+
+        files = [self._folder(variant, seed) / variant.name / CURVE for seed in self.seeds]
+        return [
+            np.array([(p.steps, p.success, p.held_as_shown) for p in read_curve(file)])
+            for file in files
+            if file.is_file()
+        ]
 
     def _result(self, variant: Variant, seed: int) -> dict[str, Any]:
         """Results of a variant by condition: kept ones, or trained and tested now."""

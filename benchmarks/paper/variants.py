@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, permutation_test
 
 from fungrasp.core.errors import UnknownNameError
 
@@ -143,6 +143,113 @@ def comparison_rows(
         results: of each variant what ``pooled`` gave, by condition.
     """
     return [HEAD, *(_row(variant, each) for variant, each in zip(variants, results, strict=True))]
+
+
+TESTED = (
+    ("success", "nominal"),
+    ("held_as_shown", "nominal"),
+    ("success", "reality"),
+    ("held_as_shown", "reality"),
+)
+"""Measure and condition in which rows are compared."""
+
+
+def paired_tests(
+    variants: Sequence[Variant], kept: Sequence[Sequence[Mapping[str, Any]]]
+) -> list[dict[str, Any]]:
+    """Each row against the paper's own method, on the same grasps.
+
+    A grasp's value is its mean over the seeds, since the same grasp under several seeds is not several
+    grasps. P-values are by sign flips of the differences, two-sided, and adjusted for the number of
+    comparisons (Holm, 1979).
+
+    Args:
+        variants: of a table; the last one with the paper's numbers of its own method is compared with the
+            others.
+        kept: of each variant and seed, by condition, what ``result_json`` gave.
+
+    Returns:
+        A dict for each comparison: ``policy``, ``than``, ``measure``, ``condition``, ``difference``,
+        ``interval`` (95 %) and ``p``.
+    """
+    own = next((i for i in reversed(range(len(variants))) if variants[i].paper is _OURS), None)
+    others = [i for i in range(len(variants)) if i != own]
+    if own is None or not others:
+        return []
+    tests = []
+    for i in others:
+        for measure, condition in TESTED:
+            one, other = (_by_grasp([r[condition] for r in kept[k]], measure) for k in (own, i))
+            difference = one - other
+            low, high = mean_interval(difference, np.arange(len(difference)))
+            p = 1.0
+            if difference.any():
+                p = permutation_test(
+                    (difference,), np.mean, permutation_type="samples", n_resamples=9_999, rng=0
+                ).pvalue
+            tests.append(
+                {
+                    "policy": variants[own].title,
+                    "than": variants[i].title,
+                    "measure": measure,
+                    "condition": condition,
+                    "difference": float(difference.mean()),
+                    "interval": [low, high],
+                    "p": float(p),
+                }
+            )
+    adjusted = 0.0
+    for rank, test in enumerate(sorted(tests, key=lambda test: test["p"])):
+        adjusted = test["p"] = max(adjusted, min(1.0, (len(tests) - rank) * test["p"]))
+    return tests
+
+
+def _by_grasp(results: Sequence[Mapping[str, Any]], measure: str) -> np.ndarray:
+    """Means of a measure over seeds, by grasp; zeros where earlier results do not know it, shape [N]."""
+    return np.mean([[float(trial.get(measure) or 0) for trial in r["trials"]] for r in results], axis=0)
+
+
+def paired_rows(tests: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Head and rows of a table of ``paired_tests``."""
+    head = ("comparison", "measure", "difference", "95 %", f"p, adjusted for {len(tests)}")
+    rows = [
+        (
+            f"{test['policy']} - {test['than']}",
+            f"{test['measure'].replace('_', ' ')}, {test['condition']}",
+            f"{100 * test['difference']:+.1f}",
+            f"{100 * test['interval'][0]:+.0f} – {100 * test['interval'][1]:+.0f}",
+            f"{test['p']:.3f}",
+        )
+        for test in tests
+    ]
+    return [head, *rows]
+
+
+def curves_svg(curves: Mapping[str, Sequence[np.ndarray]]) -> str:
+    """Success and share held as shown over control steps: mean over the seeds, and a band from the lowest to
+    the highest.
+
+    Args:
+        curves: of each row, by title, one array a seed with columns steps, success and share, shape [N, 3].
+    """
+    import io
+
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    for column, title in ((1, "success"), (2, "held as shown")):
+        axes = figure.add_subplot(1, 2, column, title=title, xlabel="control steps [millions]", ylim=(0, 1))
+        for name, seeds in curves.items():
+            steps = seeds[0][:, 0]
+            values = np.array([np.interp(steps, one[:, 0], one[:, column]) for one in seeds])
+            (line,) = axes.plot(1e-6 * steps, values.mean(axis=0), label=f"{name} ({len(seeds)})")
+            axes.fill_between(
+                1e-6 * steps, values.min(axis=0), values.max(axis=0), color=line.get_color(), alpha=0.2
+            )
+    axes.legend(fontsize=8, frameon=False)
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()
 
 
 def _row(variant: Variant, results: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:

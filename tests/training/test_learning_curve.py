@@ -39,7 +39,7 @@ def test_a_training_does_not_notice_its_curve_which_goes_on_from_a_checkpoint(tm
     assert 0.3 < before[0].contact_ratio <= 1 and 0 < before[0].slip_mm_s < 50
     assert not (tmp_path / "without" / CURVE).exists()
     # A point after the checkpoint is dropped.
-    file.write_text(f"{file.read_text()}{9 * BATCH},1.0,0.5,0.5,nan\n")
+    file.write_text(f"{file.read_text()}{9 * BATCH},1.0,0.5,0.5,0.5,nan\n")
     assert np.isnan(read_curve(file)[-1].slip_mm_s)
     run(tmp_path / "with", 3, replace(curve, every=2 * BATCH), sees=sees)
     after = read_curve(file)
@@ -97,7 +97,14 @@ def test_impossible_curves(wrong):
 
 def test_a_curve_is_drawn():
     nan = float("nan")
-    points = np.array([(10, 1.0, 0.5, 0.2, nan), (20, 2.0, 1.0, 0.4, 3.0)])
+    points = np.array([(10, 1.0, 0.5, 0.1, 0.2, nan), (20, 2.0, 1.0, 0.2, 0.4, 3.0)])
     drawing = ElementTree.fromstring(curve_svg(points))
     texts = {text.text for text in drawing.iter("{http://www.w3.org/2000/svg}text")}
-    assert {"success", "contact ratio", "slip [mm/s]", "control steps [millions]", "time [min]"} <= texts
+    assert {
+        "success",
+        "held as shown",
+        "contact ratio",
+        "slip [mm/s]",
+        "control steps [millions]",
+        "time [min]",
+    } <= texts

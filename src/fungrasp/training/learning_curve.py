@@ -39,6 +39,8 @@ class CurvePoint(NamedTuple):
     """Time that they took [s], earlier points of the curve included."""
     success: float
     """Share of the grasps that succeeded."""
+    held_as_shown: float
+    """Share of the grasps that were held as shown; NaN where a curve is older than this number."""
     contact_ratio: float
     """Share of the target links in contact, mean over the hold; zero where the object was lost before."""
     slip_mm_s: float
@@ -118,6 +120,7 @@ class LearningCurve:
                 steps,
                 seconds,
                 float(outcomes.success.mean()),
+                float(outcomes.held_as_shown.mean()),
                 float(np.nan_to_num(outcomes.contact_ratio).mean()),
                 float(held.mean()) if len(held) else float("nan"),
             )
@@ -142,22 +145,30 @@ def read_curve(path: Path) -> list[CurvePoint]:
     """
     rows = list(csv.reader(read_bytes(path, "learning curve", LARGEST).decode(errors="replace").splitlines()))
     try:
-        if tuple(rows[0]) != CurvePoint._fields:
-            raise ValueError("other columns")
-        return [CurvePoint(int(steps), *map(float, others)) for steps, *others in rows[1:]]
-    except (ValueError, TypeError, IndexError) as error:
+        known = [dict(zip(rows[0], map(float, row), strict=True)) for row in rows[1:]]
+        older = {"held_as_shown": float("nan")}
+        return [CurvePoint(**older | point | {"steps": int(point["steps"])}) for point in known]
+    except (ValueError, TypeError, KeyError, IndexError) as error:
         raise FungraspError(f"{path} is damaged, or not a learning curve") from error
 
 
 ACROSS = ((0, 1e-6, "control steps [millions]"), (1, 1 / 60, "time [min]"))
 """Column, factor and title of what the panels beside each other are over."""
-DOWN = ((2, "success", (0.0, 1.0)), (3, "contact ratio", (0.0, 1.0)), (4, "slip [mm/s]", None))
+DOWN = (
+    (2, "success", (0.0, 1.0)),
+    (3, "held as shown", (0.0, 1.0)),
+    (4, "contact ratio", (0.0, 1.0)),
+    (5, "slip [mm/s]", None),
+)
 """Column, title and limits of what the panels below each other show."""
 
 
 def curve_svg(points: np.ndarray) -> str:
-    """Success, contact ratio and slip over control steps and over time. points: columns of ``CurvePoint``,
-    shape [N, 5]."""
+    """Success, share held as shown, contact ratio and slip over control steps and over time.
+
+    Args:
+        points: columns of ``CurvePoint``, shape [N, 6].
+    """
     panels = []
     for measure, title, limits in DOWN:
         for column, (over, factor, across) in enumerate(ACROSS):

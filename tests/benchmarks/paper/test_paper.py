@@ -8,7 +8,13 @@ from benchmark_runs import run_benchmark
 from grasp_files import some_grasps
 
 from benchmarks.paper.__main__ import PaperTable
-from benchmarks.paper.variants import CONDITIONS, mean_interval
+from benchmarks.paper.variants import (
+    CONDITIONS,
+    TABLES,
+    curves_svg,
+    mean_interval,
+    paired_tests,
+)
 from fungrasp.evaluation.result_files import read_result
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.grasps import save_human_grasps
@@ -74,3 +80,31 @@ def test_the_interval_of_a_mean_counts_groups_not_values():
     narrower = wilson_interval(3 * int(of_grasp.sum()), 300)
     assert high - low > 1.4 * (narrower[1] - narrower[0])
     assert mean_interval(np.array([0.0, 1.0]), [4, 4]) == (0.5, 0.5)
+
+
+def test_rows_are_compared_on_the_same_grasps_and_for_the_number_of_comparisons():
+    rng = np.random.default_rng(0)
+    easy = rng.random(60) < 0.5
+
+    def results(success):
+        trials = [{"index": i, "success": bool(one), "held_as_shown": False} for i, one in enumerate(success)]
+        return {name: {"trials": trials} for name in CONDITIONS}
+
+    variants = [v for v in TABLES["privileged"] if v.name in ("without", "student")]
+    better = [results(easy | (np.arange(60) < 30)) for _ in range(2)]
+    tests = paired_tests(variants, [[results(easy) for _ in range(2)], better])
+    assert len(tests) == 4 and {test["than"] for test in tests} == {"w/o Priv. Info."}
+    success = tests[0]
+    gained = float(((np.arange(60) < 30) & ~easy).mean())
+    assert success["difference"] == pytest.approx(gained)
+    assert success["interval"][0] < gained < success["interval"][1] and success["p"] < 0.01
+    assert tests[1]["difference"] == 0 and tests[1]["p"] == 1.0, "never held as shown"
+    # Two seeds that agree tell no more than one.
+    assert paired_tests(variants, [[results(easy)], better[:1]]) == tests
+    assert paired_tests(variants[:1], [better]) == []
+
+
+def test_curves_have_a_band_over_the_seeds():
+    one = np.array([[1e5, 0.2, 0.0], [2e5, 0.4, 0.1]])
+    drawn = curves_svg({"Teacher": [one, one + np.array([0.0, 0.2, 0.1])]})
+    assert drawn.count("Teacher (2)") == 1 and "held as shown" in drawn
