@@ -76,11 +76,26 @@ def test_contact_pays_target_links_and_their_force_up_to_the_cap(array):
         [9.0] * 4,
     ]
     mass = [0.1, 0.1, 0.2, 0.4, 0.2]
-    result = reward.contact_reward(array(contacts), array(targets), array(forces), array(mass))
+    given = array(contacts), array(targets), array(forces), array(mass), array(np.ones((5, 4)))
+    result = reward.contact_reward(*given)
     # The caps are 4.905, 4.905, 9.81, 19.62 and 9.81 N.
     check(result, array, [1 / 2 + 1 / 4.905, 1 + 1, 1 + 1 / 2, 1 + 1 / 2, 0.0])
-    lighter = reward.contact_reward(array(contacts), array(targets), array(forces), array(mass), cap=10.0)
+    lighter = reward.contact_reward(*given, cap=10.0)
     check(lighter, array, [1 / 2 + 0.5 / 4.905, 1 + 1, 1 + 1 / 4, 1 + 1 / 4, 0.0])
+
+
+def test_contacts_count_by_how_close_they_are_to_their_places(array):
+    targets = np.zeros((4, 2, 3))
+    keypoints = targets.copy()
+    keypoints[1, 0] = [0.0, 0.012, 0.016]
+    keypoints[2, 0] = [0.04, 0.0, 0.0]
+    keypoints[3] = 9.0
+    closeness = reward.closeness(array(keypoints), array(targets))
+    check(closeness, array, [[1.0, 1.0], [0.5, 1.0], [0.0, 1.0], [0.0, 0.0]])
+    both = array(np.ones((4, 2), dtype=bool))
+    check(reward.shown_share(both, both, closeness), array, [1.0, 0.75, 0.5, 0.0])
+    forces, mass = array(np.tile([4.905, 0.0], (4, 1))), array([0.2] * 4)
+    check(reward.contact_reward(both, both, forces, mass, closeness), array, [1.5, 1.0, 0.5, 0.0])
 
 
 def test_safety_sums_undesired_forces_and_is_bounded(array):
@@ -163,7 +178,7 @@ def test_terms_stay_within_their_bounds_whatever_happens(seed: int, size: float)
         (reward.position_reward(points, others, np.ones(4)), -1.0, 0.0),
         (reward.approach_reward(points, others, 0.3), -1.0, 0.0),
         (reward.dynamic_contact_weight(points, others, wanted), 0.0, 2.0),
-        (reward.contact_reward(touching, wanted, forces, mass), 0.0, 2.0),
+        (reward.contact_reward(touching, wanted, forces, mass, reward.closeness(points, others)), 0.0, 2.0),
         (reward.safety_reward(forces, forces[:, 0]), -1.0, 0.0),
         (reward.posture_reward(points[:, None], others[:, None]), -2.0, 1e-12),
         (reward.lift_reward(points[:, 0, 0], 0.1), 0.0, 1.0),

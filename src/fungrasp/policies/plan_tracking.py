@@ -266,14 +266,17 @@ def _keypoints(hand: Hand, count: int, on: Array) -> Callable[[Array], Array]:
 
 
 def without_motion(plans: GraspPlan) -> GraspPlan:
-    """Plans that ask for the grasp at every step, until the lift and beyond it; they lift as late."""
+    """Plans that ask for the grasp at every step, until the lift and beyond it; they close and lift as late.
+
+    From the closing on, the goal stays where it is: a goal that follows the object until the lift leads the
+    hand after an object that it pushes, by 35 mm in the median.
+    """
     return replace(
         plans,
         palm_goal_object=plans.grasp_palm_pose[:, None],
         finger_targets=plans.grasp_joints[:, None],
         palm_setpoint_object=plans.palm_setpoint_object[:, :1],
         palm_velocity=plans.palm_velocity[:, :1],
-        closing_step=plans.lift_step,
     )
 
 

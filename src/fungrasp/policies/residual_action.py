@@ -22,8 +22,8 @@ class ResidualSettings:
 
     base: Base = "plan"
     """"plan": actions correct the planned motion. "guided", as in the authors' released code: actions correct
-    the wrist pose of the grasp, moved with the tracked object, and the measured joints; the plan gives only
-    the grasp and the time of the lift."""
+    the wrist pose of the grasp, moved with the tracked object until the fingers close, and the measured
+    joints; the plan gives only the grasp and the times of closing and lift."""
 
     position: float = 0.03
     """Shift of the wrist for an action of 1, along each axis [m]."""

@@ -16,6 +16,7 @@ from array_api_compat import array_namespace
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.geometry.poses import Array
+from fungrasp.grasps.as_shown import NEAR
 from fungrasp.objects.object_model import GRAVITY
 
 
@@ -39,8 +40,11 @@ class RewardWeights:
     """Weight of ``stability_reward``, in [-1, 0]."""
     action: float = 0.02
     """Weight of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
-    success: float = 10.0
+    success: float = 5.0
     """Reward for a successful end of the episode (term: 1 there, 0 elsewhere)."""
+    shown: float = 10.0
+    """Reward for a successful end of the episode by how it is held (term: ``shown_share`` there, 0
+    elsewhere)."""
     drop: float = -3.0
     """Reward for losing the object (term: 1 there, 0 elsewhere)."""
 
@@ -138,18 +142,55 @@ def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) ->
     return xp.clip(ratio, 0.0, 2.0)
 
 
-def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, cap: float = 5.0) -> Array:
-    """The right links touch the object, and press (r_c of section IV.B.2, after D-Grasp).
+def closeness(keypoints: Array, targets: Array, near: float = NEAR) -> Array:
+    """How close links are to where the reference has them: 1 there, 1/2 at ``near``, 0 from twice that.
 
-    ``r_c = |c and c'| / |c'| + min(sum_j c'_j f_j, F) / F`` with ``F = cap m g``. Pressing harder than
-    ``cap`` times the object's weight, summed over the links that should touch, is not paid for. Zero in a
-    world without targets.
+    Args:
+        keypoints: a point on each link [m], object frame, shape [W, L, 3].
+        targets: those points in the reference [m], object frame, shape [W, L, 3].
+        near: largest distance that counts as the same place (``grasps.as_shown``) [m].
+
+    Returns:
+        In [0, 1], shape [W, L].
+    """
+    xp = array_namespace(keypoints, targets)
+    return xp.clip(1.0 - xp.linalg.vector_norm(keypoints - targets, axis=-1) / (2.0 * near), 0.0, 1.0)
+
+
+def shown_share(contacts: Array, targets: Array, closeness: Array) -> Array:
+    """Share of the links that should touch that do, each weighted by its closeness:
+    ``sum_j c_j c'_j k_j / |c'|``, 0 in a world without targets.
+
+    Args:
+        contacts: which links touch the object, shape [W, L] bool.
+        targets: which links should, shape [W, L] bool.
+        closeness: of each link, in [0, 1], shape [W, L].
+
+    Returns:
+        In [0, 1], shape [W].
+    """
+    xp = array_namespace(contacts, targets, closeness)
+    wanted = xp.astype(targets, closeness.dtype)
+    touching = wanted * xp.astype(contacts, closeness.dtype)
+    return xp.sum(touching * closeness, axis=-1) / xp.clip(xp.sum(wanted, axis=-1), 1.0, None)
+
+
+def contact_reward(
+    contacts: Array, targets: Array, forces: Array, mass: Array, closeness: Array, cap: float = 5.0
+) -> Array:
+    """The right links touch the object in the right places, and press (r_c of section IV.B.2, after D-Grasp).
+
+    ``r_c = sum_j c_j c'_j k_j / |c'| + min(sum_j c'_j k_j f_j, F) / F`` with ``F = cap m g``. Pressing harder
+    than ``cap`` times the object's weight, summed over the links that should touch, is not paid for. Zero in
+    a world without targets. The paper's term has no closeness ``k``: with it alone, policies hold objects,
+    but not as shown.
 
     Args:
         contacts: which links touch the object, shape [W, L] bool.
         targets: which links should, shape [W, L] bool.
         forces: net contact force of each link on the object [N], magnitude, shape [W, L].
         mass: of the object [kg], positive, shape [W].
+        closeness: of each link, in [0, 1], shape [W, L].
         cap: in units of the object's weight.
 
     Returns:
@@ -157,10 +198,8 @@ def contact_reward(contacts: Array, targets: Array, forces: Array, mass: Array, 
     """
     xp = array_namespace(contacts, targets, forces, mass)
     wanted = xp.astype(targets, forces.dtype)
-    touching = xp.astype(contacts & targets, forces.dtype)
-    number = xp.clip(xp.sum(wanted, axis=-1), 1.0, None)
-    pressed = xp.sum(wanted * forces, axis=-1) / (cap * GRAVITY * mass)
-    return xp.sum(touching, axis=-1) / number + xp.clip(pressed, 0.0, 1.0)
+    pressed = xp.sum(wanted * closeness * forces, axis=-1) / (cap * GRAVITY * mass)
+    return shown_share(contacts, targets, closeness) + xp.clip(pressed, 0.0, 1.0)
 
 
 def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) -> Array:

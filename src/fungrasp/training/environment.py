@@ -215,6 +215,7 @@ class TrainingEnvironment:
         success = task.done & ~lost & task.measurements.success
         once = {"success": success, "drop": done & ~success}
         once = {name: xp.astype(flags, task.time.dtype) for name, flags in once.items()}
+        once["shown"] = once["success"] * terms["shown"]
         reward = total(terms | once, s.reward)
         reward = xp.where(xp.isfinite(reward), reward, 0.0)
         reward = xp.where(diverged, s.reward.drop, reward)

@@ -44,7 +44,7 @@ class LiftReward:
         self._link_ends = np.array(ends)
 
     def terms(self, state: TrackingState, privileged: Privileged, previous_action: Array) -> dict[str, Array]:
-        """Terms of the reward by name, each of shape [W].
+        """Terms of the reward by name, each of shape [W]; "shown" counts where an episode ends in success.
 
         Args:
             previous_action: the one before the state's, shape [W, A].
@@ -56,7 +56,8 @@ class LiftReward:
         lifting, where = target.since_lift >= 0, array_namespace(keypoints).where
         weights, ends = (constant(keypoints, values) for values in (self._weights, self._link_ends))
         weight = reward.dynamic_contact_weight(now.keypoints[:, ends], goal_in_palm[:, ends], target.contacts)
-        contact = reward.contact_reward(p.contacts, target.contacts, p.forces, target.mass)
+        close = reward.closeness(keypoints[:, ends], target.keypoints[:, ends])
+        contact = reward.contact_reward(p.contacts, target.contacts, p.forces, target.mass, close)
         slip, spin = self._relative_motion(state)
         drift = reward.stability_reward(p.object_velocity[:, :3], p.object_velocity[:, 3:])
         held = reward.stability_reward(slip, spin, velocity_unit=0.03, spin_unit=0.5)
@@ -70,6 +71,7 @@ class LiftReward:
             "lift": where(lifting, reward.lift_reward(p.lifted_height, self._goal), 0.0),
             "stability": where(lifting, held, drift),
             "action": reward.action_reward(state.action, previous_action),
+            "shown": reward.shown_share(p.contacts, target.contacts, close),
         }
         if self._start_distance is not None:
             terms["approach"] = reward.approach_reward(keypoints, target.keypoints, self._start_distance)
