@@ -100,6 +100,15 @@ def test_an_emulators_cell_is_none_of_a_robot(tmp_path: Path, name: str) -> None
         load_cell(path)
 
 
+def test_a_cell_that_says_that_its_safety_filter_is_on_still_loads(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(GOOD + 'guard = "on"\n')
+    assert load_cell(path).hand == "allegro"
+    path.write_text(GOOD + 'guard = "off"\n')
+    with pytest.raises(FungraspError, match="no field 'guard'"):
+        load_cell(path)
+
+
 def test_a_hand_stays_above_the_table_unless_its_cell_says_otherwise() -> None:
     box, palm = RobotCell("allegro").workspace, np.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0])
     assert check_posture(palm, Clearance(0.03, 0.006, 0.03), box) == ""

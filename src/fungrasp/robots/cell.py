@@ -237,7 +237,11 @@ def load_cell(name: str | Path) -> RobotCell:
         if str(name) not in cell_files():
             raise UnknownNameError("robot cell", str(name), cell_files())
         path = cell_files()[str(name)]
-    cell = record_from_json(RobotCell, read_toml(path, "cell file"), str(path))
+    values = read_toml(path, "cell file")
+    if values.get("guard") == "on":
+        # Cells written before the safety filter could not be switched off say that it is on.
+        del values["guard"]
+    cell = record_from_json(RobotCell, values, str(path))
     if cell.tracker.calibration:
         file = path.parent / cell.tracker.calibration
         known = {**vars(cell.tracker), **_calibration(file)}
