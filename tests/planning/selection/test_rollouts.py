@@ -12,7 +12,7 @@ from planned_grasps import plan as shown_plan
 import fungrasp.planning.selection.rollouts as rollouts
 from fungrasp.planning.selection.candidates import HOPE, HOPE_WEIGHT, Candidates, Tally
 from fungrasp.planning.selection.rollouts import RolloutTrials, roll_out
-from fungrasp.planning.selection.settings import RolloutSettings
+from fungrasp.planning.selection.settings import RolloutSettings, SelectionSettings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.sim2real import MODERATE, NOMINAL, EpisodeSample, MeasurementError, Randomization, draw
 from fungrasp.task import Action, GraspPlan, LiftEnvironment, Observation, play
@@ -141,6 +141,11 @@ def test_each_third_rollout_is_the_whole_motion_in_the_believed_world(monkeypatc
     monkeypatch.setattr(rollouts, "roll_out", spy)
     tried(candidates(plan()), 4)
     assert seen == [(0.3, 0.01, False), (0.3, 0.01, False), (3.0, 0.005, True), (0.3, 0.01, False)]
+    seen.clear()
+    reality = SelectionSettings.for_protocol("reality").rollouts
+    assert reality is not None
+    tried(candidates(plan()), 2, replace(reality, randomization=MODERATE, rehearsed=MODERATE))
+    assert seen == [(3.0, 0.005, False)] * 2, "there each is, in worlds that are not as believed"
 
 
 def test_slip_counts_against_a_plan():

@@ -91,7 +91,7 @@ class RolloutTrials:
         self._beliefs, self._policy, self._threads, self.settings = beliefs, policy, threads, settings
         self._whole = replace(
             settings,
-            randomization=NOMINAL,
+            randomization=settings.rehearsed,
             timestep=SceneSettings.timestep,
             hold_time=LiftProtocol.hold_time,
             early=WHOLE,
@@ -100,9 +100,10 @@ class RolloutTrials:
             _scene(object_names, objects, hand, s) for s in (settings, self._whole)
         )
         self._believed = draw(NOMINAL, 1, len(hand.joint_names), random_stream("rollouts", *seed))
-        self._sample = draw(
-            settings.randomization, number, len(hand.joint_names), random_stream("rollouts", *seed)
-        )
+        self._samples = [
+            draw(drawn, number, len(hand.joint_names), random_stream("rollouts", *seed))
+            for drawn in (settings.randomization, settings.rehearsed)
+        ]
         self._pose_errors = random_stream("believed pose errors", *seed).normal(size=(number, 6))
         self._mass_errors = random_stream("believed mass errors", *seed).normal(size=number)
 
@@ -133,12 +134,13 @@ class RolloutTrials:
     ) -> None:
         tally = candidates.tally
         rows, beliefs = chosen * len(grasps) + which, self._beliefs.select(grasps[which])
-        if s is self._whole:
+        if s is self._whole and s.randomization == NOMINAL:
             sample = self._believed.select(np.zeros(len(rows), dtype=int))
         else:
             draws = tally.tried[chosen, which].astype(int)
             pose, mass = self._pose_errors[draws], self._mass_errors[draws]
-            sample = _with_estimated_errors(self._sample.select(draws), beliefs, pose, mass)
+            sample = self._samples[s is self._whole].select(draws)
+            sample = _with_estimated_errors(sample, beliefs, pose, mass)
         tasks = candidates.grasps.select(rows).task if s.for_use else None
         plans = candidates.plans.select(rows)
         found = roll_out(plans, beliefs, sample, scene, self._policy, s, self._threads, tasks)
