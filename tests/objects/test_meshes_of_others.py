@@ -12,7 +12,7 @@ import trimesh
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.objects import load_object
-from fungrasp.objects.mesh_file import _doubts
+from fungrasp.objects.mesh_file import mesh_doubts
 
 FOREIGN = Path(__file__).parents[3] / "shared" / "data" / "foreign" / "files"
 
@@ -75,7 +75,7 @@ def test_the_table_is_told_in_any_position() -> None:
         for place in (np.eye(4), turn):
             mesh = whole.copy()
             mesh.apply_transform(place)
-            said = list(_doubts(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
+            said = list(mesh_doubts(np.asarray(mesh.vertices), np.asarray(mesh.faces)))
             assert bool(said) == told
             if told:
                 terms, least = re.search(r"all with (.*) < (-?[\d.]+) m", said[0]).groups()  # type: ignore[union-attr]

@@ -147,7 +147,7 @@ def read_curve(path: Path) -> list[CurvePoint]:
     try:
         known = [dict(zip(rows[0], map(float, row), strict=True)) for row in rows[1:]]
         older = {"held_as_shown": float("nan")}
-        return [CurvePoint(**older | point | {"steps": int(point["steps"])}) for point in known]
+        return [CurvePoint(int(point.pop("steps")), **older | point) for point in known]
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise FungraspError(f"{path} is damaged, or not a learning curve") from error
 
