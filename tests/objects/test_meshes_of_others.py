@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.objects import load_object
+from fungrasp.objects import load_object, object_registry
 from fungrasp.objects.mesh_file import mesh_doubts
 
 FOREIGN = Path(__file__).parents[3] / "shared" / "data" / "foreign" / "files"
@@ -51,6 +51,9 @@ MESHES: dict[str, tuple[float, float, float] | str] = {
 @pytest.mark.skipif(not FOREIGN.is_dir(), reason="needs the files of others in ../shared/data/foreign")
 @pytest.mark.parametrize("name", MESHES)
 def test_meshes_of_others_are_right_or_refused(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    # A mesh that another test has loaded in this process is not read again, and says nothing.
+    object_registry._from_file.cache_clear()
+    object_registry._mesh.cache_clear()
     kinds = (".obj", ".ply", ".glb", ".stl")
     (path,) = (path for path in (FOREIGN / name).iterdir() if path.suffix in kinds)
     expected = MESHES[name]
