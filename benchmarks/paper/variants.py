@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import bootstrap, permutation_test
 
 from fungrasp.core.errors import UnknownNameError
+from fungrasp.core.plots import PlotLine, PlotPanel, panels_svg
 
 CONDITIONS = ("nominal", "nominal, not adapted", "reality")
 """What each policy is tried in: worlds as believed; the same with grasps that are not adapted to the settled
@@ -232,24 +233,18 @@ def curves_svg(curves: Mapping[str, Sequence[np.ndarray]]) -> str:
     Args:
         curves: of each row, by title, one array a seed with columns steps, success and share, shape [N, 3].
     """
-    import io
-
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    panels = []
     for column, title in ((1, "success"), (2, "held as shown")):
-        axes = figure.add_subplot(1, 2, column, title=title, xlabel="control steps [millions]", ylim=(0, 1))
+        lines = []
         for name, seeds in curves.items():
             steps = seeds[0][:, 0]
             values = np.array([np.interp(steps, one[:, 0], one[:, column]) for one in seeds])
-            (line,) = axes.plot(1e-6 * steps, values.mean(axis=0), label=f"{name} ({len(seeds)})")
-            axes.fill_between(
-                1e-6 * steps, values.min(axis=0), values.max(axis=0), color=line.get_color(), alpha=0.2
-            )
-    axes.legend(fontsize=8, frameon=False)
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-    return text.getvalue()
+            band = np.array([values.min(axis=0), values.max(axis=0)])
+            # One legend stands for both panels.
+            label = f"{name} ({len(seeds)})" if column == 2 else ""
+            lines.append(PlotLine(1e-6 * steps, values.mean(axis=0), label, band=band))
+        panels.append(PlotPanel(title, "control steps [millions]", title, lines, limits=(0.0, 1.0)))
+    return panels_svg(panels, columns=2, height=3.2)
 
 
 def _row(variant: Variant, results: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:

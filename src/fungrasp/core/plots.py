@@ -32,6 +32,8 @@ class PlotLine:
     """Of matplotlib; the next one of its cycle if None."""
     style: str = "-"
     """Of matplotlib: "-", "--", ":", or "o" for marks alone."""
+    band: np.ndarray | None = None
+    """Lower and upper end of a band around the line, shape [2, N]; no band if None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,11 @@ def _draw_panel(axes: Any, panel: PlotPanel) -> None:
         if line.color is not None:
             style["color"] = line.color
         name = f"{panel.title or panel.y} {number}"
-        axes.plot(line.x[::step], line.y[::step], label=line.label or None, lw=1.2, gid=name, **style)
+        (drawn,) = axes.plot(
+            line.x[::step], line.y[::step], label=line.label or None, lw=1.2, gid=name, **style
+        )
+        if line.band is not None:
+            axes.fill_between(line.x[::step], *line.band[:, ::step], color=drawn.get_color(), alpha=0.2)
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)

@@ -99,7 +99,6 @@ class RolloutTrials:
         self._scene, self._true_scene = (
             _scene(object_names, objects, hand, s) for s in (settings, self._whole)
         )
-        self._believed = draw(NOMINAL, 1, len(hand.joint_names), random_stream("rollouts", *seed))
         self._samples = [
             draw(drawn, number, len(hand.joint_names), random_stream("rollouts", *seed))
             for drawn in (settings.randomization, settings.rehearsed)
@@ -134,13 +133,13 @@ class RolloutTrials:
     ) -> None:
         tally = candidates.tally
         rows, beliefs = chosen * len(grasps) + which, self._beliefs.select(grasps[which])
-        if s is self._whole and s.randomization == NOMINAL:
-            sample = self._believed.select(np.zeros(len(rows), dtype=int))
-        else:
-            draws = tally.tried[chosen, which].astype(int)
-            pose, mass = self._pose_errors[draws], self._mass_errors[draws]
-            sample = self._samples[s is self._whole].select(draws)
-            sample = _with_estimated_errors(sample, beliefs, pose, mass)
+        draws = tally.tried[chosen, which].astype(int)
+        sample = self._samples[s is self._whole].select(draws)
+        if s is not self._whole or s.randomization != NOMINAL:
+            # Otherwise the world is as believed.
+            sample = _with_estimated_errors(
+                sample, beliefs, self._pose_errors[draws], self._mass_errors[draws]
+            )
         tasks = candidates.grasps.select(rows).task if s.for_use else None
         plans = candidates.plans.select(rows)
         found = roll_out(plans, beliefs, sample, scene, self._policy, s, self._threads, tasks)
