@@ -5,23 +5,19 @@ from __future__ import annotations
 import pickle
 import threading
 
-import numpy as np
-
 from fungrasp.robots.control_loop.loop_worker import LoopTask, run_device_loop
-from fungrasp.robots.control_loop.mailbox import Mailbox, goal_kind, mailbox_size, state_kind
+from fungrasp.robots.control_loop.mailbox import SIZE, GoalMessage, mailboxes
 
 
 class LoopThread:
     """In place of ``LoopProcess``."""
 
-    def __init__(self, task: LoopTask, goal: np.ndarray):
-        """goal: the first, a record of ``goal_kind``."""
-        count = len(task.loop.limits.lower)
-        self.goals = Mailbox(memoryview(bytearray(mailbox_size(goal_kind(count)))), goal_kind(count))
-        self.states = Mailbox(memoryview(bytearray(mailbox_size(state_kind(count)))), state_kind(count))
+    def __init__(self, task: LoopTask, goal: GoalMessage):
+        """goal: the first."""
+        self.goals, self.reports = mailboxes(memoryview(bytearray(2 * SIZE)))
         self.goals.write(goal)
         # A copy, as a process would get one: a loop is opened once.
-        arguments = (pickle.loads(pickle.dumps(task)), self.goals, self.states)
+        arguments = (pickle.loads(pickle.dumps(task)), self.goals, self.reports)
         self._thread = threading.Thread(
             target=run_device_loop, args=arguments, daemon=True, name=task.loop.name
         )

@@ -16,21 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopMode
+from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_worker import FOLLOWING, LENGTH, LoopTask
-from fungrasp.robots.control_loop.mailbox import (
-    ENDED,
-    MESSAGE_BYTES,
-    STARTING,
-    Mailbox,
-    goal_kind,
-    joint_state,
-    mailbox_size,
-    put_state,
-    record_message,
-    shared_memory,
-    state_kind,
-)
+from fungrasp.robots.control_loop.mailbox import GoalMessage, LoopReport, mailboxes, shared_memory
 from fungrasp.robots.device import DeviceStatus, JointDriver, JointLimits, JointState, RobotError, StopKind
 
 _log = logging.getLogger(__name__)
@@ -50,14 +38,10 @@ def worker_environment() -> dict[str, str]:
 class LoopProcess:
     """A device's loop in a process of its own, which ends when this one does."""
 
-    def __init__(self, task: LoopTask, goal: np.ndarray):
-        """goal: the first, a record of ``goal_kind``."""
-        count = len(task.loop.limits.lower)
-        first = mailbox_size(goal_kind(count))
-        descriptor, memory = shared_memory(first + mailbox_size(state_kind(count)))
-        view = memoryview(memory)
-        self.goals = Mailbox(view[:first], goal_kind(count))
-        self.states = Mailbox(view[first:], state_kind(count))
+    def __init__(self, task: LoopTask, goal: GoalMessage):
+        """goal: the first."""
+        descriptor, memory = shared_memory()
+        self.goals, self.reports = mailboxes(memory)
         self.goals.write(goal)
         self._child = subprocess.Popen(
             [sys.executable, "-m", "fungrasp.robots.control_loop.loop_worker"],
@@ -131,7 +115,7 @@ class LoopDriver(JointDriver):
     to (``resume``), and the device holds.
     """
 
-    def __init__(self, loop: DeviceLoop, host: Callable[[LoopTask, np.ndarray], Any] = LoopProcess):
+    def __init__(self, loop: DeviceLoop, host: Callable[[LoopTask, GoalMessage], Any] = LoopProcess):
         """
         Args:
             loop: the device, not opened.
@@ -146,8 +130,8 @@ class LoopDriver(JointDriver):
         self._count = len(loop.limits.lower)
         self._lock = threading.Lock()
         self._host: Any = None
-        self._goal = np.zeros((), dtype=goal_kind(self._count))
-        self._waiting = np.zeros((), dtype=state_kind(self._count))
+        self._nothing = np.zeros(self._count)
+        self._goal, self._order = LoopGoal(LoopMode.IDLE, self._nothing, self._nothing), 0
         self._stopped: str | None = None
         self._controls = self._was_taken = False
         self._beat, self._heard, self._asked = -1.0, 0.0, 0.0
@@ -189,7 +173,7 @@ class LoopDriver(JointDriver):
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
         positions = np.asarray(positions, dtype=float)
-        torques = np.zeros(self._count) if feedforward is None else np.asarray(feedforward, dtype=float)
+        torques = self._nothing if feedforward is None else np.asarray(feedforward, dtype=float)
         for what, values in (("goal", positions), ("feed-forward torque", torques)):
             if values.shape != (self._count,):
                 raise RobotError(f"{self.name}: the {what} has shape {values.shape}, not ({self._count},)")
@@ -200,8 +184,8 @@ class LoopDriver(JointDriver):
             self._check_ready()
             self._take_control()
             sent = np.clip(positions, self.limits.lower, self.limits.upper)
-            self._goal["positions"] = sent
-            self._goal["feedforward"] = np.clip(torques, -self.limits.torque, self.limits.torque)
+            torques = np.clip(torques, -self.limits.torque, self.limits.torque)
+            self._goal = LoopGoal(LoopMode.FOLLOW, sent, torques)
             self._tell(LoopMode.FOLLOW)
         return sent
 
@@ -225,7 +209,7 @@ class LoopDriver(JointDriver):
         if self._stopped is not None:
             raise RobotError(f"{self.name} was stopped ({self._stopped}): call connect() first")
         # It may hold only because its driver was not heard of.
-        waits = state.status is DeviceStatus.STOPPED and self._goal["mode"] in FOLLOWING
+        waits = state.status is DeviceStatus.STOPPED and self._goal.mode in FOLLOWING
         if state.status is not DeviceStatus.READY and not waits:
             raise RobotError(f"{self.name} takes no command, {state.status}: {state.message}")
 
@@ -237,19 +221,18 @@ class LoopDriver(JointDriver):
             self._controls = True
 
     def _start(self) -> None:
-        self._goal["mode"], self._goal["sent"] = LoopMode.IDLE, time.monotonic()
         self._was_taken, self._replaces = False, ""
-        self._host = self._make_host(LoopTask(self._loop), self._goal)
+        self._goal = dataclasses.replace(self._goal, mode=LoopMode.IDLE)
+        self._host = self._make_host(LoopTask(self._loop), self._message())
         deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
-            record = self._host.states.read()
-            if record is not None and record["phase"] != STARTING:
-                if record["phase"] != ENDED:
+            report = self._report
+            if report is not None:
+                if not report.ended:
                     return
-                message = record_message(record)
                 self._end()
-                raise RobotError(message)
-            if not self._host.alive() and self._host.states.read() is None:
+                raise RobotError(report.state.message)
+            if not self._host.alive() and self._report is None:
                 message = self._host.last_words()
                 self._end()
                 raise RobotError(f"{self.name}: the driver's process ended while connecting{message}")
@@ -258,9 +241,10 @@ class LoopDriver(JointDriver):
         raise RobotError(f"{self.name} did not answer within {CONNECT_TIMEOUT:.0f} s")
 
     def _await_acknowledgement(self) -> None:
-        order, deadline = int(self._goal["order"]), time.monotonic() + CONNECT_TIMEOUT
+        deadline = time.monotonic() + CONNECT_TIMEOUT
         while time.monotonic() < deadline:
-            if self._seen_order() >= order or self._ended():
+            report = self._report
+            if (report is not None and report.order >= self._order) or self._ended():
                 # Read afterwards: a loop may refuse, and end, between the two.
                 state = self._read()
                 if state.status is not DeviceStatus.READY:
@@ -269,33 +253,34 @@ class LoopDriver(JointDriver):
             time.sleep(0.001)
         raise RobotError(f"{self.name} does not answer")
 
-    def _seen_order(self) -> int:
-        record = self._host.states.read() if self._host is not None else None
-        return -1 if record is None else int(record["order"])
+    @property
+    def _report(self) -> LoopReport | None:
+        """The loop's newest."""
+        return None if self._host is None else self._host.reports.read()
+
+    def _message(self) -> GoalMessage:
+        return GoalMessage(self._goal, self._order, time.monotonic())
 
     def _tell(self, mode: LoopMode) -> None:
-        self._goal["mode"] = mode
-        self._goal["order"] += 1
-        self._goal["sent"] = time.monotonic()
-        self._host.goals.write(self._goal)
+        self._goal = dataclasses.replace(self._goal, mode=mode)
+        self._order += 1
+        self._host.goals.write(self._message())
 
     def _read(self) -> JointState:
-        record = None if self._host is None else self._host.states.read()
-        if self._host is None or record is None:
-            zeros, now = np.zeros(self._count), time.monotonic()
-            return JointState(zeros, zeros, None, 0.0, now, DeviceStatus.DISCONNECTED, "not connected")
-        now = time.monotonic()
-        self._goal["sent"] = now
-        self._host.goals.write(self._goal)
-        age = now - float(record["received"])
-        state = joint_state(record)
-        if not self._host.alive() and record["phase"] != ENDED:
-            return self._replaced(state, f"the driver's process has ended{self._host.last_words()}")
-        if record["phase"] == ENDED:
+        report, now = self._report, time.monotonic()
+        if report is None:
+            none = self._nothing
+            return JointState(none, none, None, 0.0, now, DeviceStatus.DISCONNECTED, "not connected")
+        self._host.goals.write(self._message())
+        state = report.state
+        if report.ended:
             return state
-        if self._frozen(float(record["beat"]), now):
+        if not self._host.alive():
+            return self._replaced(state, f"the driver's process has ended{self._host.last_words()}")
+        if self._frozen(report.beat, now):
             return self._replaced(state, f"the driver's process did nothing for {FROZEN:g} s")
-        if age > self._loop.stale_after and state.status in (DeviceStatus.READY, DeviceStatus.STOPPED):
+        late = now - state.received > self._loop.stale_after
+        if late and state.status in (DeviceStatus.READY, DeviceStatus.STOPPED):
             message = f"no new state for more than {1e3 * self._loop.stale_after:.0f} ms"
             return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=message)
         return state
@@ -313,20 +298,18 @@ class LoopDriver(JointDriver):
         if self._was_taken and hasattr(self._loop, "resume") and not self._replaces:
             self._host.end(0.0)
             self._host.kill()
-            if self._goal["mode"] in FOLLOWING:
-                self._goal["mode"] = LoopMode.HOLD
+            if self._goal.mode in FOLLOWING:
+                self._goal = dataclasses.replace(self._goal, mode=LoopMode.HOLD)
             self._replaces, self._heard = f"{why}; another one leads the device", 0.0
-            self._host = LoopProcess(LoopTask(self._loop, self._replaces), self._goal)
+            self._host = LoopProcess(LoopTask(self._loop, self._replaces), self._message())
             # Until it says something itself.
-            put_state(self._waiting, state)
-            self._waiting["status"] = list(DeviceStatus).index(DeviceStatus.DISCONNECTED)
-            self._waiting["message"] = self._replaces.encode()[:MESSAGE_BYTES]
-            self._host.states.write(self._waiting)
+            lost = dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces)
+            self._host.reports.write(LoopReport(lost, -1, 0.0))
         return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces or why)
 
     def _ended(self) -> bool:
-        record = self._host.states.read()
-        return not self._host.alive() or (record is not None and bool(record["phase"] == ENDED))
+        report = self._report
+        return not self._host.alive() or (report is not None and report.ended)
 
     def _end(self, patience: float = CLOSE_TIMEOUT, replaced: bool = False) -> None:
         if self._host is None:

@@ -25,17 +25,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
-from fungrasp.robots.control_loop.mailbox import (
-    ENDED,
-    RUNNING,
-    STATUSES,
-    Mailbox,
-    goal_kind,
-    loop_goal,
-    mailbox_size,
-    put_state,
-    state_kind,
-)
+from fungrasp.robots.control_loop.mailbox import MESSAGE, SIZE, GoalMessage, LoopReport, Mailbox, mailboxes
 from fungrasp.robots.device import DeviceStatus, JointState, RobotError
 
 try:
@@ -103,17 +93,20 @@ class LoopTask:
 
 
 def run_device_loop(
-    task: LoopTask, goals: Mailbox, states: Mailbox, abandoned: Callable[[], bool] = lambda: False
+    task: LoopTask,
+    goals: Mailbox[GoalMessage],
+    reports: Mailbox[LoopReport],
+    abandoned: Callable[[], bool] = lambda: False,
 ) -> None:
     """Open a device, step it until its driver closes it or goes away, then halt and close it.
 
     Args:
-        goals: what the driver tells, records of ``goal_kind``.
-        states: what the device answers, records of ``state_kind``.
+        goals: what the driver tells.
+        reports: what it is told.
         abandoned: whether the driver's process has ended.
     """
     loop = task.loop
-    run = _Run(task, goals, states, abandoned)
+    run = _Run(task, goals, reports, abandoned)
     try:
         try:
             run.open()
@@ -135,11 +128,14 @@ class _Run:
     """A device's loop, and what it remembers."""
 
     def __init__(
-        self, task: LoopTask, goals: Mailbox, states: Mailbox, abandoned: Callable[[], bool]
+        self,
+        task: LoopTask,
+        goals: Mailbox[GoalMessage],
+        reports: Mailbox[LoopReport],
+        abandoned: Callable[[], bool],
     ) -> None:
-        self._task, self._loop, self._goals, self._states = task, task.loop, goals, states
+        self._task, self._loop, self._goals, self._reports = task, task.loop, goals, reports
         self._abandoned, self._lock = abandoned, DeviceLock(task.loop.name)
-        self._record = np.zeros((), dtype=state_kind(len(task.loop.limits.lower)))
         self._taken = self._was_taken = self._lost = False
         self._latched: JointState | None = None
         self._stopped_order, self._order = -1, -1
@@ -159,30 +155,22 @@ class _Run:
                 time.sleep(RETRY)
         if self._task.resume:
             self._lock.take()
-            told = self._goals.read()
-            assert told is not None, "the driver writes a goal before it starts the loop"
-            self._loop.resume(told["positions"])  # pyright: ignore[reportAttributeAccessIssue]
+            self._loop.resume(self._told().goal.positions)  # pyright: ignore[reportAttributeAccessIssue]
             self._taken = self._was_taken = True
 
     def follow(self) -> None:
         """Step the device until it is to be closed."""
-        told_last, asked, sent = None, LoopGoal(LoopMode.IDLE, np.zeros(0), np.zeros(0)), 0.0
-        self._record["phase"] = RUNNING
+        last = None
         while not self._abandoned():
-            told = self._goals.read()
-            assert told is not None, "the driver writes a goal before it starts the loop"
-            news = told is not told_last
-            if news:
-                told_last, asked, sent = told, loop_goal(told), float(told["sent"])
-                self._order = int(told["order"])
-            goal = asked
+            told = self._told()
+            news, last, self._order, goal = told is not last, told, told.order, told.goal
             if goal.mode in (LoopMode.CLOSE, LoopMode.ABANDON):
                 return
             if self._order > self._stopped_order >= 0 and goal.mode is LoopMode.IDLE and not self._lost:
                 self._latched = None
             if self._latched is not None and goal.mode in FOLLOWING:
                 goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
-            late = goal.mode is LoopMode.FOLLOW and time.monotonic() - sent > DRIVER_TIMEOUT
+            late = goal.mode is LoopMode.FOLLOW and time.monotonic() - told.sent > DRIVER_TIMEOUT
             if late:
                 goal = dataclasses.replace(goal, mode=LoopMode.HOLD)
             if goal.mode is LoopMode.IDLE:
@@ -194,6 +182,11 @@ class _Run:
             if state is not self._state or news:
                 self._tell(state)
                 self._state = state
+
+    def _told(self) -> GoalMessage:
+        told = self._goals.read()
+        assert told is not None, "the driver writes a goal before it starts the loop"
+        return told
 
     def _take_control(self) -> None:
         self._lock.take()
@@ -270,22 +263,21 @@ class _Run:
         else's."""
         deadline = time.monotonic() + HALTING
         while self._was_taken and self._loop.halt() is False and time.monotonic() < deadline:
-            told = self._goals.read()
-            if told is not None and told["mode"] == LoopMode.ABANDON:
+            if self._told().goal.mode is LoopMode.ABANDON:
                 break
             time.sleep(RETRY)
         self._lock.release()
 
     def end(self, status: DeviceStatus, message: str) -> None:
         """Tell that the loop has ended."""
-        self._record["phase"] = ENDED
-        self._record["status"], self._record["message"] = STATUSES.index(status), message.encode()
-        self._states.write(self._record)
+        none = np.zeros(len(self._loop.limits.lower))
+        last = self._state or JointState(none, none, None, 0.0, 0.0, status)
+        self._tell(dataclasses.replace(last, status=status, message=message), ended=True)
 
-    def _tell(self, state: JointState) -> None:
-        put_state(self._record, state)
-        self._record["order"], self._record["beat"] = self._order, time.monotonic()
-        self._states.write(self._record)
+    def _tell(self, state: JointState, ended: bool = False) -> None:
+        if len(state.message) > MESSAGE:
+            state = dataclasses.replace(state, message=state.message[:MESSAGE])
+        self._reports.write(LoopReport(state, self._order, time.monotonic(), ended))
 
 
 LENGTH = struct.Struct("<I")
@@ -315,12 +307,8 @@ def run_worker() -> None:
     # Ctrl-C in a terminal goes to both processes: the driver's decides how to stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: orphaned.set())
-    memory = memoryview(mmap.mmap(descriptor, 0))
-    count = len(task.loop.limits.lower)
-    first = mailbox_size(goal_kind(count))
-    goals = Mailbox(memory[:first], goal_kind(count))
-    states = Mailbox(memory[first:], state_kind(count))
-    run_device_loop(task, goals, states, orphaned.is_set)
+    goals, reports = mailboxes(memoryview(mmap.mmap(descriptor, 2 * SIZE)))
+    run_device_loop(task, goals, reports, orphaned.is_set)
     sys.stderr.flush()
     # All is said and written. Some client libraries wait in their destructors for devices that are gone.
     os._exit(0)
