@@ -21,9 +21,9 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.robots import single_devices
+from fungrasp.robots.calibration.touched import TouchedPoint, place_of
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState
-from fungrasp.robots.kinematics.arm_model import ArmKinematics
 from fungrasp_emulators.emulator import PlantCommand
 from fungrasp_emulators.plants import ServoPlant
 
@@ -255,7 +255,7 @@ def test_the_page_of_the_first_power_on_is_true_of_emulated_devices(
     """Command by command, up to the lift; a bring-up with all its steps."""
     monkeypatch.setattr(bring_up, "run_fungrasp", in_this_process)
     cell, hand = load_cell(emulated.file), load_hand("inspire")
-    kinematics, done = ArmKinematics(cell, hand), []
+    done = []
     for words in commands_of_the_page():
         verb = " ".join(words[:2]) if words[0] != "deploy" else "deploy"
         done.append(verb)
@@ -270,7 +270,8 @@ def test_the_page_of_the_first_power_on_is_true_of_emulated_devices(
         if verb == "robots touch":
             for turn in (-0.5, 0.0, 0.5):
                 emulated.guide(posture := np.array([turn, *HOME[1:]]))
-                at = [f"{x:.6f}" for x in kinematics.flange_position(posture)]
+                flange = TouchedPoint(tuple(posture.tolist()), (0.0, 0.0, 0.0))
+                at = [f"{x:.6f}" for x in place_of(flange, cell, hand)]
                 assert main([*words, "my-cell.toml", "touched.json", "--at", *at]) == 0
             emulated.guide(np.array(HOME))
             continue

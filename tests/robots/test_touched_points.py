@@ -16,12 +16,8 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands.arm import Mount, mounting_pose
-from fungrasp.robots.calibration.touched import (
-    add_touched,
-    check_touched_base,
-    check_touched_mount,
-    touched_point,
-)
+from fungrasp.robots.arms.ur import arm_flange
+from fungrasp.robots.calibration.touched import TouchedPoint, add_touched, check_touched, place_of
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
 JOINTS = np.array([[turn, -1.5, 2.0, -2.0, -1.57, 0.0] for turn in (-0.6, 0.0, 0.7)])
@@ -29,12 +25,25 @@ JOINTS = np.array([[turn, -1.5, 2.0, -2.0, -1.57, 0.0] for turn in (-0.6, 0.0, 0
 
 def touched(file: Path, turn: float = 0.0, shift: float = 0.0) -> str:
     """What a person writes down where the base is turned about z, at its foot, and shifted along x."""
-    cell, hand = cell_and_hand()
-    kinematics, base = ArmKinematics(cell, hand), np.array(cell.arm.pose_world_base[:3])
-    points = np.array([kinematics.flange_position(q) for q in JOINTS]) - base
+    cell, _ = cell_and_hand()
+    base = np.array(cell.arm.pose_world_base[:3])
+    points = flange_places(cell) - base
     c, s = np.cos(turn), np.sin(turn)
     points = points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + base + [shift, 0, 0]
-    file.write_text(json.dumps({"joints": JOINTS.tolist(), "flange": points.tolist()}))
+    return write(file, JOINTS, points)
+
+
+def flange_places(cell: Any) -> np.ndarray:
+    """Middle of the flange in each of ``JOINTS``, world frame [m], shape [3, 3]."""
+    places = np.array([arm_flange(cell.arm.model)(q) for q in JOINTS])
+    return transform_points(np.array(cell.arm.pose_world_base), places)
+
+
+def write(file: Path, joints: np.ndarray, points: np.ndarray, hand_point: list[float] | None = None) -> str:
+    """A file of touched points; its name."""
+    rows = [{"joints": q, "point": p} for q, p in zip(joints.tolist(), points.tolist(), strict=True)]
+    by_hand = {} if hand_point is None else {"hand_point": hand_point}
+    file.write_text(json.dumps({"touched": [{**row, **by_hand} for row in rows]}))
     return str(file)
 
 
@@ -54,15 +63,14 @@ def test_a_base_that_is_turned_or_shifted_is_named(
 
 def test_too_few_or_too_near_points_are_refused(tmp_path: Path) -> None:
     (cell, hand), path = cell_and_hand(), tmp_path / "touched.json"
-    here = ArmKinematics(cell, hand).flange_position(JOINTS[0]).tolist()
     for count, said in ((2, "3 touched points or more"), (3, "too near")):
-        path.write_text(json.dumps({"joints": JOINTS[:1].tolist() * count, "flange": [here] * count}))
+        write(path, JOINTS[[0] * count], flange_places(cell)[[0] * count])
         with pytest.raises(FungraspError, match=said):
-            check_touched_base(path, cell, hand)
+            check_touched(path, cell, hand)
 
 
-def touched_by_hand(cell: Any, hand: Any, point: list[float], error: np.ndarray) -> dict[str, Any]:
-    """What a file says of a hand that is mounted off by an error, frame of the flange [m]."""
+def touched_by_hand(file: Path, cell: Any, hand: Any, point: list[float], error: np.ndarray) -> None:
+    """Add to a file what a hand touched that is mounted off by an error, frame of the flange [m]."""
     kinematics = ArmKinematics(cell, hand)
     joints = np.array([[0.0, -1.9, 1.9, -1.57, -1.57, 0.0], [0.3, -1.7, 1.6, -1.2, -1.0, 0.8]])
     flange = compose(
@@ -71,49 +79,46 @@ def touched_by_hand(cell: Any, hand: Any, point: list[float], error: np.ndarray)
     given = np.array(cell.mount.pose_flange_hand)
     there = transform_points(given, np.array([point]))[0] + error
     touched = np.array([transform_points(one, there[None])[0] for one in flange])
-    return {"hand_joints": joints.tolist(), "hand": touched.tolist(), "hand_point": point}
+    known = json.loads(file.read_text())["touched"]
+    write(file, joints, touched, point)
+    file.write_text(json.dumps({"touched": known + json.loads(file.read_text())["touched"]}))
 
 
 def test_a_hand_mounted_otherwise_is_seen_by_what_it_touches(tmp_path: Path) -> None:
     (cell, hand), path = cell_and_hand(), tmp_path / "touched.json"
     turned = Mount(pose_flange_hand=(0.0, 0.0, 0.04, 0.7071068, 0.0, 0.0, 0.7071068))
     cell = replace(cell, mount=turned)
-    path.write_text(json.dumps({"joints": [], "flange": []}))
-    assert check_touched_mount(path, cell, hand) is None
+    assert list(check_touched(touched(path), cell, hand)) == ["base"]
     for error, said in (([0.0, 0.0, 0.0], ""), ([0.0, 0.0, 0.116], r"116 mm.*\(0, 0, 116\) mm")):
-        path.write_text(json.dumps(touched_by_hand(cell, hand, [0.02, 0.0, 0.15], np.array(error))))
-        found = check_touched_mount(path, cell, hand)
-        assert found is not None and found.count == 2
+        touched(path)
+        touched_by_hand(path, cell, hand, [0.02, 0.0, 0.15], np.array(error))
+        found = check_touched(path, cell, hand)["mount"]
+        assert found.count == 2
         assert bool(found.fault) is bool(said) and re.search(said, found.fault)
     # Not turned as the cell says: a point beside the axis is elsewhere.
     straight = replace(cell, mount=Mount(pose_flange_hand=(0.0, 0.0, 0.04, 1.0, 0.0, 0.0, 0.0)))
-    found = check_touched_mount(path, straight, hand)
-    assert found is not None and "pose_flange_hand" in found.fault
-    path.write_text(json.dumps({"hand": [[0, 0, 0]]}))
-    with pytest.raises(FungraspError, match="'hand_joints' needs a posture of 6 joints for each point"):
-        check_touched_mount(path, cell, hand)
+    assert "pose_flange_hand" in check_touched(path, straight, hand)["mount"].fault
+    write(path, JOINTS[:, :5], flange_places(cell))
+    with pytest.raises(FungraspError, match="'joints' needs a posture of 6 joints for each point"):
+        check_touched(path, cell, hand)
 
 
 def test_points_are_written_down_as_the_arm_touches_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (cell, hand), path = cell_and_hand(), tmp_path / "touched.json"
-    kinematics, postures = ArmKinematics(cell, hand), iter(JOINTS)
+    postures = iter(JOINTS)
     monkeypatch.setattr("fungrasp.robots.single_devices.arm_at_rest", lambda *cell: next(postures))
-    for joints in JOINTS:
-        x, y, z = np.add(kinematics.flange_position(joints), (0.0, 0.003, 0.0))
+    for place in flange_places(cell):
+        x, y, z = np.add(place, (0.0, 0.003, 0.0))
         command = ["robots", "touch", "ur5e-allegro-emulated", str(path), "--at", f"{x}", f"{y}", f"{z}"]
         assert main(command) == 0, capsys.readouterr().err
         assert "(0, 3, 0) mm from where the cell file puts it" in capsys.readouterr().out
-    assert check_touched_base(path, cell, hand).miss == pytest.approx(0.003)
-    # The hand's own points go into the same file, of one point of it.
-    point = np.array([0.02, 0.0, 0.15])
-    for joints in JOINTS[:2]:
-        there = touched_point(joints, point, cell, hand)
-        assert add_touched(path, joints, there, point) > 0
-    found = check_touched_mount(path, cell, hand)
-    assert found is not None and found.count == 2 and found.miss < 1e-6
-    before = path.read_text()
-    with pytest.raises(FungraspError, match="another point of the hand"):
-        add_touched(path, JOINTS[2], there, 2 * point)
-    assert path.read_text() == before
+    assert check_touched(path, cell, hand)["base"].miss == pytest.approx(0.003)
+    # The hand's own points go into the same file.
+    for number, joints in enumerate(JOINTS[:2], 1):
+        by_hand = TouchedPoint(tuple(joints.tolist()), (0.0, 0.0, 0.0), (0.02, 0.0, 0.15 * number))
+        x, y, z = place_of(by_hand, cell, hand).tolist()
+        assert add_touched(path, replace(by_hand, point=(x, y, z))) == number
+    found = check_touched(path, cell, hand)["mount"]
+    assert found.count == 2 and found.miss < 1e-6

@@ -98,18 +98,17 @@ class Touch(OfCell):
     def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.robots.calibration.touched import add_touched, touched_point
+        from fungrasp.robots.calibration.touched import TouchedPoint, add_touched, place_of
         from fungrasp.robots.single_devices import arm_at_rest
 
         cell, hand = wired_cell(self.cell)
-        joints, at = arm_at_rest(cell, hand), np.array(self.at)
-        if not np.isfinite(at).all():
+        if not np.isfinite([*self.at, *(self.hand_point or ())]).all():
             raise FungraspError("a point needs 3 finite numbers")
-        point = None if self.hand_point is None else np.array(self.hand_point)
-        apart = at - touched_point(joints, point, cell, hand)
-        count = add_touched(self.file, joints, at, point)
+        touched = TouchedPoint(tuple(arm_at_rest(cell, hand).tolist()), self.at, self.hand_point)
+        apart = np.array(self.at) - place_of(touched, cell, hand)
+        count = add_touched(self.file, touched)
         x, y, z = np.round(1e3 * apart) + 0.0
-        what = "flange" if point is None else "hand"
+        what = "flange" if self.hand_point is None else "hand"
         text = (
             f"{self.file}: {count} points of the {what}; this one is ({x:.0f}, {y:.0f}, {z:.0f}) mm from "
             "where the cell file puts it"

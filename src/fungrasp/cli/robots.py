@@ -64,8 +64,8 @@ class Check(Answering):
     cell: CellName
     """A cell that comes with fungrasp, or a TOML file."""
     touched: Path | None = None
-    """JSON file of `robots touch`. Arm joints and points touched by the center of the flange (joints, flange)
-    check the base pose; points touched by the hand (hand_joints, hand, hand_point) check the mount."""
+    """JSON file of `robots touch`. Points touched by the center of the flange check the base pose; points
+    touched by the hand check the mount."""
 
     def run(self) -> CommandResult:
         import numpy as np
@@ -80,7 +80,7 @@ class Check(Answering):
             is_twin,
             pose_source,
         )
-        from fungrasp.robots.calibration.touched import check_touched_base, check_touched_mount
+        from fungrasp.robots.calibration.touched import check_touched
         from fungrasp.robots.cell import check_calibrated, load_cell
         from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel
         from fungrasp.robots.kinematics.joint_path import FreePath
@@ -122,19 +122,12 @@ class Check(Answering):
             f"mount, in the flange frame: the base of the palm is at ({place}) mm; the palm faces {faces}, "
             f"the fingers point along {along}",
         ]
-        if self.touched is not None:
-            base = check_touched_base(self.touched, cell, hand)
-            if base.fault:
-                raise FungraspError(base.fault)
-            value["base_miss"] = base.miss
-            lines.append(f"base: {base.count} touched points, within {1e3 * base.miss:.1f} mm")
-            mount = check_touched_mount(self.touched, cell, hand)
-            if mount is not None and mount.fault:
-                raise FungraspError(mount.fault)
-            if mount is not None:
-                value["mount_miss"] = mount.miss
-                touched = f"{mount.count} points touched by the hand, within {1e3 * mount.miss:.1f} mm"
-                lines.append(f"mount: {touched}")
+        checked = {} if self.touched is None else check_touched(self.touched, cell, hand)
+        for part, found in checked.items():
+            if found.fault:
+                raise FungraspError(found.fault)
+            value[f"{part}_miss"] = found.miss
+            lines.append(f"{part}: {found.count} touched points, within {1e3 * found.miss:.1f} mm")
         if is_twin(cell):
             lines.append("device: simulated twin")
         else:

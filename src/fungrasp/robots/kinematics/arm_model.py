@@ -51,11 +51,6 @@ class ArmKinematics:
         mujoco.mju_mat2Quat(quaternion, d.site_xmat[self._site])
         return np.concatenate([d.site_xpos[self._site], quaternion])
 
-    def flange_position(self, joints: np.ndarray) -> np.ndarray:
-        """Middle of the flange, world frame [m], shape [3]. joints: [rad], shape [M]."""
-        self.palm_pose(joints)
-        return self._data.site_xpos[self.model.site(FLANGE_SITE).id].copy()
-
     def jacobian(self, joints: np.ndarray) -> np.ndarray:
         """Derivative of the palm's position [m] and rotation vector [rad], world frame, by the joints, shape
         [6, M]. joints: [rad], shape [M]."""
