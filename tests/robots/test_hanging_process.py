@@ -1,7 +1,10 @@
-"""A device's process whose client library never returns ends after its policy's, and frees the device."""
+"""A device's process that hangs or is held up: one whose client library never returns ends after its
+policy's, and frees the device; a pause is no silence of the device."""
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from pathlib import Path
 
@@ -12,7 +15,9 @@ from hanging_loop import HangingLoop
 
 from fungrasp.robots.control_loop.loop_driver import LoopDriver, LoopProcess
 from fungrasp.robots.control_loop.loop_worker import DeviceLock
-from fungrasp.robots.device import RobotError
+from fungrasp.robots.device import DeviceStatus, RobotError
+from fungrasp_emulators.plants import ServoPlant
+from fungrasp_emulators.ur import URControllerEmulator
 
 
 def test_a_process_that_hangs_ends_after_its_drivers_and_frees_the_lock(tmp_path: Path) -> None:
@@ -44,3 +49,22 @@ def test_a_process_that_hangs_ends_after_its_drivers_and_frees_the_lock(tmp_path
     lock = DeviceLock(name)
     lock.take()
     lock.release()
+
+
+def test_a_pause_of_the_drivers_process_is_no_silence_of_the_arms_controller() -> None:
+    pytest.importorskip("rtde_control")
+    from fungrasp.robots.arms.ur import URLoop, URSettings
+
+    home, address = np.array([0.0, -1.5, 1.5, -1.5, -1.5, 0.0]), f"127.1.{os.getpid() % 200 + 1}.2"
+    settings = URSettings(address, stale_after=0.2, watchdog=0.5)
+    with (
+        URControllerEmulator(ServoPlant(home, time_constant=0.02), address),
+        LoopDriver(URLoop(settings)) as driver,
+    ):
+        assert driver.process_id is not None
+        for _ in range(3):
+            os.kill(driver.process_id, signal.SIGSTOP)
+            time.sleep(0.4)
+            os.kill(driver.process_id, signal.SIGCONT)
+            assert wait_for(lambda: driver.read().status is DeviceStatus.READY)
+        driver.command(home)
