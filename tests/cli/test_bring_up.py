@@ -21,7 +21,7 @@ from fungrasp.cli.main import main
 from fungrasp.core.errors import FungraspError
 from fungrasp.hands import load_hand
 from fungrasp.robots import single_devices
-from fungrasp.robots.calibration.touched import TouchedPoint, place_of
+from fungrasp.robots.calibration.touched import TouchedPoint, touched_place
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState
 from fungrasp_emulators.emulator import PlantCommand
@@ -271,7 +271,7 @@ def test_the_page_of_the_first_power_on_is_true_of_emulated_devices(
             for turn in (-0.5, 0.0, 0.5):
                 emulated.guide(posture := np.array([turn, *HOME[1:]]))
                 flange = TouchedPoint(tuple(posture.tolist()), (0.0, 0.0, 0.0))
-                at = [f"{x:.6f}" for x in place_of(flange, cell, hand)]
+                at = [f"{x:.6f}" for x in touched_place(flange, cell, hand)]
                 assert main([*words, "my-cell.toml", "touched.json", "--at", *at]) == 0
             emulated.guide(np.array(HOME))
             continue

@@ -17,7 +17,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.robots.arms.ur import arm_flange
-from fungrasp.robots.calibration.touched import TouchedPoint, add_touched, check_touched, place_of
+from fungrasp.robots.calibration.touched import TouchedPoint, add_touched, check_touched, touched_place
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
 JOINTS = np.array([[turn, -1.5, 2.0, -2.0, -1.57, 0.0] for turn in (-0.6, 0.0, 0.7)])
@@ -118,7 +118,7 @@ def test_points_are_written_down_as_the_arm_touches_them(
     # The hand's own points go into the same file.
     for number, joints in enumerate(JOINTS[:2], 1):
         by_hand = TouchedPoint(tuple(joints.tolist()), (0.0, 0.0, 0.0), (0.02, 0.0, 0.15 * number))
-        x, y, z = place_of(by_hand, cell, hand).tolist()
+        x, y, z = touched_place(by_hand, cell, hand).tolist()
         assert add_touched(path, replace(by_hand, point=(x, y, z))) == number
     found = check_touched(path, cell, hand)["mount"]
     assert found.count == 2 and found.miss < 1e-6

@@ -98,14 +98,14 @@ class Touch(OfCell):
     def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.robots.calibration.touched import TouchedPoint, add_touched, place_of
+        from fungrasp.robots.calibration.touched import TouchedPoint, add_touched, touched_place
         from fungrasp.robots.single_devices import arm_at_rest
 
         cell, hand = wired_cell(self.cell)
         if not np.isfinite([*self.at, *(self.hand_point or ())]).all():
             raise FungraspError("a point needs 3 finite numbers")
         touched = TouchedPoint(tuple(arm_at_rest(cell, hand).tolist()), self.at, self.hand_point)
-        apart = np.array(self.at) - place_of(touched, cell, hand)
+        apart = np.array(self.at) - touched_place(touched, cell, hand)
         count = add_touched(self.file, touched)
         x, y, z = np.round(1e3 * apart) + 0.0
         what = "flange" if self.hand_point is None else "hand"

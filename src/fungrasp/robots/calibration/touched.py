@@ -117,7 +117,7 @@ def _check(apart: np.ndarray, fault: str) -> TouchCheck:
     return TouchCheck(miss, len(apart), said if miss > LARGEST_MISS else "")
 
 
-def place_of(touched: TouchedPoint, cell: RobotCell, hand: Hand) -> np.ndarray:
+def touched_place(touched: TouchedPoint, cell: RobotCell, hand: Hand) -> np.ndarray:
     """Where the cell has what touches a point, world frame [m], shape [3]."""
     return transform_points(_flange([touched], cell, hand)[0], _on_flange(touched, cell)[None])[0]
 
