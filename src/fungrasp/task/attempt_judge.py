@@ -1,9 +1,7 @@
-"""Whether an attempt has failed, and where the object lies then: judged from observations alone, in
-simulation and on robots alike.
+"""Judge from observations alone whether an attempt has failed, in simulation and on robots.
 
-A tracker that has not seen the object for a while says nothing: a hand that holds an object covers it, and
-what was left behind is seen as soon as the hand is away. So a hand whose object is not seen is taken to hold
-it.
+A hand hides the object that it holds, and a lost object is visible once the hand is away. An object that the
+tracker does not see is therefore taken to be held.
 """
 
 from __future__ import annotations
@@ -22,19 +20,18 @@ from fungrasp.task.policy import Observation
 from fungrasp.task.protocol import LiftProtocol
 
 FRAMES = 10
-"""Control steps in which a resting object is looked at, a second: jitter of 2 mm becomes less than 1 mm."""
+"""Control steps over which a resting object is observed (1 s); the mean has less than 1 mm of 2 mm jitter."""
 FRESH = 0.3
-"""A tracked pose that is older [s] says nothing: more than the tracker's delay and two missing frames."""
+"""Largest age of a usable tracked pose [s]: more than the tracker's delay and two missing frames."""
 NEWEST = 5
-"""The last frames, by whose median an attempt is judged: what is dropped in the last half second of the hold
-has fallen in most of them."""
+"""Latest frames whose median judges an attempt; an object dropped in the last half second of the hold has
+fallen in most of them."""
 LEAST_RISE = LiftProtocol.success_height
-"""An object whose center of mass is seen to have risen by less [m] is not held as it should be. Of 84
-development grasps of the reality protocol, held objects were seen at 10.4 cm and more, and of those that were
-not all but one (at 10.1 cm) below this."""
+"""Smallest tracked rise of the center of mass of a held object [m]. In 84 development grasps of the reality
+protocol, held objects were seen at 10.4 cm or more, and all others but one (at 10.1 cm) below this."""
 AT_REST = 0.005
-"""An object rests if the first and the second half of the frames have it no farther apart [m]: jitter moves
-means of five frames by less than 2 mm."""
+"""Largest distance between the mean positions of the first and the second half of the frames of a resting
+object [m]; jitter moves means of five frames by less than 2 mm."""
 
 
 class TrackedFrames:
@@ -47,11 +44,11 @@ class TrackedFrames:
         self._time = np.full(count, -np.inf)
 
     def add(self, observation: Observation, which: np.ndarray) -> None:
-        """See a control step, in those worlds where it is a new one.
+        """Add a control step in the worlds where it is new.
 
         Args:
-            observation: of the W worlds.
-            which: worlds that are looked at, shape [W] bool.
+            observation: observation of the W worlds.
+            which: observed worlds, shape [W] bool.
         """
         new = which & (observation.time > self._time)
         self._time[new] = observation.time[new]
@@ -60,26 +57,26 @@ class TrackedFrames:
             kept[-1, new] = now[new]
 
     def seen(self, newest: int = FRAMES) -> np.ndarray:
-        """Whether more than half of the last frames are fresh, shape [W] bool. newest: how many frames."""
+        """Return whether most of the last frames are fresh, shape [W] bool. newest: number of frames."""
         return (self._age[-newest:] <= FRESH).sum(axis=0) > newest // 2
 
     @property
     def at_rest(self) -> np.ndarray:
-        """Whether the object is seen at one place all the time, shape [W] bool."""
+        """Whether the object is seen and has not moved during the frames, shape [W] bool."""
         half = FRAMES // 2
         position = self._pose[..., :3]
         apart = np.linalg.norm(position[:half].mean(axis=0) - position[half:].mean(axis=0), axis=1)
         return self.seen() & (np.nan_to_num(apart, nan=np.inf) < AT_REST)
 
     def pose(self, newest: int = FRAMES) -> np.ndarray:
-        """Mean of the fresh poses among the last frames, world frame, shape [W, 7]; NaN where there are none.
-        newest: how many frames."""
+        """Return the average fresh pose (``average_pose``) of the last frames, world frame, shape [W, 7].
+        newest: number of frames."""
         pose, fresh = self._pose[-newest:], self._age[-newest:] <= FRESH
         return np.stack([average_pose(pose[fresh[:, w], w]) for w in range(len(self._time))])
 
 
 def average_pose(poses: np.ndarray) -> np.ndarray:
-    """Mean of poses that are near one another, the position's median, shape [7]; NaN of none.
+    """Return the median position and mean rotation of similar poses, shape [7]; NaN without poses.
 
     Args:
         poses: shape [N, 7].
@@ -93,16 +90,16 @@ def average_pose(poses: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AttemptVerdict(BatchRecord):
-    """What is thought of W attempts."""
+    """Verdicts on W attempts."""
 
     seen: np.ndarray
-    """Whether the object is seen at all, shape [W] bool."""
+    """Whether the object is seen, shape [W] bool."""
     missed: np.ndarray
-    """Whether the object is seen not to be held as it should be, shape [W] bool."""
+    """Whether the object is seen to have risen by less than ``LEAST_RISE``, shape [W] bool."""
     rise: np.ndarray
-    """How far its center of mass has risen [m], NaN where it is not seen, shape [W]."""
+    """Rise of its center of mass [m], NaN if it is not seen, shape [W]."""
     gap: np.ndarray
-    """How far its lowest point is above the table [m], zero where it is not seen, shape [W]."""
+    """Height of its lowest point above the table [m], zero if it is not seen, shape [W]."""
 
 
 class AttemptJudge:
@@ -111,19 +108,19 @@ class AttemptJudge:
     def __init__(self, plan: GraspPlan, objects: Mapping[str, ObjectModel]):
         """
         Args:
-            plan: that is followed, W of them; it says where the objects were at rest.
-            objects: by name, as they are believed to be.
+            plan: plans that are followed, W of them; their object poses are the rest poses.
+            objects: believed object models, by name.
         """
         self._plan = plan
         self._models = [objects[name] for name in plan.object_name.tolist()]
         self._frames = TrackedFrames(len(plan))
 
     def watch(self, observation: Observation) -> None:
-        """See a control step. observation: of the W worlds."""
+        """Add a control step. observation: observation of the W worlds."""
         self._frames.add(observation, observation.time_since_lift >= 0)
 
     def verdict(self) -> AttemptVerdict:
-        """What is thought of the attempts now."""
+        """Return the current verdicts."""
         seen = self._frames.seen(NEWEST)
         pose = np.where(seen[:, None], self._frames.pose(NEWEST), self._plan.object_pose)
         rise = center_height(self._models, pose) - center_height(self._models, self._plan.object_pose)
@@ -133,12 +130,12 @@ class AttemptJudge:
 
 
 def center_height(models: list[ObjectModel], pose: np.ndarray) -> np.ndarray:
-    """Heights of centers of mass [m], shape [W]. models: length W; pose: world frame, shape [W, 7]."""
+    """Return heights of centers of mass [m], shape [W]. models: length W; pose: world frame, shape [W, 7]."""
     center = np.array([model.center_of_mass for model in models])
     return transform_points(pose, center[:, None])[:, 0, 2]
 
 
 def lowest_height(models: list[ObjectModel], pose: np.ndarray) -> np.ndarray:
-    """Heights of the objects' lowest points [m], shape [W]. models: length W; pose: world frame, shape
+    """Return heights of the objects' lowest points [m], shape [W]. models: length W; pose: world frame, shape
     [W, 7]."""
     return pose[:, 2] + lowest_above_origin(models, pose)

@@ -1,4 +1,4 @@
-"""Knowledge before acting: the input of planners."""
+"""Beliefs: what planners know before acting."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Belief(BatchRecord):
     """Height of the table top [m], shape [N]."""
     object_pose_covariance: np.ndarray | None = None
     """Covariance of the object's pose error: position [m], world frame, and rotation vector [rad], shape
-    [N, 6, 6]; what rollouts draw by themselves if None."""
+    [N, 6, 6]; None for the rollouts' own distribution."""
     object_mass_spread: np.ndarray | None = None
-    """Standard deviation of the logarithm of the object's mass, shape [N]; what rollouts draw by themselves
-    if None."""
+    """Standard deviation of the logarithm of the object's mass, shape [N]; None for the rollouts' own
+    distribution."""
     joint_damping: np.ndarray | None = None
-    """Identified joint damping, as a factor on the hand model's, shape [N, M]; 1 if None."""
+    """Identified joint damping, as a factor on the model's, shape [N, M]; 1 if None."""
     servo_stiffness: np.ndarray | None = None
-    """Identified stiffness of each joint's servo, as a factor on the model's, shape [N, M]; 1 if None."""
+    """Identified servo stiffness, as a factor on the model's, shape [N, M]; 1 if None."""
     servo_damping: np.ndarray | None = None
-    """Identified damping of each joint's servo, as a factor on the model's, shape [N, M]; 1 if None."""
+    """Identified servo damping, as a factor on the model's, shape [N, M]; 1 if None."""
 
     @classmethod
     def nominal(
@@ -47,7 +47,7 @@ class Belief(BatchRecord):
         palm_pose: np.ndarray,
         joint_positions: np.ndarray,
     ) -> Belief:
-        """A belief with nominal friction and a table at z = 0. Arguments: fields of the same names."""
+        """Return a belief with nominal friction and a table at z = 0. Arguments: fields of the same names."""
         count = len(object_pose)
         friction, table = np.full(count, NOMINAL_FRICTION), np.zeros(count)
         return cls(object_pose, object_mass, palm_pose, joint_positions, friction, table)

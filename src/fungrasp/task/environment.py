@@ -1,4 +1,4 @@
-"""Episodes of the lift test: randomized worlds, observed by sensors."""
+"""Episodes of the lift test in randomized worlds with simulated sensors."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ class LiftEnvironment:
     ):
         """
         Args:
-            scene: with the hand and the objects, in all sizes of the randomization
+            scene: scene with the hand and the objects in all sizes of the randomization
                 (``fungrasp.objects.with_sizes``).
             count: W.
-            randomization: of worlds and sensor errors.
-            protocol: the published one if None.
-            rng: of sensor noise: one for all worlds or one per world; seed 0 if None.
-            threads: 0 means all processors. Results are the same for any number.
-            engine: with W worlds of the scene; made for the scene's device if None. Its device holds the
-                arrays of the episodes.
+            randomization: randomization of worlds and sensor errors.
+            protocol: published protocol if None.
+            rng: generators of sensor noise, one for all worlds or one per world; seed 0 if None.
+            threads: 0 for all processors. Results do not depend on it.
+            engine: engine with W worlds of the scene; made for the scene's device if None. Episode arrays are
+                on its device.
         """
         self.scene, self.randomization = scene, randomization
         self.engine: Engine = engine or make_engine(scene, count, threads)
@@ -60,7 +60,7 @@ class LiftEnvironment:
         joints = len(scene.hand.joint_names)
         self.sample = draw(randomization, count, joints, np.random.default_rng(0))
         self._mass, self._friction = (rows_like(self.task.time, np.zeros(count)) for _ in range(2))
-        # Motors and joints are numbered by joint; those that have no servo are left out.
+        # Randomized parameters are per joint; joints without a servo are left out.
         actuators = scene.hand.actuators
         self._driven = np.array([scene.hand.joint_names.index(name) for name in actuators])
         self._torque_limit = np.zeros(joints)
@@ -85,10 +85,10 @@ class LiftEnvironment:
         return self.task.protocol
 
     def settle(self, grasps: RobotGraspSet, sample: EpisodeSample | None = None) -> Belief:
-        """Begin episodes as the lift test does: objects settle, hands are at their start.
+        """Begin episodes like the lift test: let objects settle and put hands at their start poses.
 
         Args:
-            sample: what differs from the nominal worlds, W episodes; what was drawn before if None.
+            sample: random parameters of the W episodes; the current ``sample`` if None.
 
         Returns:
             Estimated state and nominal parameters of the scenes.
@@ -113,7 +113,7 @@ class LiftEnvironment:
         return replace(belief, object_pose_covariance=np.tile(covariance, (len(self), 1, 1)))
 
     def move_objects(self) -> None:
-        """Move the objects on the table as drawn: after planning, before the episodes are played."""
+        """Shift the objects on the table as sampled, after planning and before the episodes."""
         shift, task = self.sample.object_shift, self.task
         if not shift.any():
             return
@@ -142,18 +142,18 @@ class LiftEnvironment:
         *,
         hand_followed: bool = False,
     ) -> None:
-        """Begin episodes of some worlds in the midst of their plans, objects at rest where they are seen
-        where the plans have them. Centers of mass are shifted as drawn, as far as the objects stay at rest
-        with it (``resting_shift``): nothing settles here, and what rests has its mass above its foot.
+        """Begin episodes in some worlds at any step of their plans. Objects rest where their estimated poses
+        match the plans. Centers of mass are shifted only as far as the objects stay at rest
+        (``resting_shift``), because nothing settles here.
 
         Args:
             ids: worlds, shape [I].
-            plans: of these worlds, I of them.
-            step: control step of the plan to begin at, shape [I] int.
-            sample: what differs from the nominal worlds, I episodes.
-            belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
-            hand_followed: whether the hand has followed an object that was moved since it was planned for,
-                to where it is seen; else it is where the plan has it.
+            plans: plans of these worlds, I of them.
+            step: first control step of the plan, shape [I] int.
+            sample: random parameters of the I episodes.
+            belief: beliefs with nominal friction and joint dynamics, I rows; the scene's if None.
+            hand_followed: whether the hand has followed an object that was moved after planning to its
+                estimated pose; otherwise the hand is at the planned pose.
         """
         self.engine.reset(ids)
         seen = shift_on_table(plans.object_pose, sample.object_shift)
@@ -184,26 +184,26 @@ class LiftEnvironment:
         self.sensors.begin(ids)
 
     def withdraw(self, ids: np.ndarray, rng: Sequence[np.random.Generator]) -> None:
-        """Go on in some worlds after an attempt: hands may move, and nothing lifts until ``begin_attempt``.
+        """Continue in some worlds after an attempt: hands may move, but not lift before ``begin_attempt``.
 
         Args:
             ids: worlds, shape [I].
-            rng: of the sensors' jitter from now on, one for each of these worlds.
+            rng: generators of sensor noise from now on, one per world.
         """
         self.task.withdraw(ids)
         self.sensors.resume(ids, rng)
 
     def resume(self, ids: np.ndarray) -> None:
-        """Go on in some worlds that stood still while they were marked as done. ids: shape [I]."""
+        """Continue in some worlds that were paused by marking them as done. ids: shape [I]."""
         self.task.done[ids] = False
         self.sensors.resume(ids)
 
     def begin_attempt(self, ids: np.ndarray, target_pose: np.ndarray) -> None:
-        """Begin another attempt in some worlds, where everything is.
+        """Begin another attempt in some worlds from their current state.
 
         Args:
-            ids: shape [I].
-            target_pose: about where the palm will grasp, world frame, shape [I, 7].
+            ids: worlds, shape [I].
+            target_pose: approximate palm pose of the grasp, world frame, shape [I, 7].
         """
         self.task.begin_attempt(ids, target_pose)
         self.sensors.begin(ids)
@@ -218,11 +218,11 @@ class LiftEnvironment:
         self.task.step(action, self._push, after)
 
     def observe(self) -> Observation:
-        """Current sensor data."""
+        """Return the current sensor data."""
         return self.sensors.observe(self._felt)
 
     def privileged(self) -> Privileged:
-        """Current privileged state."""
+        """Return the current privileged state."""
         engine = self.engine
         return Privileged(
             contacts=engine.link_contacts,
@@ -237,7 +237,7 @@ class LiftEnvironment:
         )
 
     def _object_index(self, names: np.ndarray, sample: EpisodeSample) -> np.ndarray:
-        """Index of each object in the size drawn, shape [I]. names: shape [I] str."""
+        """Return the index of each object in its sampled size, shape [I]. names: shape [I] str."""
         sizes = zip(names.tolist(), sample.object_scale.tolist(), strict=True)
         return self.scene.indices([scaled_name(name, factor) for name, factor in sizes])
 
@@ -249,14 +249,14 @@ class LiftEnvironment:
         placed: Placement,
         belief: Belief | None = None,
     ) -> None:
-        """The physics of some worlds: nominal parameters and what was drawn.
+        """Set the physics of some worlds from nominal and random parameters.
 
         Args:
             ids: worlds, shape [I].
-            index: of their objects in the scene, shape [I].
-            mass: nominal one of these [kg], shape [I].
-            placed: where these and their tables are.
-            belief: with the nominal friction and joint dynamics, I rows; the scene's if None.
+            index: scene indices of their objects, shape [I].
+            mass: nominal masses of the objects [kg], shape [I].
+            placed: placement of the objects and their tables.
+            belief: beliefs with nominal friction and joint dynamics, I rows; the scene's if None.
         """
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
@@ -299,7 +299,7 @@ class LiftEnvironment:
     def _mass_distribution(
         self, index: np.ndarray, mass: np.ndarray, shift: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Centers of mass [m], object frame, shape [I, 3], and inertias about them [kg m2], shape
+        """Return centers of mass [m], object frame, shape [I, 3], and inertias about them [kg m2], shape
         [I, 3, 3]."""
         models = [self.scene.models[i] for i in index]
         inertia = np.array([model.inertia / model.mass for model in models])
@@ -312,7 +312,7 @@ class LiftEnvironment:
         )
 
     def _push(self) -> None:
-        """Push the objects as drawn."""
+        """Push the objects as sampled."""
         r, s, task = self.randomization, self._felt, self.task
         if not r.push_times:
             return
@@ -325,7 +325,7 @@ class LiftEnvironment:
 
 
 def report_problems(engine: Engine) -> None:
-    """Warn of what has gone wrong in worlds: after a batch of episodes."""
+    """Log the engine's problems as warnings, after a batch of episodes."""
     for problem in engine.problems():
         _log.warning("%s", problem)
 

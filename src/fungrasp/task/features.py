@@ -1,7 +1,7 @@
-"""Inputs of policy networks: phi(s) of the paper (section IV.B.1), and additions from the object's mesh.
+"""Inputs of policy networks: phi(s) of the paper (section IV.B.1), and additional mesh features.
 
-Pure functions of measurements and plan, for any array-API library. Positions and directions are in the palm's
-frame, so that nothing depends on the table. All parts are scaled to the order of one.
+Pure functions of measurements and plan, for any array-API library. Positions and directions are in the palm
+frame, independent of the table. All features are scaled to the order of one.
 """
 
 from __future__ import annotations
@@ -34,17 +34,16 @@ POSITION_UNIT = 0.05
 FORCE_UNIT = 5.0
 """Unit of forces [N]."""
 SERVO_UNIT = 0.2
-"""Difference between servo target and joint [rad]."""
+"""Unit of differences between servo target and joint [rad]."""
 INPUT_LIMIT = 10.0
-"""Bound of what policy and value networks get. Scaled to be of the order of one, parts hardly ever reach it
-where a hand grasps: it is half a meter between hand and object, or an object that moves at 1 m/s. One that
-has been thrown would else be hundreds of standard deviations away, and one such step undoes a training."""
+"""Bound of network inputs. During a grasp, features hardly ever reach it: it corresponds to 0.5 m between
+hand and object or an object speed of 1 m/s. Without it, a thrown object would be hundreds of standard
+deviations away, and one such step can ruin a training run."""
 _MOTION_UNITS = np.repeat(
     [[[0.01, 0.05]], [[0.02, 0.1]], [[POSITION_UNIT, 0.3]], [[POSITION_UNIT, 0.3]], [[0.01, 0.1]]], 3, axis=-1
 )
-"""Units of shift [m] and turn [rad], shape [5, 1, 6], of five relative poses: of the palm to its setpoint, to
-where it was at the step before and to its goal; of the object to its place in the grasp and to where it
-was."""
+"""Units of translation [m] and rotation [rad], shape [5, 1, 6], of five relative poses: palm to its setpoint,
+to its previous pose and to its goal; object to its planned pose in the palm and to its previous one."""
 _PHASE_BEGINS, _PHASE_ENDS = np.array([-1.0, 0.0, 0.0, 0.0]), np.array([0.0, 2.0, 2.0, 2.0])
 """Limits of the four numbers of ``_phase`` [s]."""
 
@@ -90,7 +89,7 @@ class PlanTarget:
     contacts: Array
     """Links that should touch, shape [W, L] bool."""
     settled_pose: Array
-    """Nominal pose of the object at rest that was planned for, world frame, shape [W, 7]."""
+    """Nominal rest pose of the object at planning time, world frame, shape [W, 7]."""
     mass: Array
     """Nominal mass of the object [kg], shape [W]."""
     center: Array
@@ -98,22 +97,22 @@ class PlanTarget:
     size: Array
     """Object's extents, object frame [m], shape [W, 3]."""
     since_closing: Array
-    """Time since the fingers began to close, negative before [s], shape [W]."""
+    """Time since the fingers began to close [s], negative before, shape [W]."""
     since_lift: Array
-    """Time since the lift began, negative before [s], shape [W]."""
+    """Time since the lift began [s], negative before, shape [W]."""
 
 
 def robot_features(
     now: MeasuredState, before: MeasuredState, target: PlanTarget, action: Array
 ) -> dict[str, Array]:
-    """Features from robot sensors by name, each of shape [W, number].
+    """Return features from robot sensors by name, each of shape [W, number].
 
     Args:
-        before: measured at the one before (the same at an episode's first step).
-        action: the last action, shape [W, A].
+        before: state at the previous control step (the same at the first step of an episode).
+        action: previous action, shape [W, A].
     """
     xp = array_namespace(now.joints)
-    # What is treated alike is treated together: for one robot the number of calls is what takes time.
+    # Similar quantities are stacked: for one robot, the number of array calls dominates the time.
     seen = relative(
         stack(now.palm_pose, now.palm_pose, now.palm_pose, now.palm_pose, before.object_pose),
         stack(now.palm_setpoint, before.palm_pose, target.palm_goal_world, now.object_pose, before.palm_pose),
@@ -124,7 +123,7 @@ def robot_features(
     motions = xp.concat([poses[..., :3], rotation_vector(poses[..., 3:])], axis=-1)
     setpoint, palm_before, goal, deviation, change = motions / like(motions, _MOTION_UNITS)
     to_world, from_object = rotation_matrix(stack(now.palm_pose[:, 3:], object_in_palm[:, 3:]))
-    # As rows: v_palm = v_world R with R the palm's rotation, shape [W, 3].
+    # As rows: v_palm = v_world R, with R the palm's rotation, shape [W, 3].
     moved = xp.matmul((now.object_pose - target.settled_pose)[:, None, :3], to_world)[:, 0]
     extents = xp.matmul(xp.abs(from_object), target.size[..., None])[..., 0]
     count, number = now.surface_distance.shape
@@ -163,12 +162,12 @@ def robot_features(
 
 
 def contact_features(contacts: Array, forces: Array, targets: Array) -> dict[str, Array]:
-    """Contact features, seen by teachers and inferred by students: f and g_c of the paper, by name.
+    """Return contact features by name (f and g_c of the paper), known to teachers and inferred by students.
 
     Args:
-        contacts: which links touch, in [0, 1], shape [W, L].
-        forces: [N], shape [W, L].
-        targets: which links should touch, shape [W, L] bool.
+        contacts: contact of each link, in [0, 1], shape [W, L].
+        forces: contact forces [N], shape [W, L].
+        targets: links that should touch, shape [W, L] bool.
     """
     xp = array_namespace(forces)
     asked = xp.astype(targets, forces.dtype)
@@ -181,21 +180,21 @@ def contact_features(contacts: Array, forces: Array, targets: Array) -> dict[str
 
 
 def scaled_forces(forces: Array) -> Array:
-    """Forces [N] as policies see them: ``tanh(f / 5 N)``."""
+    """Scale forces [N] for policies: ``tanh(f / 5 N)``."""
     return array_namespace(forces).tanh(forces / FORCE_UNIT)
 
 
 def unscaled_forces(scaled: np.ndarray) -> np.ndarray:
-    """Forces [N] from scaled ones, the inverse of ``scaled_forces``, at most three times ``FORCE_UNIT``:
-    beyond that, scaled forces hardly differ."""
+    """Invert ``scaled_forces``. The result [N] is at most ``3 FORCE_UNIT``, because scaled forces
+    saturate."""
     return FORCE_UNIT * np.arctanh(np.clip(scaled, 0.0, np.tanh(3.0)))
 
 
 def value_features(privileged: Privileged, palm_pose: Array) -> dict[str, Array]:
-    """Additional inputs of PPO's value network, by name.
+    """Return the additional inputs of PPO's value network, by name.
 
     Args:
-        palm_pose: measured, world frame, shape [W, 7].
+        palm_pose: measured palm pose, world frame, shape [W, 7].
     """
     p, xp = privileged, array_namespace(palm_pose)
     back = invert(palm_pose)[:, 3:]
@@ -211,30 +210,31 @@ def value_features(privileged: Privileged, palm_pose: Array) -> dict[str, Array]
 
 
 def flatten(parts: Mapping[str, Array]) -> Array:
-    """Parts side by side, shape [W, sum of numbers]."""
+    """Concatenate features, shape [W, sum of numbers]."""
     values = list(parts.values())
     return array_namespace(values[0]).concat(values, axis=-1)
 
 
 def network_input(parts: Mapping[str, Array]) -> Array:
-    """Parts side by side, as policy and value networks get them (``limited``), shape [W, sum of numbers]."""
+    """Return concatenated and ``limited`` features for policy and value networks, shape [W, sum of
+    numbers]."""
     return limited(flatten(parts))
 
 
 def limited(values: Array) -> Array:
-    """Numbers within ``INPUT_LIMIT``, in single precision; NaN, as of a world that is over, stays."""
+    """Clip values to ``INPUT_LIMIT``, in single precision. NaN, as in finished worlds, is kept."""
     xp = array_namespace(values)
     return xp.astype(clip(values, -INPUT_LIMIT, INPUT_LIMIT), xp.float32)
 
 
 def layout(parts: Mapping[str, Array]) -> tuple[tuple[str, int], ...]:
-    """Name and size of each part, in order."""
+    """Return name and size of each feature, in order."""
     return tuple((name, int(value.shape[-1])) for name, value in parts.items())
 
 
 def _phase(since_closing: Array, since_lift: Array) -> Array:
-    """Phase of the episode, shape [W, 4]: time before closing and after it [s], lift begun, time of the lift
-    [s]."""
+    """Return the phase of the episode, shape [W, 4]: time before closing and after it [s], whether the lift
+    has begun, time of the lift [s]."""
     times = side_by_side(since_closing, since_closing, since_lift, since_lift)
     phase = clip(times, like(times, _PHASE_BEGINS), like(times, _PHASE_ENDS))
     phase[:, 2] = since_lift >= 0
@@ -247,12 +247,12 @@ LayoutName = Literal["full", "paper"]
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """Parts by name, in order."""
+    """Feature names, in order."""
 
     network: tuple[str, ...]
-    """Inputs of actor and value network."""
+    """Inputs of policy and value network."""
     encoder: tuple[str, ...]
-    """Encoder inputs of a student for each past control step."""
+    """Inputs of a student's encoder for each past control step."""
 
 
 LAYOUTS: Mapping[LayoutName, ObservationLayout] = {
@@ -292,11 +292,11 @@ LAYOUTS: Mapping[LayoutName, ObservationLayout] = {
             "surface_distances",
         ),
     ),
-    # Section IV.B.1, in its order: q_r; the wrist's attitude to the table, its velocity; where the object is
-    # and how it is turned from its place in the grasp (T_o, g_r), its velocity, its displacement; the wrist's
-    # height; g_p; the target contacts of g_c. Forces and c - c of g_c are privileged. Nothing of it says how
-    # far the mesh or a servo's setpoint is, from which contacts could be told. Section IV.C.1: the encoder
-    # gets joints, the wrist's difference from its target, target contacts and actions.
+    # Section IV.B.1, in its order: q_r; orientation of the wrist relative to the table, and its velocity;
+    # position of the object and its deviation from the grasp (T_o, g_r), its velocity, its displacement;
+    # height of the wrist; g_p; target contacts of g_c. Forces and contact errors of g_c are privileged.
+    # Distances to the mesh and to servo setpoints are left out, because they reveal contacts. Section IV.C.1:
+    # the encoder gets joints, the difference of the wrist from its target, target contacts and actions.
     "paper": ObservationLayout(
         (
             "joints",
@@ -326,11 +326,11 @@ def check_layout(name: str) -> None:
 
 
 def network_parts(features: Mapping[str, Array], name: LayoutName, encoder: bool) -> dict[str, Array]:
-    """Policy inputs from robot features.
+    """Select policy inputs from robot features.
 
     Args:
-        features: ``robot_features``.
-        encoder: whether the policy is a student with an encoder; what only this needs comes last.
+        features: result of ``robot_features``.
+        encoder: whether the policy is a student with an encoder, whose additional inputs come last.
     """
     one = LAYOUTS[name]
     names = (*one.network, *(one.encoder if encoder else ()))
@@ -338,5 +338,5 @@ def network_parts(features: Mapping[str, Array], name: LayoutName, encoder: bool
 
 
 def encoder_parts(features: Mapping[str, Array], name: LayoutName) -> dict[str, Array]:
-    """Inputs of a student's encoder for one control step. Arguments: as for ``network_parts``."""
+    """Select the inputs of a student's encoder for one control step. Arguments: see ``network_parts``."""
     return {part: features[part] for part in LAYOUTS[name].encoder}

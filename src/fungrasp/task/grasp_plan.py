@@ -17,7 +17,7 @@ from fungrasp.geometry.poses import clip
 class GraspPlan(BatchRecord):
     """Plans of N grasps with T control steps each. After the last step, targets stay constant.
 
-    Motions are in the frame of the resting object, so a plan moves with the object.
+    Motions are relative to the frame of the resting object, so a plan moves with the object.
     """
 
     SCALARS: ClassVar[tuple[str, ...]] = ("hand", "control_period")
@@ -44,7 +44,7 @@ class GraspPlan(BatchRecord):
     keypoints: np.ndarray
     """Key points of the hand in the grasp, object frame [m], shape [N, K, 3]."""
     grasp_palm_pose: np.ndarray
-    """Palm in the grasp, object frame, shape [N, 7]."""
+    """Palm pose in the grasp, object frame, shape [N, 7]."""
     grasp_joints: np.ndarray
     """Angles of the independent joints in the grasp [rad], shape [N, U]."""
     palm_goal_object: np.ndarray
@@ -65,34 +65,34 @@ class GraspPlan(BatchRecord):
     """The person's contacts by finger link (``RobotGraspSet``), object frame [m], shape [N, L - 1, 3]; None
     if unknown."""
     shown_normals: np.ndarray | None = None
-    """Outward unit normals of the surface there, shape [N, L - 1, 3]."""
+    """Outward unit normals of the surface at these contacts, shape [N, L - 1, 3]."""
     expected_success: np.ndarray | None = None
     """Planner's estimate of the success probability, shape [N]; None without estimate."""
     expected_as_shown: np.ndarray | None = None
     """Planner's estimate of the probability to hold as shown, shape [N]; None without estimate."""
     rollouts: np.ndarray | None = None
-    """Simulated episodes used to plan each grasp, shape [N] int; None for none."""
+    """Simulated episodes used to plan each grasp, shape [N] int; None if there were none."""
 
     def at(self, step: np.ndarray, rows: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-        """Palm goals, object frame [I, 7], and finger targets [rad], [I, U], of some rows at their steps.
+        """Return palm goals, object frame, shape [I, 7], and finger targets [rad], shape [I, U].
 
         Args:
-            step: control step of each row, shape [I] int; beyond the last it is the last.
-            rows: I rows; all if left out.
+            step: control step of each row, shape [I] int; clipped to the last step.
+            rows: I rows; all by default.
         """
         step = clip(step, 0, self.palm_goal_object.shape[1] - 1)
         index = np.arange(len(self))[rows] if is_numpy(step) else rows
         return self.palm_goal_object[index, step], self.finger_targets[index, step]
 
     def raised(self, height: np.ndarray) -> GraspPlan:
-        """The plans for objects that rest higher. height: [m], shape [N]."""
+        """Return the plans for objects that rest higher. height: difference [m], shape [N]."""
         pose = self.object_pose.copy()
         pose[:, 2] += height
         return replace(self, object_pose=pose)
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """Concatenate plans; shorter motions stay at their end."""
+        """Concatenate plans; shorter plans repeat their last step."""
         length = max(part.palm_goal_object.shape[1] for part in parts)
         return super().join([part._padded(length) for part in parts])
 

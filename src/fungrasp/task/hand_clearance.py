@@ -1,4 +1,4 @@
-"""How far hands are from their objects and tables."""
+"""Distances of hands from objects, and heights of their lowest points."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fungrasp.objects import ObjectModel
 
 
 class HandClearance:
-    """Measures W hands at once, each with its object."""
+    """Clearances of W hands, each with its own object."""
 
     def __init__(self, hand: Hand, models: Sequence[ObjectModel], object_index: np.ndarray):
         """
         Args:
-            object_index: object of each of the W hands, as ``models`` has them, shape [W].
+            object_index: index in ``models`` of each hand's object, shape [W].
         """
         self._hand, self._models, self._spheres = hand, models, collision_spheres(hand)
         self._on_tensors = ArrayKinematics(hand, self._spheres.points)
@@ -29,7 +29,7 @@ class HandClearance:
         self.hold(object_index)
 
     def hold(self, object_index: np.ndarray) -> None:
-        """Other objects in the hands. object_index: as above; it is copied."""
+        """Change the objects of the hands. object_index: as above; it is copied."""
         if np.array_equal(object_index, self._held):
             return
         present = np.union1d(self._present, object_index)
@@ -41,11 +41,11 @@ class HandClearance:
     def measure(
         self, rows: np.ndarray | slice, object_pose: Array, palm_pose: Array, joints: Array
     ) -> tuple[Array, Array]:
-        """Smallest distance of hands from their objects, and height of their lowest points [m], shape [I]
-        each.
+        """Return each hand's smallest distance from its object and the height of its lowest point [m], shape
+        [I] each.
 
         Args:
-            rows: which of the W hands, shape [I]; for tensors a slice.
+            rows: indices of I hands; for tensors a slice.
             object_pose: world frame, shape [I, 7].
             palm_pose: world frame, shape [I, 7].
             joints: independent joints [rad], shape [I, U].

@@ -25,7 +25,7 @@ class LiftTask:
     def __init__(self, engine: Engine, protocol: LiftProtocol | None = None):
         """
         Args:
-            protocol: the published one if None.
+            protocol: published protocol if None.
         """
         self.engine, self.scene = engine, engine.scene
         self.protocol = protocol or LiftProtocol()
@@ -38,7 +38,7 @@ class LiftTask:
             return rows_like(on, np.zeros(shape))
 
         self.settled_pose = zeros(count, 7)
-        """Where the objects rest as the episodes begin, world frame, shape [W, 7]."""
+        """Rest poses of the objects at the start of the episodes, world frame, shape [W, 7]."""
         self.target_contacts = rows_like(on, np.zeros((count, links), dtype=bool))
         """Links that should touch, shape [W, L]."""
         self.setpoints = SetpointGenerator(
@@ -63,26 +63,26 @@ class LiftTask:
         self.done = rows_like(on, np.zeros(count, dtype=bool))
         """Finished episodes, shape [W]."""
         self.withdrawing = rows_like(on, np.zeros(count, dtype=bool))
-        """Worlds between two attempts, in which nothing lifts, shape [W]."""
+        """Worlds between two attempts, in which no lift begins, shape [W]."""
 
     @property
     def lost(self) -> np.ndarray:
-        """Worlds whose object is lost: low a while after the lift began, or where physics has broken down;
-        shape [W] bool."""
+        """Whether the object is low some time after the lift began, or the simulation diverged, shape [W]
+        bool."""
         p, height = self.protocol, self.measurements.height
         low = (self.time - self.lift_time > p.lost_after) & (height < p.lost_height)
         return low | (height <= -1.0)
 
     def settle(self, grasps: RobotGraspSet, table_height: np.ndarray | None = None) -> None:
-        """Let the objects settle from their rest poses, then put the hands at their start.
+        """Let the objects settle from their rest poses, then put the hands at their start poses.
 
         Args:
-            grasps: one per world, of the objects that the worlds hold.
-            table_height: of the table top [m], shape [W]; zero if None.
+            grasps: one grasp per world, of the world's object.
+            table_height: height of the table top [m], shape [W]; zero if None.
         """
         engine, hand, p = self.engine, self.scene.hand, self.protocol
         fingers = start_fingers(hand, grasps, p.start_closing)
-        # The palm waits there while objects settle.
+        # The palm is parked while the objects settle.
         parked = np.tile(PARKED, (len(engine), 1))
         engine.reset()
         engine.set_state(
@@ -108,18 +108,17 @@ class LiftTask:
         start_velocity: np.ndarray | None = None,
         start_time: np.ndarray | None = None,
     ) -> None:
-        """Start episodes in some worlds, I of them: objects at rest, hands at their start. NumPy arrays do on
-        any device.
+        """Start episodes in I worlds with objects at rest. NumPy arrays are accepted on any device.
 
         Args:
             ids: worlds, shape [I].
-            settled_pose: of the objects, world frame, shape [I, 7].
-            target_pose: about where the palm will grasp, world frame, shape [I, 7].
-            start_pose: of the palm, world frame, shape [I, 7].
-            start_fingers: setpoints of the independent joints, which are there [rad], shape [I, U].
+            settled_pose: poses of the objects, world frame, shape [I, 7].
+            target_pose: approximate palm poses of the grasps, world frame, shape [I, 7].
+            start_pose: palm poses, world frame, shape [I, 7].
+            start_fingers: initial setpoints of the independent joints [rad], shape [I, U].
             target_contacts: links that should touch, shape [I, L] bool.
-            start_velocity: of the palm [m/s], shape [I, 3]; zero if None.
-            start_time: where on the episode's clock to start [s], shape [I]; zero if None.
+            start_velocity: velocities of the palms [m/s], shape [I, 3]; zero if None.
+            start_time: episode times [s], shape [I]; zero if None.
         """
         on = self.controls
         velocity = np.zeros((len(ids), 3)) if start_velocity is None else start_velocity
@@ -155,7 +154,7 @@ class LiftTask:
 
         Args:
             ids: worlds, shape [I].
-            contacts: I rows; None if not known, which holds for all worlds then.
+            contacts: I rows; None if unknown, which clears the contacts of all worlds.
         """
         whole = len(ids) == len(self.engine)
         if contacts is None or whole:
@@ -164,17 +163,17 @@ class LiftTask:
             self.shown = self.shown.replaced(ids, contacts)
 
     def withdraw(self, ids: np.ndarray) -> None:
-        """Go on after an attempt: hands may move, and nothing lifts until the next one. ids: worlds, shape
-        [I]."""
+        """Continue after an attempt: hands may move, but not lift before ``begin_attempt``. ids: worlds,
+        shape [I]."""
         self.lift_time[ids] = self.hold_time[ids] = np.inf
         self.done[ids], self.withdrawing[ids] = False, True
 
     def begin_attempt(self, ids: np.ndarray, target_pose: np.ndarray) -> None:
-        """Begin another attempt where everything is, objects at rest.
+        """Begin another attempt from the current state, with objects at rest.
 
         Args:
             ids: worlds, shape [I].
-            target_pose: about where the palm will grasp, world frame, shape [I, 7].
+            target_pose: approximate palm poses of the grasps, world frame, shape [I, 7].
         """
         engine = self.engine
         self.settled_pose[ids] = engine.object_pose[ids]
@@ -193,17 +192,17 @@ class LiftTask:
         """Advance all unfinished worlds by one control period.
 
         Args:
-            before: called before each setpoint, to disturb.
-            after: called after each, to record.
+            before: called before each setpoint, to apply disturbances.
+            after: called after each setpoint, to record.
         """
         p, setpoints = self.protocol, self.setpoints
-        # What is over stays as it is, however long the others take.
+        # Finished worlds keep their state.
         over = copied(self.done)
         kept = (setpoints.state(), self.actuation.state()) if may_be_any(over) else None
         sequence = self.advance_setpoints(action)
         followed = self.actuation.follow(sequence, setpoints.period)
         controls = self.engine.controls(followed.palm, followed.palm_velocity, followed.fingers)
-        # A device is not asked which they are.
+        # On a device, pass the mask: indices would need a synchronization.
         active = np.flatnonzero(~self.done) if is_numpy(self.done) else ~self.done
         for i in range(setpoints.number):
             setpoints.wrist.pose, setpoints.fingers = sequence.palm[i], sequence.fingers[i]
@@ -220,7 +219,7 @@ class LiftTask:
         self.done |= self.time >= self.hold_time + p.hold_time - 1e-9
 
     def advance_setpoints(self, action: Action) -> SetpointSequence:
-        """The setpoints of the next control period; a lift begins where it may."""
+        """Return the setpoints of the next control period, and begin lifts that are due."""
         p, where = self.protocol, self._where
         may_lift = (action.lift | (self.time >= p.approach_time - 1e-9)) & ~self.withdrawing
         begins = may_lift & ~self._isfinite(self.lift_time)
@@ -232,7 +231,7 @@ class LiftTask:
         return self.setpoints.advance(goal, action.finger_targets)
 
     def _update_hold(self, goal: Array) -> None:
-        """The hold begins when the setpoint has risen to its goal, or has had the time to. goal: of the palm,
+        """Begin the hold once the setpoint has reached its goal or the rise time is over. goal: palm goal,
         shape [W, 7]."""
         way = goal[:, :3] - self.setpoints.wrist.pose[:, :3]
         apart = array_namespace(way).sqrt((way * way).sum(axis=1))
@@ -243,9 +242,9 @@ class LiftTask:
         self.measurements.watch(self._isfinite(self.hold_time) & ~self.done, self.hold_time)
 
     def outcomes(self) -> Outcomes:
-        """The outcomes, once all episodes are done."""
+        """Return the outcomes, once all episodes are done."""
         return self.measurements.outcomes(self.as_shown())
 
     def as_shown(self) -> AsShown | None:
-        """How the hands held in the middle of the hold, W rows; None if the person's places are not known."""
+        """Judge the holds at their middle, W rows; None if the person's contacts are unknown."""
         return None if self.shown is None else self.measurements.middle.as_shown(self._judge, self.shown)

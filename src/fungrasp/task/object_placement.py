@@ -1,4 +1,4 @@
-"""Where objects and their tables are, in worlds that differ from what is believed."""
+"""Poses of objects and tables in worlds that differ from the belief."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fungrasp.objects import ObjectModel
 from fungrasp.sim2real import EpisodeSample, offset_pose, tilt_on_table
 
 REST_ANGLE = float(np.deg2rad(5.0))
-"""An object is at rest if it can't tip or roll by so much without its center of mass rising [rad]: more than
-an estimated rotation is off by, so that what begins on an edge falls back."""
+"""An object is at rest if tipping or rolling by this angle raises its center of mass [rad]. The angle exceeds
+the error of an estimated rotation, so an object that starts on an edge falls back."""
 
 REST_DIRECTIONS = 180
-"""Directions in which it is asked whether an object can tip. Two degrees apart: a can on its side rolls
-across its axis alone, as it would have to be raised to tip even a little along it."""
+"""Number of tested tipping directions, 2 degrees apart: a can on its side rolls only across its axis, as any
+tilt along the axis raises it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +43,12 @@ class Placement:
 
 
 def on_drawn_table(pose: np.ndarray, height: np.ndarray, sample: EpisodeSample) -> Placement:
-    """Objects whose tables are higher and tilted, as drawn.
+    """Place objects on tables with sampled height and tilt.
 
     Args:
-        pose: on the nominal tables, world frame, shape [I, 7].
-        height: of the nominal tables [m], shape [I].
-        sample: what was drawn, I rows.
+        pose: poses on the nominal tables, world frame, shape [I, 7].
+        height: heights of the nominal tables [m], shape [I].
+        sample: random parameters, I rows.
     """
     raised, table = pose.copy(), height + sample.table_height
     raised[:, 2] += sample.table_height
@@ -64,17 +64,17 @@ def where_seen(
     models: Sequence[ObjectModel],
     center: np.ndarray,
 ) -> Placement:
-    """Objects that are seen where a plan has them: where they are, as their estimated poses are off.
+    """Place objects so that their estimated poses are the given poses.
 
-    The table is known by the object that stands on it: where that is seen too high, so is the table. The
-    lowest point stays as far from the table as it was; an object that leans after its turn falls into place.
+    The table height is estimated from the object on it: if the object is seen too high, so is the table. The
+    distance of the object's lowest point from the table is kept; an object tilted by the error settles.
 
     Args:
         seen: poses with the sample's error, world frame, shape [I, 7].
-        height: of the tables that they are seen on [m], shape [I].
-        sample: what was drawn, I rows.
-        models: of the objects, length I.
-        center: of mass [m], object frame, about which the rotation is off, shape [I, 3].
+        height: estimated table heights [m], shape [I].
+        sample: random parameters, I rows.
+        models: object models, length I.
+        center: center of the rotation error, the center of mass [m], object frame, shape [I, 3].
     """
     if not sample.object_bias.any():
         return on_drawn_table(seen, height, sample)
@@ -85,23 +85,23 @@ def where_seen(
 
 
 def resting_shift(models: Sequence[ObjectModel], pose: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Shifts of centers of mass with which objects stay at rest where they are known to rest.
+    """Limit shifts of centers of mass so that objects stay at rest.
 
-    A shift that was drawn without regard to the pose would let a can on its side roll away at once; in the
-    world it would have rolled before it was seen. With u the direction in the object that points down,
-    ``S(u)`` how far the object reaches along it, and c its center of mass, ``H(u) = S(u) - c . u`` is the
-    center's height above the table. The object is at rest at u0 if ``H(u_k) >= H(u0)`` in all directions k,
-    ``REST_ANGLE`` away. That is linear in the shift d: ``d . (u_k - u0) <= S(u_k) - S(u0) - c . (u_k - u0)``.
-    The horizontal part of d is that of the nearest shift which keeps to it; what is cut goes downwards, where
-    the mass of what has rolled to rest is, as far as no fraction becomes larger than the largest drawn.
+    Without the limit, a can on its side could roll away at once, although it was seen at rest. With u the
+    down direction in the object frame, ``S(u)`` the extent of the object along it (support function), and c
+    its center of mass, ``H(u) = S(u) - c . u`` is the center's height above the table. The object is at rest
+    at u0 if ``H(u_k) >= H(u0)`` in all directions k, ``REST_ANGLE`` away. This is linear in the shift d:
+    ``d . (u_k - u0) <= S(u_k) - S(u0) - c . (u_k - u0)``. The horizontal part of the result is that of the
+    nearest feasible shift. The removed length is added downwards, where the mass of a rolled object is, as
+    far as no fraction exceeds the largest sampled one.
 
     Args:
-        models: of the objects, length I.
-        pose: at rest, world frame, shape [I, 7].
-        shift: as drawn, along the axes of the object frame as a fraction of its extents, shape [I, 3].
+        models: object models, length I.
+        pose: rest poses, world frame, shape [I, 7].
+        shift: sampled shifts along the object's axes, as fractions of its extents, shape [I, 3].
 
     Returns:
-        Shifts like the given ones, shape [I, 3].
+        Feasible shifts in the same units, shape [I, 3].
     """
     result = shift.copy()
     around = 2 * np.pi * np.arange(REST_DIRECTIONS) / REST_DIRECTIONS
@@ -119,7 +119,7 @@ def resting_shift(models: Sequence[ObjectModel], pose: np.ndarray, shift: np.nda
         wanted = rotate(turn, shift[i] * model.size)
         points = np.concatenate([piece.vertices for piece in model.pieces]) - model.center_of_mass
         points = rotate(turn[None], points)
-        # What has settled in soft contacts may be a little beside its rest.
+        # Objects that settled in soft contacts may be slightly off their rest pose.
         room = np.maximum((points @ tipped.T).max(axis=0) - (points @ down).max(), 0.0)
         steps = tipped - down
         if np.all(steps @ wanted <= room):
@@ -127,7 +127,7 @@ def resting_shift(models: Sequence[ObjectModel], pose: np.ndarray, shift: np.nda
         kept = wanted + _least_change(-steps, steps @ wanted - room)
         back, most = invert(pose[i])[3:], np.abs(shift[i]).max()
         nearest = rotate(back, kept) / model.size
-        # A shorter one keeps to it as well, and so does a lower one.
+        # A shorter or lower shift is also feasible.
         shorter = min(1.0, most / np.abs(nearest).max(initial=1e-12))
         nearest, kept = shorter * nearest, shorter * kept
         below = np.sqrt(max(wanted @ wanted - kept[:2] @ kept[:2], 0.0))
@@ -139,8 +139,8 @@ def resting_shift(models: Sequence[ObjectModel], pose: np.ndarray, shift: np.nda
 
 
 def _least_change(rows: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The shortest x with ``rows @ x >= least``, shape [3] (least distance programming: Lawson and Hanson,
-    Solving Least Squares Problems, chapter 23). rows: shape [K, 3]; least: shape [K]."""
+    """Return the shortest x with ``rows @ x >= least``, shape [3] (least distance programming: Lawson and
+    Hanson, Solving Least Squares Problems, chapter 23). rows: shape [K, 3]; least: shape [K]."""
     scale = np.abs(least).max()
     stacked = np.vstack([rows.T, least / scale])
     goal = np.array([0.0, 0.0, 0.0, 1.0])
@@ -149,6 +149,6 @@ def _least_change(rows: np.ndarray, least: np.ndarray) -> np.ndarray:
 
 
 def lowest_above_origin(models: Sequence[ObjectModel], pose: np.ndarray) -> np.ndarray:
-    """Height of the objects' lowest points above their origins [m], shape [I]."""
+    """Return the height of each object's lowest point above its origin [m], shape [I]."""
     up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
     return np.array([np.min(model.vertices @ u) for model, u in zip(models, up, strict=True)])

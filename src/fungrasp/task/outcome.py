@@ -1,4 +1,4 @@
-"""Success criteria, and other measurements during the hold (docs/evaluate.md)."""
+"""Success criteria and other measurements during the hold (docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ class Outcomes(BatchRecord):
     pushed_m: np.ndarray
     """Displacement of the object in the table's plane before the lift [m]."""
     legacy_success: np.ndarray
-    """Whether the object did not touch the table during the hold, at whatever height: the definition of
-    earlier published code, bool."""
+    """Whether the object did not touch the table during the hold, at any height, bool: the definition of
+    earlier published code."""
     reason: np.ndarray
     """Why the episode failed, "" on success, str."""
     held_as_shown: np.ndarray
     """Whether the object was held as the person held it (``grasps.as_shown``), bool; false if the person's
     contacts are unknown."""
     shown_share: np.ndarray
-    """Share of wanted finger links that touch as shown in the middle of the hold; NaN if unknown."""
+    """Share of the target finger links that touch as shown in the middle of the hold; NaN if unknown."""
     place_error_mm: np.ndarray
-    """Mean distance of their contacts from the person's at that time [mm]; NaN if unknown."""
+    """Mean distance of these links' contacts from the person's [mm]; NaN if unknown."""
     other_side: np.ndarray
-    """Share of them on another side of the object at that time; NaN if unknown."""
+    """Share of these links on another side of the object than the person's contact; NaN if unknown."""
     strays: np.ndarray
-    """Number of links that touch far from all contacts of the person at that time; NaN if unknown."""
+    """Number of links that touch far from all contacts of the person; NaN if unknown."""
     not_as_shown: np.ndarray
     """Why a held object was not held as shown; "" otherwise, str."""
 
     def fail(self, which: np.ndarray, reason: str) -> None:
-        """Count episodes as failed. which: shape [W] bool; reason: of those that would have succeeded."""
+        """Mark episodes as failed. which: shape [W] bool; reason: stored for those marked as successful."""
         self.reason[which & self.success] = reason
         self.success[which] = self.held_as_shown[which] = False
         self.not_as_shown[which] = ""
@@ -69,18 +69,18 @@ class Outcomes(BatchRecord):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HoldMiddle(BatchRecord):
-    """What W episodes are judged by: the state in the middle of the hold; NaN before it."""
+    """State of W episodes in the middle of the hold; NaN before it."""
 
     palm_pose: np.ndarray
-    """Object frame, shape [W, 7]."""
+    """Palm pose, object frame, shape [W, 7]."""
     joint_positions: np.ndarray
-    """Of all joints [rad], shape [W, M]."""
+    """Positions of all joints [rad], shape [W, M]."""
     touching: np.ndarray
     """Links that touched for more than half of the hold, palm first, shape [W, L] bool."""
 
     def as_shown(self, judge: ShownJudge, shown: ShownContacts) -> AsShown:
-        """How the hands held; like ones far away where there was no hold. shown: where the person touched, W
-        rows."""
+        """Judge whether the grasps are held as shown. Episodes without a hold count as hands far from the
+        object. shown: the person's contacts, W rows."""
         reached = np.isfinite(self.palm_pose[:, :1])
         palm = np.where(reached, self.palm_pose, PARKED)
         joints = np.where(reached, self.joint_positions, 0.0)
@@ -90,16 +90,16 @@ class HoldMiddle(BatchRecord):
 def lifted_and_held(
     lowest: np.ndarray, in_hand: np.ndarray, touched: np.ndarray, protocol: LiftProtocol
 ) -> np.ndarray:
-    """When a grasp has succeeded, in simulation and on a twin: the object stayed up, in the hand, and touched
-    nothing but the hand during the whole hold.
+    """Return whether lifts succeeded, in simulation or on a twin: during the whole hold, the object stayed
+    up, in the hand, and touched nothing else.
 
     Args:
-        lowest: least height of the object's center of mass above where it settled, during the hold [m],
+        lowest: smallest height of the object's center of mass above its settled height during the hold [m],
             shape [W].
-        in_hand: share of the hold's samples in which the object touches the hand, shape [W]; one that was
-            thrown up is not held.
-        touched: whether it touched anything else during the hold, shape [W] bool.
-        protocol: with the height.
+        in_hand: share of the hold's samples in which the object touches the hand, shape [W]; excludes thrown
+            objects.
+        touched: whether the object touched anything else during the hold, shape [W] bool.
+        protocol: protocol with the success height.
 
     Returns:
         Shape [W] bool.
@@ -108,12 +108,12 @@ def lifted_and_held(
 
 
 class LiftMeasurements:
-    """Accumulates what the outcomes of W episodes are made of."""
+    """Accumulates measurements for the outcomes of W episodes."""
 
     def __init__(self, engine: Engine, protocol: LiftProtocol, period: float):
         """
         Args:
-            period: between two calls of ``watch`` [s].
+            period: time between two calls of ``watch`` [s].
         """
         self._period = period
         count, on = len(engine), engine.object_pose
@@ -129,7 +129,7 @@ class LiftMeasurements:
         self._sums = rows_like(on, np.zeros((8, count)))
         self._held = rows_like(on, np.zeros(count, dtype=bool))
         links, joints = len(engine.scene.hand.links), engine.joint_positions.shape[1]
-        # Number of states of the hold, in how many of them each link touched, and the middle one.
+        # Number of states in the hold, number of those with contact of each link, and the middle state.
         self._states = rows_like(on, np.zeros(count))
         self._touched = rows_like(on, np.zeros((count, links)))
         self._middle_palm = rows_like(on, np.full((count, 7), np.nan))
@@ -139,14 +139,14 @@ class LiftMeasurements:
 
     @property
     def height(self) -> Array:
-        """Height of the objects' centers of mass above where they settled [m], -1 where physics has broken
-        down, shape [W]."""
+        """Height of the objects' centers of mass above their settled height [m], -1 if the simulation
+        diverged, shape [W]."""
         height = self._engine.center_of_mass[:, 2] - self.settled_height
         xp = array_namespace(height)
         return xp.where(xp.isfinite(height) & ~self._engine.diverged, height, -1.0)
 
     def begin(self, ids: np.ndarray) -> None:
-        """Start anew in some worlds, whose objects are at rest. ids: shape [I]."""
+        """Reset the measurements of some worlds whose objects are at rest. ids: shape [I]."""
         self.settled_height[ids] = self._engine.center_of_mass[ids, 2]
         self._lifted[ids] = np.inf
         self._touched_table[ids] = False
@@ -158,21 +158,21 @@ class LiftMeasurements:
         self._previous[0][ids], self._previous[1][ids] = np.nan, np.nan
 
     def lift_begins(self, which: np.ndarray, settled_pose: np.ndarray) -> None:
-        """Measure how far the objects were pushed.
+        """Measure how far the objects were pushed before the lift.
 
         Args:
             which: worlds in which the lift begins, shape [W] bool.
-            settled_pose: where the objects were, world frame, shape [W, 7].
+            settled_pose: rest poses of the objects, world frame, shape [W, 7].
         """
         moved = _lengths(self._engine.object_pose[:, :2] - settled_pose[:, :2])
         self._pushed = array_namespace(moved).where(which, moved, self._pushed)
 
     def watch(self, holding: np.ndarray, hold_time: np.ndarray) -> None:
-        """After each setpoint: height, table, contacts, and the middle of the hold.
+        """Update height, table contact, link contacts and the middle state after each setpoint.
 
         Args:
             holding: worlds in their hold, shape [W] bool.
-            hold_time: when it began [s], shape [W].
+            hold_time: start of the hold [s], shape [W].
         """
         if not may_be_any(holding):
             return
@@ -193,7 +193,7 @@ class LiftMeasurements:
             self._middle_joints = xp.where(middle[:, None], engine.joint_positions, self._middle_joints)
 
     def sample(self, holding: np.ndarray, target: np.ndarray) -> None:
-        """After each control period: contacts and displacement.
+        """Update contact ratios and displacements after each control period.
 
         Args:
             holding: worlds in their hold, shape [W] bool.
@@ -229,8 +229,8 @@ class LiftMeasurements:
         return HoldMiddle(self._middle_palm, self._middle_joints, touched)
 
     def outcomes(self, shown: AsShown | None = None) -> Outcomes:
-        """What was measured so far. shown: how the hands held, W rows; None if the person's places are not
-        known."""
+        """Return the measurements so far. shown: whether grasps are held as shown, W rows; None if the
+        person's contacts are unknown."""
         number, recall, precision, f1, touching, intervals, travel, slip = self._sums
         number = np.maximum(number, 1)
         high = self._lifted >= self._protocol.success_height
@@ -271,6 +271,6 @@ class LiftMeasurements:
 
 
 def _lengths(vectors: Array) -> Array:
-    """Of vectors, shape [W, N]; returns shape [W]."""
+    """Return the lengths of vectors, shape [W]. vectors: shape [W, N]."""
     xp = array_namespace(vectors)
     return xp.sqrt(xp.sum(vectors * vectors, axis=1))

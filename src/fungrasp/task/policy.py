@@ -67,12 +67,12 @@ class Action(BatchRecord):
     FORMER_NAMES: ClassVar = {"palm_goal": "palm_goal_world"}
 
     palm_goal_world: np.ndarray
-    """Goal of the palm body, world frame, before any lift is added, shape [W, 7]. The wrist moves there
-    within its speed limits."""
+    """Goal of the palm body without the lift, world frame, shape [W, 7]. The wrist moves there within its
+    speed limits."""
     finger_targets: np.ndarray
     """Targets of the finger servos at the end of the period [rad], shape [W, U]."""
     lift: np.ndarray
-    """Whether to begin the lift, which can't be undone, shape [W] bool."""
+    """Whether to begin the lift, shape [W] bool. A lift cannot be undone."""
 
 
 @runtime_checkable
@@ -84,12 +84,12 @@ class Policy(Protocol):
 
         Args:
             plan: one plan per robot.
-            observation: at the start of the episodes.
+            observation: observation at the start of the episodes.
         """
         ...
 
     def act(self, observation: Observation) -> Action:
-        """The action for the next control period. observation: at its start; the first is the one of
+        """Return the action for the next control period. observation: at its start; the first one is that of
         ``reset``."""
         ...
 
@@ -99,9 +99,9 @@ class PrivilegedPolicy(Protocol):
     """A policy that also gets the privileged state, which exists only in simulation: a teacher."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
-        """Begin new episodes, see ``Policy.reset``."""
+        """Begin new episodes; see ``Policy.reset``."""
         ...
 
     def act_privileged(self, observation: Observation, privileged: Privileged) -> Action:
-        """The action for the next control period, see ``Policy.act``. privileged: at its start."""
+        """Return the action for the next control period; see ``Policy.act``. privileged: at its start."""
         ...

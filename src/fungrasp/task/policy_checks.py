@@ -13,11 +13,12 @@ from fungrasp.task.grasp_plan import GraspPlan
 from fungrasp.task.policy import Action, Observation
 
 SAME_PLACE = 1e-6
-"""Palm goals that differ by less are the same [m]."""
+"""Palm goals closer than this are equal [m]."""
 
 
 def check_policy(policy: Any) -> None:
-    """
+    """Check that an object is a policy.
+
     Raises:
         FungraspError: a method is missing, or a class was passed instead of an instance.
     """
@@ -35,12 +36,12 @@ def check_action(action: Any, plan: GraspPlan, observation: Observation) -> None
     """Check the first action of an episode.
 
     Args:
-        plan: that is followed, W of them.
-        observation: that the policy acted on.
+        plan: plans that are followed, W of them.
+        observation: observation passed to the policy.
 
     Raises:
-        FungraspError: not an action of W robots, not finite, or with a goal in a frame other than the
-            world's.
+        FungraspError: the value is not an action of W robots or not finite, or its goal is in a frame other
+            than the world's.
     """
     if not isinstance(action, Action):
         raise FungraspError(f"the policy's act must return a fungrasp.Action, not a {type(action).__name__}")

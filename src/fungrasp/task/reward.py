@@ -1,8 +1,8 @@
 """Reward of a policy: one pure function per term, and their weighted sum.
 
 The terms follow section IV.B of the paper (position, contact, safety, posture) and D-Grasp (force); approach,
-lift, stability and action are additions. Every term is bounded, so that one bad world can't drown the others.
-Arrays are NumPy's, torch's or another array-API library's, and lead with W worlds.
+lift, stability and action are additions. Every term is bounded, so that a single world cannot dominate.
+Arrays may be of any array-API library; the first axis is W worlds.
 """
 
 from __future__ import annotations
@@ -41,12 +41,11 @@ class RewardWeights:
     action: float = 0.02
     """Weight of ``action_reward``, in [-5, 0] for actions in [-1, 1]."""
     success: float = 5.0
-    """Reward for a successful end of the episode (term: 1 there, 0 elsewhere)."""
+    """Reward for a successful end of the episode."""
     shown: float = 10.0
-    """Reward for a successful end of the episode by how it is held (term: ``shown_share`` there, 0
-    elsewhere)."""
+    """Reward for a successful end of the episode, times ``shown_share``."""
     drop: float = -3.0
-    """Reward for losing the object (term: 1 there, 0 elsewhere)."""
+    """Reward for losing the object."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -56,13 +55,13 @@ class RewardWeights:
 
 
 def total(terms: Mapping[str, Array], weights: RewardWeights) -> Array:
-    """``sum_i weights_i terms_i``, shape [W].
+    """Return the weighted sum ``sum_i weights_i terms_i``, shape [W].
 
     Args:
-        terms: by name of their weight, each of shape [W]. A term left out counts as zero.
+        terms: terms by name of their weight, shape [W] each. Missing terms count as zero.
 
     Raises:
-        FungraspError: no term, or a name without a weight.
+        FungraspError: there is no term, or a name has no weight.
     """
     if not terms:
         raise FungraspError("a reward needs at least one term")
@@ -74,17 +73,16 @@ def total(terms: Mapping[str, Array], weights: RewardWeights) -> Array:
 
 
 def position_reward(keypoints: Array, targets: Array, weights: Array, scale: float = 0.05) -> Array:
-    """Key points where the reference has them (r_p of section IV.B.2, after D-Grasp).
+    """Penalize key points away from the reference (r_p of section IV.B.2, after D-Grasp).
 
-    ``r_p = -sum_k w_k min(1, |p_k - p'_k|^2 / scale^2) / sum_k w_k``. The squared distance counts in units of
-    ``scale`` squared, and a point that is farther away costs no more than one at that distance: far from the
-    object all points cost the same, and the motion there is left to the other terms.
+    ``r_p = -sum_k w_k min(1, |p_k - p'_k|^2 / scale^2) / sum_k w_k``. The penalty of a point is constant
+    beyond ``scale``: far from the object, the other terms guide the motion.
 
     Args:
-        keypoints: [m], object frame, shape [W, K, 3].
-        targets: of the reference [m], object frame, shape [W, K, 3].
+        keypoints: key points [m], object frame, shape [W, K, 3].
+        targets: key points of the reference [m], object frame, shape [W, K, 3].
         weights: not negative, not all zero, shape [K].
-        scale: [m].
+        scale: distance of the largest penalty [m].
 
     Returns:
         In [-1, 0], shape [W].
@@ -95,15 +93,15 @@ def position_reward(keypoints: Array, targets: Array, weights: Array, scale: flo
 
 
 def approach_reward(keypoints: Array, targets: Array, distance: float) -> Array:
-    """The hand comes to the reference: ``-mean_k min(1, |p_k - p'_k| / distance)``.
+    """Penalize the distance from the reference: ``-mean_k min(1, |p_k - p'_k| / distance)``.
 
-    For policies that follow no planned motion: the paper's r_p has no bound, ``position_reward`` has one and
-    says nothing from afar.
+    For policies without a planned motion: the paper's r_p is unbounded, and ``position_reward`` is constant
+    far from the reference.
 
     Args:
-        keypoints: [m], object frame, shape [W, K, 3].
-        targets: of the reference [m], object frame, shape [W, K, 3].
-        distance: at which episodes begin [m].
+        keypoints: key points [m], object frame, shape [W, K, 3].
+        targets: key points of the reference [m], object frame, shape [W, K, 3].
+        distance: initial distance of the episodes [m].
 
     Returns:
         In [-1, 0], shape [W].
@@ -114,20 +112,19 @@ def approach_reward(keypoints: Array, targets: Array, distance: float) -> Array:
 
 
 def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) -> Array:
-    """Weight of the contact reward (omega_c of section IV.B.2).
+    """Return the weight of the contact reward (omega_c of section IV.B.2).
 
     ``omega_c = sum_j c'_j |p_j|^2 / sum_j c'_j |p'_j|^2``, in [0, 2], over the links that should touch. The
-    paper does not say in which frame the positions are, and in the world's or the object's the ratio would
-    depend on where the origin happens to lie; here positions count from the palm. Then the weight is about 1
-    where the links that should touch reach as far as in the reference, less in a hand that has closed too
-    far to hold the object there, and more in one that still reaches out. It knows distances but no
-    directions: ``position_reward`` accounts for those. The printed ratio has no upper bound, and no
-    value without targets; here it is cut at 2, and 1 in a world without targets.
+    paper does not name the frame of the positions. In the world or object frame, the ratio would depend on
+    the origin, so the palm frame is used. The weight is about 1 if these links reach as far as in the
+    reference, less if the hand is closed too far, and more if it still reaches out. It measures distances but
+    not directions, which ``position_reward`` does. The printed ratio is unbounded and undefined without
+    targets; here it is clipped at 2, and 1 without targets.
 
     Args:
         keypoints: a point on each link [m], palm frame, shape [W, L, 3].
-        targets: those points in the reference [m], palm frame, shape [W, L, 3].
-        contacts: which links should touch, shape [W, L] bool.
+        targets: these points in the reference [m], palm frame, shape [W, L, 3].
+        contacts: links that should touch, shape [W, L] bool.
 
     Returns:
         In [0, 2], shape [W].
@@ -143,12 +140,12 @@ def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) ->
 
 
 def closeness(keypoints: Array, targets: Array, near: float = NEAR) -> Array:
-    """How close links are to where the reference has them: 1 there, 1/2 at ``near``, 0 from twice that.
+    """Return how close links are to the reference: 1 at no distance, 1/2 at ``near``, 0 from ``2 near``.
 
     Args:
         keypoints: a point on each link [m], object frame, shape [W, L, 3].
-        targets: those points in the reference [m], object frame, shape [W, L, 3].
-        near: largest distance that counts as the same place (``grasps.as_shown``) [m].
+        targets: these points in the reference [m], object frame, shape [W, L, 3].
+        near: largest distance of contacts at the same place (``grasps.as_shown``) [m].
 
     Returns:
         In [0, 1], shape [W, L].
@@ -158,13 +155,13 @@ def closeness(keypoints: Array, targets: Array, near: float = NEAR) -> Array:
 
 
 def shown_share(contacts: Array, targets: Array, closeness: Array) -> Array:
-    """Share of the links that should touch that do, each weighted by its closeness:
-    ``sum_j c_j c'_j k_j / |c'|``, 0 in a world without targets.
+    """Return the share of target links in contact, weighted by closeness: ``sum_j c_j c'_j k_j / |c'|``, 0
+    without targets.
 
     Args:
-        contacts: which links touch the object, shape [W, L] bool.
-        targets: which links should, shape [W, L] bool.
-        closeness: of each link, in [0, 1], shape [W, L].
+        contacts: links that touch the object, shape [W, L] bool.
+        targets: links that should touch, shape [W, L] bool.
+        closeness: closeness of each link, in [0, 1], shape [W, L].
 
     Returns:
         In [0, 1], shape [W].
@@ -178,20 +175,19 @@ def shown_share(contacts: Array, targets: Array, closeness: Array) -> Array:
 def contact_reward(
     contacts: Array, targets: Array, forces: Array, mass: Array, closeness: Array, cap: float = 5.0
 ) -> Array:
-    """The right links touch the object in the right places, and press (r_c of section IV.B.2, after D-Grasp).
+    """Reward contacts and forces of the target links (r_c of section IV.B.2, after D-Grasp).
 
-    ``r_c = sum_j c_j c'_j k_j / |c'| + min(sum_j c'_j k_j f_j, F) / F`` with ``F = cap m g``. Pressing harder
-    than ``cap`` times the object's weight, summed over the links that should touch, is not paid for. Zero in
-    a world without targets. The paper's term has no closeness ``k``: with it alone, policies hold objects,
-    but not as shown.
+    ``r_c = sum_j c_j c'_j k_j / |c'| + min(sum_j c'_j k_j f_j, F) / F`` with ``F = cap m g``. The total force
+    of the target links is rewarded up to ``cap`` times the object's weight. Without targets the reward is
+    zero. The paper's term has no closeness ``k``: policies trained with it hold objects, but not as shown.
 
     Args:
-        contacts: which links touch the object, shape [W, L] bool.
-        targets: which links should, shape [W, L] bool.
+        contacts: links that touch the object, shape [W, L] bool.
+        targets: links that should touch, shape [W, L] bool.
         forces: net contact force of each link on the object [N], magnitude, shape [W, L].
-        mass: of the object [kg], positive, shape [W].
-        closeness: of each link, in [0, 1], shape [W, L].
-        cap: in units of the object's weight.
+        mass: mass of the object [kg], positive, shape [W].
+        closeness: closeness of each link, in [0, 1], shape [W, L].
+        cap: largest rewarded force, in units of the object's weight.
 
     Returns:
         In [0, 2], shape [W].
@@ -203,15 +199,14 @@ def contact_reward(
 
 
 def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) -> Array:
-    """The hand presses neither the table nor itself (r_s of section IV.B.2).
+    """Penalize contact forces of the hand with the table and itself (r_s of section IV.B.2).
 
-    ``r_s = -tanh((sum_l |f_l| + |f_self|) / unit)``: the paper's sum of undesired forces while small, bounded
-    where the hand rams the table.
+    ``r_s = -tanh((sum_l |f_l| + |f_self|) / unit)``: for small forces the paper's sum, but bounded.
 
     Args:
-        table_forces: between each link and the table [N], shape [W, L].
-        self_force: between links of the hand [N], shape [W].
-        unit: [N].
+        table_forces: forces between each link and the table [N], shape [W, L].
+        self_force: force between links of the hand [N], shape [W].
+        unit: unit of force [N].
 
     Returns:
         In [-1, 0], shape [W].
@@ -221,14 +216,14 @@ def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) ->
 
 
 def posture_reward(directions: Array, targets: Array) -> Array:
-    """Finger links point as in the reference (r_q of section IV.B.2).
+    """Penalize finger link directions that differ from the reference (r_q of section IV.B.2).
 
-    ``r_q = mean_ij (cos(v_ij, v'_ij) - 1)`` over the links of all fingers. A link that has no direction (a
-    zero vector, as pads the fingers that have fewer links) does not count.
+    ``r_q = mean_ij (cos(v_ij, v'_ij) - 1)`` over the links of all fingers. Zero vectors, which pad fingers
+    with fewer links, do not count.
 
     Args:
-        directions: of each link, any length, object frame, shape [W, F, K, 3].
-        targets: of the reference, any length, object frame, shape [W, F, K, 3].
+        directions: direction of each link, any length, object frame, shape [W, F, K, 3].
+        targets: directions in the reference, any length, object frame, shape [W, F, K, 3].
 
     Returns:
         In [-2, 0], shape [W].
@@ -243,11 +238,11 @@ def posture_reward(directions: Array, targets: Array) -> Array:
 
 
 def lift_reward(height: Array, goal: float) -> Array:
-    """The object is up: ``clip(height / goal, 0, 1)``.
+    """Reward the height of the object: ``clip(height / goal, 0, 1)``.
 
     Args:
-        height: of the object's center of mass above where it settled [m], shape [W].
-        goal: [m].
+        height: height of the object's center of mass above its settled height [m], shape [W].
+        goal: height of the full reward [m].
 
     Returns:
         In [0, 1], shape [W].
@@ -259,15 +254,15 @@ def lift_reward(height: Array, goal: float) -> Array:
 def stability_reward(
     slip_velocity: Array, spin: Array, velocity_unit: float = 0.1, spin_unit: float = 2.0
 ) -> Array:
-    """The object rests in the hand: ``-(tanh(|v| / velocity_unit) + tanh(|w| / spin_unit)) / 2``.
+    """Penalize slip in the hand: ``-(tanh(|v| / velocity_unit) + tanh(|w| / spin_unit)) / 2``.
 
-    While the hand approaches, the object moves relative to the palm as it must: meant for once it is held.
+    Use it only once the object is held: during the approach, the object has to move relative to the palm.
 
     Args:
-        slip_velocity: of the object relative to the palm [m/s], shape [W, 3].
-        spin: of the object relative to the palm [rad/s], shape [W, 3].
-        velocity_unit: [m/s].
-        spin_unit: [rad/s].
+        slip_velocity: velocity of the object relative to the palm [m/s], shape [W, 3].
+        spin: angular velocity of the object relative to the palm [rad/s], shape [W, 3].
+        velocity_unit: unit of velocity [m/s].
+        spin_unit: unit of angular velocity [rad/s].
 
     Returns:
         In [-1, 0], shape [W].
@@ -278,11 +273,11 @@ def stability_reward(
 
 
 def action_reward(action: Array, previous: Array) -> Array:
-    """Small and steady actions: ``-(mean_i a_i^2 + mean_i (a_i - b_i)^2)``.
+    """Penalize large and changing actions: ``-(mean_i a_i^2 + mean_i (a_i - b_i)^2)``.
 
     Args:
-        action: residual action ``a``, without unit, shape [W, A].
-        previous: the action before, ``b``, shape [W, A].
+        action: residual action ``a``, dimensionless, shape [W, A].
+        previous: previous action ``b``, shape [W, A].
 
     Returns:
         Not positive, in [-5, 0] for actions in [-1, 1], shape [W].

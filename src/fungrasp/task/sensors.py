@@ -25,27 +25,27 @@ from fungrasp.task.lift import LiftTask
 from fungrasp.task.policy import Observation
 
 UNCOVERED = 0.05
-"""A tracker that has lost the object sees it again when no part of the hand is this near to it [m]: a hand
-that is nearer covers much of an object of 5 to 20 cm from most cameras."""
+"""Distance of the hand from which a tracker finds a lost object again [m]. A hand closer than this hides much
+of an object of 5 to 20 cm from most cameras."""
 
 NO_LIFT = -1.0
 """``Observation.time_since_lift`` before the lift [s]."""
 
 
 class Jitter(Protocol):
-    """Random numbers, as ``numpy.random.Generator`` draws them; on a device, its own."""
+    """Random numbers with the interface of ``numpy.random.Generator``; on a device, its own generator."""
 
     def normal(self, *, size: tuple[int, int]) -> Array:
-        """Standard normal numbers."""
+        """Draw standard normal numbers."""
         ...
 
     def random(self, count: int, /) -> Array:
-        """Numbers from 0 to 1."""
+        """Draw numbers from 0 to 1."""
         ...
 
 
 class SimulatedSensors:
-    """Measures what ``Observation`` holds. Biases are those of a sample; jitter is drawn at every call."""
+    """Simulates ``Observation``. Biases come from an episode sample; jitter is drawn at every call."""
 
     def __init__(
         self,
@@ -55,8 +55,8 @@ class SimulatedSensors:
     ):
         """
         Args:
-            randomization: with the jitter and the dropouts.
-            rng: of those; one for all worlds, or one for each.
+            randomization: randomization with jitter and dropouts.
+            rng: random generators, one for all worlds or one per world.
         """
         self._task, self._r, self.rng = task, randomization, rng
         on, count = task.time, len(task.engine)
@@ -68,10 +68,10 @@ class SimulatedSensors:
         """Worlds in which the hand has touched the object and is still near it, shape [W]."""
         self._clearance: HandClearance | None = None
         self._last: tuple[Array, Array] | None = None
-        """Object poses that were last seen [W, 7], and when [s], shape [W]; NaN where nothing was yet."""
+        """Last seen object poses, shape [W, 7], and their times [s], shape [W]; NaN before the first."""
 
     def begin(self, ids: np.ndarray) -> None:
-        """Forget the past of some worlds, whose episodes begin. ids: shape [I]."""
+        """Reset the sensors of some worlds whose episodes begin. ids: shape [I]."""
         now, ids = self._task.engine.object_pose, moved_to(self._filtered, ids)
         for pose in self._ring:
             pose[ids] = now[ids]
@@ -81,11 +81,11 @@ class SimulatedSensors:
         self._covered[ids] = False
 
     def resume(self, ids: np.ndarray, rng: Sequence[np.random.Generator] | None = None) -> None:
-        """Go on in some worlds after a while in which nothing moved there. What was seen stays seen.
+        """Continue in some worlds after a pause without motion. Tracker states are kept.
 
         Args:
             ids: worlds, shape [I].
-            rng: of what is random from now on, one for each of these worlds; as before if None.
+            rng: new random generators, one per world; unchanged if None.
         """
         now = self._task.engine.object_pose
         for pose in self._ring:
@@ -97,8 +97,8 @@ class SimulatedSensors:
             self.rng = streams
 
     def record(self) -> None:
-        """Keep the objects' poses and what has touched, after each setpoint: for trackers that are late or
-        lose the object."""
+        """Record object poses and contacts after each setpoint, for trackers that are delayed or lose the
+        object."""
         if self._r.tracker_freeze > 0:
             self._covered |= self._task.engine.link_contacts.any(axis=1)
         if not self._r.tracker_delay[1]:
@@ -108,7 +108,7 @@ class SimulatedSensors:
         del self._ring[: -(1 + round(self._r.tracker_delay[1] / period))]
 
     def observe(self, sample: EpisodeSample) -> Observation:
-        """Current observation. sample: parameters of the episodes in the W worlds."""
+        """Return the current observation. sample: random parameters of the W episodes."""
         task, r = self._task, self._r
         since_lift = at_least(task.time - task.lift_time, NO_LIFT)
         hand, joints = task.scene.hand, task.engine.joint_positions
@@ -134,18 +134,18 @@ class SimulatedSensors:
         )
 
     def estimated_object_pose(self, pose: np.ndarray, sample: EpisodeSample) -> np.ndarray:
-        """Estimated poses of objects at rest, world frame, shape [W, 7]: measurements are averaged, so that
-        the bias alone remains.
+        """Return estimated poses of objects at rest, world frame, shape [W, 7]. Measurements are averaged, so
+        that only the bias remains.
 
         Args:
-            pose: where they are, world frame, shape [W, 7].
+            pose: true poses, world frame, shape [W, 7].
         """
         if not sample.object_bias.any():
             return pose
         return offset_pose(pose, sample.object_bias, self._center())
 
     def _track(self, sample: EpisodeSample) -> tuple[Array, Array]:
-        """Tracked object poses, world frame [W, 7], and their age [s], shape [W]."""
+        """Return tracked object poses, world frame, shape [W, 7], and their age [s], shape [W]."""
         task, r = self._task, self._r
         pose, xp = task.engine.object_pose, array_namespace(task.time)
         age = xp.zeros_like(task.time)
@@ -156,7 +156,7 @@ class SimulatedSensors:
             pose = xp.stack(self._ring)[index, xp.arange(len(late), device=late.device)]
             age = late * task.setpoints.period
         errors = (r.object_position_error, r.object_rotation_error)
-        # The bias of a sample may be larger than the errors that are drawn: that of a belief, in rollouts.
+        # In rollouts, the bias comes from a belief and may exceed the randomization's errors.
         if any(e != MeasurementError() for e in errors) or may_be_any(sample.object_bias):
             pose = offset_pose(pose, sample.object_bias + self._jitter(errors), self._center())
         if r.tracker_dropout > 0 or r.tracker_freeze > 0:
@@ -165,7 +165,7 @@ class SimulatedSensors:
                 missing = missing | (self._uniform() < r.tracker_dropout)
             if self._last is not None:
                 seen, when = self._last
-                # Nothing is measured any more of what is over.
+                # Finished worlds are not measured any more.
                 missing = (missing | task.done) & xp.isfinite(when)
                 pose = xp.where(missing[:, None], seen, pose)
                 age = xp.where(missing, task.time - when, age)
@@ -175,14 +175,14 @@ class SimulatedSensors:
         return pose, age
 
     def _lost(self, sample: EpisodeSample) -> Array:
-        """Worlds whose trackers have lost the object, shape [W] bool."""
+        """Return whether each tracker has lost its object, shape [W] bool."""
         engine, scene = self._task.engine, self._task.scene
         lost = sample.tracker_freezes & self._covered
         if self._r.tracker_freeze > 0 and may_be_any(lost):
             if self._clearance is None:
                 self._clearance = HandClearance(scene.hand, scene.models, engine.object_index)
             self._clearance.hold(engine.object_index)
-            # A device is not asked which they are.
+            # On a device, measure all rows: indices would need a synchronization.
             rows = np.flatnonzero(lost) if is_numpy(lost) else slice(None)
             joints = scene.hand.independent(engine.joint_positions[rows])
             near, _ = self._clearance.measure(rows, engine.object_pose[rows], engine.palm_pose[rows], joints)
@@ -190,8 +190,8 @@ class SimulatedSensors:
         return sample.tracker_freezes & self._covered
 
     def _low_pass(self, pose: Array) -> Array:
-        """Filtered poses: ``x += (1 - exp(-T / tau)) (measured - x)`` once in each control period T, on the
-        rotation along the shortest arc."""
+        """Filter poses with ``x += (1 - exp(-T / tau)) (measured - x)`` once per control period T, for
+        rotations along the shortest arc."""
         xp = array_namespace(pose)
         share = 1.0 - np.exp(-self._task.protocol.control_period / self._r.tracker_time_constant)
         before = xp.where(xp.isfinite(self._filtered), self._filtered, pose)
@@ -202,13 +202,12 @@ class SimulatedSensors:
         return copied(self._filtered)
 
     def _center(self) -> Array:
-        """Centers of mass in the frames of objects [m], shape [W, 3]: a tracked object turns about its
-        own."""
+        """Return centers of mass, the centers of rotation errors, object frame [m], shape [W, 3]."""
         now = self._task.engine.object_pose
         return inverse_transform_points(now, self._task.engine.center_of_mass[:, None])[:, 0]
 
     def _jitter(self, errors: tuple[MeasurementError, MeasurementError]) -> Array:
-        """Jitter of position [m] and rotation vector [rad], shape [W, 6]."""
+        """Draw jitter of position [m] and rotation vector [rad], shape [W, 6]."""
         drawn = self._normal(6)
         return drawn * like(drawn, np.repeat([e.jitter for e in errors], 3))
 
@@ -216,7 +215,7 @@ class SimulatedSensors:
         count = len(self._task.engine)
         if not isinstance(self.rng, Sequence):
             return self.rng.normal(size=(count, size))
-        # Not where episodes are over: those of the others must not decide what is drawn next.
+        # Finished episodes draw nothing: the other worlds' durations must not change the random streams.
         going = ~self._task.done
         return np.stack(
             [rng.normal(size=size) if g else np.zeros(size) for rng, g in zip(self.rng, going, strict=True)]

@@ -1,4 +1,4 @@
-"""Setpoints of the servos, as a robot's computer makes them from an action in every control period."""
+"""Servo setpoints, computed from an action in every control period as on a robot's computer."""
 
 from __future__ import annotations
 
@@ -26,36 +26,36 @@ class WristSetpoint:
     """Pose and velocity of W wrist setpoints, world frame."""
 
     def __init__(self, pose: Array, protocol: LiftProtocol):
-        """pose: shape [W, 7]."""
+        """pose: initial poses, shape [W, 7]."""
         xp = array_namespace(pose)
         self.pose = copied(pose)
         self.velocity = xp.zeros_like(self.pose[:, :3])
         self.turning = xp.zeros_like(self.pose[:, :3])
-        """Angular velocity, world frame [rad/s], shape [W, 3]; kept where it may not jump."""
+        """Angular velocity, world frame [rad/s], shape [W, 3]; used if angular acceleration is limited."""
         self._protocol = protocol
 
     def advance(self, goal: Array, duration: float, steps: int = 1) -> tuple[Array, Array]:
-        """Move towards goals: straight, braking in time, never faster than allowed.
+        """Move towards goals on straight lines within the limits of speed and acceleration, braking in time.
 
         Args:
-            goal: poses, shape [W, 7].
-            duration: of a step [s].
-            steps: S, how many to make.
+            goal: goal poses, shape [W, 7].
+            duration: duration of a step [s].
+            steps: number of steps, S.
 
         Returns:
-            pose, shape [S, W, 7], and velocity [m/s], shape [S, W, 3], at the end of each step.
+            poses, shape [S, W, 7], and velocities [m/s], shape [S, W, 3], at the end of each step.
         """
         p, xp = self._protocol, array_namespace(goal)
         kind = {"dtype": goal.dtype, "device": goal.device}
         poses = xp.empty((steps, *self.pose.shape), **kind)
         if p.wrist_rotation_acceleration is None:
-            # A turn has no inertia.
+            # Angular acceleration is unlimited.
             number = xp.arange(1, steps + 1, **kind)[:, None, None]
             turns = p.wrist_rotation_speed * duration * number
             poses[..., 3:] = turned_towards(self.pose[:, 3:], goal[:, 3:], turns)
         else:
             poses[..., 3:] = self._turn(goal[:, 3:], p.wrist_rotation_acceleration, duration, steps)
-        # In units of a step and of what the velocity may change in it.
+        # Units: one step, and the largest velocity change in a step.
         reach = p.wrist_acceleration * duration
         offset = (goal[:, :3] - self.pose[:, :3]) / (reach * duration)
         velocity = self.velocity / reach
@@ -71,7 +71,7 @@ class WristSetpoint:
         return poses, velocities
 
     def _turn(self, goal: Array, acceleration: float, duration: float, steps: int) -> Array:
-        """Turn towards goals as the position moves, with an acceleration [rad/s^2], shape [S, W, 4]."""
+        """Turn towards goals with limited angular acceleration [rad/s^2], shape [S, W, 4]."""
         p = self._protocol
         reach = acceleration * duration
         shape = (steps, *goal.shape)
@@ -88,8 +88,9 @@ class WristSetpoint:
 
 
 def _wanted(offset: Array, speed: float) -> Array:
-    """Velocity towards goals at an offset, shape [W, 3], where steps and the acceleration are 1: at most the
-    speed, and such that the wrist can stop in time, ``distance = v^2 / 2 + v / 2``, or arrives in a step."""
+    """Return the velocity towards goals at an offset, shape [W, 3], in units of one step and the
+    acceleration. It is limited by the speed and by the stopping distance ``v^2 / 2 + v / 2``, and reaches
+    near goals in one step."""
     xp, distance = array_namespace(offset), norm(offset)
     time = xp.maximum(0.25 + xp.sqrt(0.0625 + 0.5 * distance), distance / speed)
     return offset / at_least(time, 1.0)
@@ -104,17 +105,17 @@ class SetpointSequence:
     """The setpoints of one control period, S of them, in W worlds."""
 
     goal: Array
-    """Where the palm is to go in the end, world frame, shape [W, 7]."""
+    """Final goal of the palm, world frame, shape [W, 7]."""
     palm: Array
     """Setpoints of the palm, world frame, shape [S, W, 7]."""
     palm_velocity: Array
-    """Their linear velocity, world frame [m/s], shape [S, W, 3]."""
+    """Linear velocity of these setpoints, world frame [m/s], shape [S, W, 3]."""
     fingers: Array
     """Setpoints of the independent joints [rad], shape [S, W, U]."""
 
 
 class SetpointGenerator:
-    """Setpoints of W worlds: they move on from where they are, late where actions are delayed."""
+    """Generates the setpoints of W worlds, with delayed actions."""
 
     def __init__(
         self,
@@ -128,16 +129,16 @@ class SetpointGenerator:
         Args:
             servo_limits: lowest and highest setpoint of each independent joint [rad], shape [U, 2].
             count: W.
-            protocol: with the limits of the wrist.
-            timestep: of the simulation that follows the setpoints [s]; setpoints are whole steps apart.
-            on: an array of the library and the device that goals will be on; NumPy's if None.
+            protocol: protocol with the limits of the wrist.
+            timestep: timestep of the simulation [s]; setpoints are a whole number of timesteps apart.
+            on: array whose library and device are used; NumPy if None.
         """
         self.substeps = round(SETPOINT_PERIOD / timestep)
         """Physics steps between two setpoints."""
         self.period = self.substeps * timestep
-        """Time that they take [s]."""
+        """Time between two setpoints [s]."""
         self.number = round(protocol.control_period / self.period)
-        """S, setpoints in a control period."""
+        """Number of setpoints in a control period, S."""
         on = np.zeros(1) if on is None else on
         resting = rows_like(on, np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
         self.wrist = WristSetpoint(resting, protocol)
@@ -145,20 +146,19 @@ class SetpointGenerator:
         self.fingers = rows_like(on, np.zeros((count, len(servo_limits))))
         """Last setpoints of the independent joints [rad], shape [W, U]."""
         self.delay = rows_like(on, np.zeros(count))
-        """Time until an action takes effect [s], at most a control period, rounded up to whole setpoint
-        periods; shape [W]."""
+        """Delay of actions [s], at most a control period, rounded up to whole setpoint periods; shape [W]."""
         self._goal = copied(resting)
         self._finger_rate = array_namespace(resting).zeros_like(self.fingers)
 
     def begin(
         self, ids: np.ndarray, palm_pose: np.ndarray, velocity: np.ndarray, fingers: np.ndarray
     ) -> None:
-        """Start somewhere in some worlds, I of them.
+        """Start I worlds at given setpoints.
 
         Args:
             ids: worlds, shape [I].
-            palm_pose: world frame, shape [I, 7].
-            velocity: of the palm, world frame [m/s], shape [I, 3].
+            palm_pose: palm poses, world frame, shape [I, 7].
+            velocity: velocities of the palm, world frame [m/s], shape [I, 3].
             fingers: independent joints [rad], shape [I, U].
         """
         self.wrist.pose[ids], self.wrist.velocity[ids], self.wrist.turning[ids] = palm_pose, velocity, 0.0
@@ -166,11 +166,11 @@ class SetpointGenerator:
         self._goal[ids], self._finger_rate[ids] = palm_pose, 0.0
 
     def state(self) -> list[Array]:
-        """Where the worlds are, for ``restore``."""
+        """Return a copy of the state, for ``restore``."""
         return [copied(array) for array in self._arrays()]
 
     def restore(self, which: Array, state: list[Array]) -> None:
-        """Put some worlds back to a ``state``. which: shape [W] bool."""
+        """Restore the state of some worlds. which: shape [W] bool."""
         for array, before in zip(self._arrays(), state, strict=True):
             put_back(array, which, before)
 
@@ -179,20 +179,20 @@ class SetpointGenerator:
         return [wrist.pose, wrist.velocity, wrist.turning, self.fingers, self._goal, self._finger_rate]
 
     def advance(self, goal: Array, fingers: Array) -> SetpointSequence:
-        """The setpoints of the next control period; the generator then is where it ends.
+        """Return the setpoints of the next control period and advance to its end.
 
         Args:
-            goal: of the palm, world frame, shape [W, 7].
-            fingers: of the independent joints, to be there when the period ends [rad], shape [W, U].
+            goal: goals of the palm, world frame, shape [W, 7].
+            fingers: targets of the independent joints at the end of the period [rad], shape [W, U].
         """
         xp = array_namespace(goal)
         fingers = clip(fingers, self._lowest, self._highest)
-        # Whole setpoint periods after which the action takes effect in each world.
+        # Number of setpoint periods after which the action takes effect in each world.
         due = clip(xp.ceil(self.delay / self.period - 1e-9), 0.0, float(self.number))
         times = set(due.tolist()) if is_numpy(due) else set(range(self.number + 1))
         parts: list[tuple[Array, ...]] = []
-        # One by one where any action is late: rounding in one world must not depend on when the others'
-        # actions take effect.
+        # If any action is delayed, each period is computed separately, so that rounding in one world does
+        # not depend on the delays of the others.
         ends = range(self.number + 1) if may_be_any(due) else (0, self.number)
         for begin, end in pairwise(ends):
             if begin in times:
@@ -206,7 +206,7 @@ class SetpointGenerator:
         return SetpointSequence(goal, palm, velocity, joints)
 
     def _move(self, steps: int) -> tuple[Array, Array, Array]:
-        """Make S more setpoints: palm, shape [S, W, 7], its velocity, [S, W, 3], fingers, [S, W, U]."""
+        """Generate S setpoints: palm, shape [S, W, 7], its velocity, [S, W, 3], and fingers, [S, W, U]."""
         palm, velocity = self.wrist.advance(self._goal, self.period, steps)
         now = self.fingers
         number = array_namespace(now).arange(1, steps + 1, dtype=now.dtype, device=now.device)
@@ -215,7 +215,7 @@ class SetpointGenerator:
         return palm, velocity, fingers
 
     def _take(self, which: Array, goal: Array, fingers: Array) -> None:
-        """Follow an action from now on. which: worlds, shape [W] bool."""
+        """Switch to a new action. which: worlds, shape [W] bool."""
         rate = (fingers - self.fingers) / self.number
         where = array_namespace(rate).where
         self._goal = where(which[:, None], goal, self._goal)
@@ -225,17 +225,17 @@ class SetpointGenerator:
 def more_setpoints(
     palm: np.ndarray, palms: np.ndarray, joints: np.ndarray, fingers: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """More setpoints on the way of S others, evenly: a motion that is slowed down.
+    """Resample S setpoints evenly to more setpoints, to slow down a motion.
 
     Args:
-        palm: where the palm begins, shape [7].
-        palms: its S setpoints, shape [S, 7].
-        joints: where the fingers begin [rad], shape [U].
-        fingers: their S setpoints [rad], shape [S, U].
-        count: how many are wanted, S or more.
+        palm: initial palm pose, shape [7].
+        palms: palm setpoints, shape [S, 7].
+        joints: initial finger joints [rad], shape [U].
+        fingers: finger setpoints [rad], shape [S, U].
+        count: number of new setpoints, at least S.
 
     Returns:
-        setpoints of palm, shape [count, 7], and fingers, shape [count, U]; the last are those given.
+        setpoints of palm, shape [count, 7], and fingers, shape [count, U]; the last ones are unchanged.
     """
     palms, fingers = np.concatenate([palm[None], palms]), np.concatenate([joints[None], fingers])
     when = np.arange(1, count + 1) * (len(palms) - 1) / count

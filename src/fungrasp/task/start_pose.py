@@ -1,4 +1,4 @@
-"""Where hands start: away from the object, and clear of it and of the table (docs/evaluate.md)."""
+"""Start poses of hands: away from the object, clear of it and of the table (docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from fungrasp.objects import ObjectModel
 from fungrasp.task.hand_clearance import HandClearance
 
 CLEARANCE = 0.01
-"""Distance that hands keep from object and table as they start [m]."""
+"""Smallest distance of a hand from object and table at the start [m]."""
 
 TURN_STEP = np.deg2rad(1.0)
-"""Step in which starts are turned upwards [rad]."""
+"""Step of the search for a clear start pose [rad]."""
 
 _LARGEST_TURN = np.pi / 2
 
 
 def start_fingers(hand: Hand, grasps: RobotGraspSet, closing: float) -> np.ndarray:
-    """Independent joints at the start [rad], shape [W, U].
+    """Return the independent joints at the start [rad], shape [W, U].
 
     Args:
         grasps: W grasps.
-        closing: the joints' fraction of their angles in the grasp.
+        closing: fraction of the joint angles in the grasp.
     """
     return hand.independent(np.clip(closing * grasps.joint_positions, *hand.joint_limits.T))
 
 
 def start_on_line(object_pose: np.ndarray, target: np.ndarray, distance: float | np.ndarray) -> np.ndarray:
-    """Palm poses on the line from objects to where palms will grasp, turned as they will be.
+    """Return palm poses with the grasp's orientation on the line from the object to the grasping palm.
 
     Args:
-        object_pose: world frame, shape [W, 7].
+        object_pose: object poses, world frame, shape [W, 7].
         target: palm poses in the grasp, world frame, shape [W, 7].
-        distance: from the objects' origins [m], one number or shape [W, 1].
+        distance: distance from the objects' origins [m], a number or shape [W, 1].
 
     Returns:
         World frame, shape [W, 7].
@@ -73,19 +73,20 @@ class StartPoses:
         fingers: np.ndarray,
         table_height: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Starts on the lines from objects to where palms will grasp, turned up until they are clear.
+        """Return start poses on the lines from objects to grasping palms, turned upwards until they are
+        clear.
 
         Args:
             grasps: W grasps.
-            object_index: object of each, as ``models`` has them, shape [W].
-            object_pose: of the objects at rest, world frame, shape [W, 7].
-            distance: of palms from the objects' origins [m]; where a palm's origin lies far from the hand,
-                of a place near it (``palm_offset``).
+            object_index: index in ``models`` of each object, shape [W].
+            object_pose: poses of the objects at rest, world frame, shape [W, 7].
+            distance: distance of the palms from the objects' origins [m]. If a palm's origin is far from the
+                hand, a point near the hand counts (``palm_offset``).
             fingers: independent joints [rad], shape [W, U].
-            table_height: of the table top [m], shape [W].
+            table_height: height of the table top [m], shape [W].
 
         Returns:
-            the start and where the palm will grasp, world frame, shape [W, 7] each.
+            palm poses at the start and in the grasp, world frame, shape [W, 7] each.
         """
         target = compose(object_pose, compose(invert(grasps.object_pose), grasps.wrist_pose))
         shift = rotate(target[:, 3:], np.tile(self._offset, (len(target), 1)))
@@ -103,17 +104,17 @@ class StartPoses:
         fingers: np.ndarray,
         table_height: np.ndarray,
     ) -> np.ndarray:
-        """Turn starts upwards about the objects, by the smallest angle that clears object and table.
+        """Turn start poses upwards about the objects by the smallest angle that clears object and table.
 
-        The angle is the smallest multiple of ``TURN_STEP`` up to a right angle; where none clears, the one
-        that keeps farthest away is taken.
+        The angle is the smallest multiple of ``TURN_STEP`` up to 90 degrees. If no angle is clear, the one
+        with the largest clearance is used.
 
         Args:
-            object_index: object of each, as ``models`` has them, shape [W].
-            object_pose: of the objects at rest, world frame, shape [W, 7].
-            start_pose: of the palm, world frame, shape [W, 7].
+            object_index: index in ``models`` of each object, shape [W].
+            object_pose: poses of the objects at rest, world frame, shape [W, 7].
+            start_pose: palm poses, world frame, shape [W, 7].
             fingers: independent joints [rad], shape [W, U].
-            table_height: of the table top [m], shape [W].
+            table_height: height of the table top [m], shape [W].
 
         Returns:
             Palm poses, world frame, shape [W, 7].
@@ -127,7 +128,7 @@ class StartPoses:
         result = start_pose.copy()
         best = gap(np.arange(len(result)), result)
         away = start_pose[:, :3] - object_pose[:, :3]
-        # About this axis, a small turn raises the palm on its sphere around the object.
+        # A small turn about this axis raises the palm on a sphere around the object.
         axis = np.cross(away, np.array([0.0, 0.0, 1.0]))
         length = np.linalg.norm(axis, axis=1, keepdims=True)
         axis = np.where(length > 1e-9, axis / np.maximum(length, 1e-9), [0.0, 1.0, 0.0])

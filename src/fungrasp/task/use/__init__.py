@@ -1,4 +1,4 @@
-"""The use test: after the hold, the motion that the grasp's task needs, and what it asks of the hand."""
+"""The use test: after the hold, the wrist plays the motion of the grasp's task."""
 
 from fungrasp.task.use.episode import TABLE_AWAY, play_use
 from fungrasp.task.use.motion import USE_MOTIONS, UseMotion, load_use_motions, motion_of

@@ -1,4 +1,4 @@
-"""Use tests of W worlds whose lift test has just ended: the wrist plays the motion of each grasp's task."""
+"""Use tests of W worlds after their lift test: the wrist plays the motion of each grasp's task."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ from fungrasp.task.use.outcome import UseOutcomes, displacement, functional_cont
 from fungrasp.task.use.worlds import UseWorlds
 
 HOLD_GAIN = 0.3
-"""Share of a joint's displacement by which its setpoint goes against it, at each setpoint: with 0.1 fewer
-objects stay in the hand, and much more overshoots, as a joint follows its setpoints late."""
+"""Integral gain of the finger setpoints, per setpoint. With 0.1 fewer objects stay in the hand; much larger
+gains overshoot, because joints follow their setpoints with a delay."""
 
 
 class FingerHold:
-    """Setpoints of the fingers of W hands that hold something.
+    """Finger setpoints of W hands that hold an object.
 
-    A servo alone is a spring: a finger of 4 N m/rad yields by a centimeter to 3 N. Integral control of the
-    joint angles moves the setpoints until the joints are where they were, as far as the torque limits allow.
-    It needs the encoders alone, and no bias of theirs matters.
+    A servo alone is a spring: a finger of 4 N m/rad yields by a centimeter to 3 N. Integral control moves the
+    setpoints until the joints are back at their positions, within the torque limits. It needs only the
+    encoders, whose biases do not matter.
     """
 
     def __init__(self, hand: Hand, setpoints: np.ndarray, joints: np.ndarray):
         """
         Args:
-            setpoints: of the independent joints in the hold [rad], shape [W, U].
-            joints: where these are [rad], shape [W, U].
+            setpoints: setpoints of the independent joints in the hold [rad], shape [W, U].
+            joints: positions of the independent joints in the hold [rad], shape [W, U].
         """
         servos = hand.actuators.values()
         self._most = np.array([servo.force_limit / servo.kp for servo in servos])
         self._reference, self._setpoints = joints.copy(), setpoints.copy()
 
     def keep(self, joints: np.ndarray) -> np.ndarray:
-        """The next setpoints [rad], shape [W, U]. joints: where they are [rad], shape [W, U]."""
+        """Return the next setpoints [rad], shape [W, U]. joints: current positions [rad], shape [W, U]."""
         moved = self._setpoints + HOLD_GAIN * (self._reference - joints)
-        # A setpoint beyond the torque limit would only make the joint come back late.
+        # A setpoint beyond the torque limit would only delay the joint's return.
         self._setpoints = np.clip(moved, joints - self._most, joints + self._most)
         return self._setpoints
 
 
 TABLE_AWAY = -0.2
-"""Height of the table top during the motion [m]: a robot would move away from it."""
+"""Height of the table top during the motion [m]; a robot would move away from the table."""
 
 LOST = 0.1
-"""An object that has moved by more in the palm is lost, or was let go, and its test is over [m]."""
+"""Displacement in the palm beyond which an object is lost or released, and its test ends [m]."""
 
 
 def play_use(
@@ -65,13 +65,12 @@ def play_use(
     held: np.ndarray,
     watch: Callable[[np.ndarray], None] = lambda controls: None,
 ) -> UseOutcomes:
-    """Let the wrist play the motions of W grasps' tasks after the hold, while the fingers hold on
-    (``FingerHold``).
+    """Play the use motions of W grasps after the hold, while the fingers keep holding (``FingerHold``).
 
     Args:
-        motions: of each world; None where the task has none.
+        motions: motion of each world; None if its task has none.
         held: worlds that passed the lift test, shape [W] bool; the others are not tested.
-        watch: called after each setpoint with what the servos were told, to record
+        watch: called after each setpoint with the servo controls, to record
             (``fungrasp.evaluation.UseRecorder``).
     """
     engine, task, hand = environment.engine, environment.task, environment.scene.hand
@@ -115,8 +114,8 @@ def play_use(
     first = fingers[worlds]
     for step in range(round(ends.max() / period)):
         time = step * period
-        # What is lost, or was let go and taken away, is over: a light object that is pulled on by its far end
-        # spins until the simulation breaks down.
+        # Worlds with a lost or released object stop: a light object pulled at its far end would spin until
+        # the simulation diverges.
         active = (time < ends - 1e-9) & (moved < LOST)
         poses, centers, palm = (
             values[worlds] for values in (engine.object_pose, engine.center_of_mass, engine.palm_pose)
@@ -130,7 +129,7 @@ def play_use(
         controls = engine.controls(palms, velocity, fingers)
         engine.step(controls, substeps, worlds[active])
         watch(controls)
-        # What has let go may move; until then the object is to stay.
+        # Displacements count until the hand lets go.
         holding = active & (time < durations - 1e-9)
         apart, turned = displacement(start, _in_palm(environment, worlds))
         moved = np.maximum(moved, apart)
@@ -143,7 +142,7 @@ def play_use(
 
 
 def _in_palm(environment: LiftEnvironment, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Center of mass [m], shape [I, 3], and rotation, shape [I, 4], of objects in the palm's frame."""
+    """Return the objects' centers of mass [m], shape [I, 3], and rotations, shape [I, 4], palm frame."""
     engine = environment.engine
     palm, pose = engine.palm_pose[worlds], engine.object_pose[worlds]
     center = inverse_transform_points(palm, engine.center_of_mass[worlds][:, None])[:, 0]
@@ -160,9 +159,9 @@ def _judge(
     """Fill in success and reason.
 
     Args:
-        outcomes: of W worlds.
-        parts: that each link touches, shape [W, L] str.
-        shown: how the hands held, W rows; None if the person's places are not known.
+        outcomes: outcomes of W worlds.
+        parts: part that each link touches, shape [W, L] str.
+        shown: whether grasps are held as shown, W rows; None if the person's contacts are unknown.
     """
     engine, hand = environment.engine, environment.scene.hand
     contacts, forces, diverged = engine.link_contacts, engine.link_forces, engine.diverged
@@ -173,7 +172,7 @@ def _judge(
             reason = "not held as shown"
         if not reason and trigger is not None:
             links = [i for i, name in enumerate(hand.link_names) if name.startswith(trigger.finger)]
-            # Where the person's places are known, the finger presses at its own.
+            # If the person's contacts are known, the finger has to press at its own.
             there = contacts[w].copy()
             if shown is not None:
                 there[1:] &= shown.shown[w]

@@ -1,4 +1,4 @@
-"""Directions of a use motion, as they follow from how an object is held."""
+"""Directions of a use motion, from the pose of the held object."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 def far_end(model: ObjectModel, object_pose: np.ndarray, palm_pose: np.ndarray) -> np.ndarray:
-    """Point of an object's surface that is farthest from the palm, object frame [m], shape [3].
+    """Return the vertex of an object farthest from the palm, object frame [m], shape [3].
 
     Args:
         object_pose: world frame, shape [7].
@@ -24,8 +24,8 @@ def far_end(model: ObjectModel, object_pose: np.ndarray, palm_pose: np.ndarray) 
 
 
 def horizontal(direction: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Unit vector along the horizontal part of a direction, or of another one where the first is within 30
-    degrees of the vertical. Both: unit vectors, world frame, shape [3]."""
+    """Return the unit vector of a direction's horizontal part; if the direction is within 30 degrees of the
+    vertical, that of another direction. Both: unit vectors, world frame, shape [3]."""
     for vector in (direction, otherwise, np.array([1.0, 0.0, 0.0])):
         flat = vector * [1.0, 1.0, 0.0]
         if np.linalg.norm(flat) > 0.5:
@@ -34,12 +34,12 @@ def horizontal(direction: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 
 
 def turn_axis(kind: str, hand: Hand, palm_pose: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Axis about which the palm turns, unit vector, world frame, shape [3].
+    """Return the axis about which the palm turns, unit vector, world frame, shape [3].
 
     Args:
         kind: "tilt" or "swing".
         palm_pose: world frame, shape [7].
-        end: the object's far end, world frame [m], shape [3].
+        end: far end of the object, world frame [m], shape [3].
     """
     facing, ahead = (rotate(palm_pose[3:], v) for v in (hand.palm_normal, hand.palm_fingers))
     if kind == "tilt":
@@ -49,16 +49,15 @@ def turn_axis(kind: str, hand: Hand, palm_pose: np.ndarray, end: np.ndarray) -> 
 
 
 def turning_frame(axis: np.ndarray, palm_pose: np.ndarray) -> np.ndarray:
-    """Frame in which the wrist's joints count while it turns about an axis; shape [7], world frame. In it the
-    wrist's three hinges stay away from where two of them coincide.
+    """Return the reference frame of the wrist's joints for a turn about an axis; world frame, shape [7]. It
+    keeps the wrist's three hinges away from their singularity.
 
-    The hinges are x, y, z from the frame outwards, and the first and the last coincide where the palm's z is
-    along the frame's x. A turn about an axis far from the palm's z goes to the first hinge, whose axis it
-    then is; one about an axis near it goes to the last.
+    The hinges are x, y, z from the frame outwards. The first and the last coincide where the palm's z is
+    along the frame's x. If the axis is far from the palm's z, it becomes the first hinge; otherwise the last.
 
     Args:
         axis: unit vector, world frame, shape [3].
-        palm_pose: where the turn begins, world frame, shape [7].
+        palm_pose: palm pose at the start of the turn, world frame, shape [7].
     """
     x, _, z = rotation_matrix(palm_pose[3:]).T
     if abs(axis @ z) < np.sqrt(0.5):

@@ -1,4 +1,4 @@
-"""Motions of the use test: data with named tasks (``motions.toml``), to which users add theirs."""
+"""Motions of the use test: data with named tasks (``motions.toml``), which users can extend."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ USE_MOTIONS = Path(__file__).with_name("motions.toml")
 """The motions that come with the package."""
 
 OPENING_TIME = 1.0
-"""Time that a hand that lets go has to open and to lose contact [s]."""
+"""Time for the hand to open and to lose contact [s]."""
 
 _SCHEMA: dict[str, Any] = {
     "tasks": [str],
@@ -37,11 +37,11 @@ class SurfacePress:
     """A compliant surface that the object's far end is pressed against from above."""
 
     force: float
-    """Force where the motion begins [N]."""
+    """Force at the start of the motion [N]."""
     stiffness: float
-    """Loss of force for each meter that the end has yielded upwards [N/m]."""
+    """Loss of force per meter of upward displacement of the far end [N/m]."""
     friction: float
-    """Friction against the motion, as a share of that force."""
+    """Friction against the motion, as a fraction of the force."""
 
 
 @dataclass(frozen=True)
@@ -51,19 +51,19 @@ class TriggerPress:
     finger: str
     """One of ``FINGERS``."""
     part: str
-    """The part; any if empty."""
+    """Name of the part; any part if empty."""
     force: float
-    """Force to be reached [N]."""
+    """Required force [N]."""
 
 
 @dataclass(frozen=True)
 class UseMotion:
-    """What the wrist does, and what the world does to the object, after the hold."""
+    """Motion of the wrist and loads on the object after the hold."""
 
     name: str
     """Name of the motion."""
     tasks: tuple[str, ...]
-    """Tasks that need it."""
+    """Tasks that use this motion."""
     duration: float
     """Duration [s]."""
     turn: Literal["", "tilt", "swing"] = ""
@@ -71,29 +71,29 @@ class UseMotion:
     shift: Literal["", "across"] = ""
     """Line along which the palm moves; none if empty."""
     segments: tuple[tuple[float, float, float], ...] = ()
-    """Turn [rad] or shift [m] at the end of each segment, its duration, and the time of speeding up and of
-    braking [s]."""
+    """Turn [rad] or shift [m] at the end of each segment, its duration [s], and the time for accelerating and
+    for braking [s]."""
     press: SurfacePress | None = None
     """Surface that the far end is pressed against."""
     torque: float = 0.0
-    """Torque about the line to the far end [N m], each way for half of the duration."""
+    """Torque about the line to the far end [N m], in each direction for half of the duration."""
     trigger: TriggerPress | None = None
     """Finger that presses a part."""
     pull: float = 0.0
-    """Force at the far end, away from the palm [N]; afterwards the hand opens."""
+    """Force at the far end, away from the palm [N]; the hand opens afterwards."""
 
     @property
     def whole_duration(self) -> float:
-        """Duration with the opening of the hand, where it lets go [s]."""
+        """Duration including the opening of the hand [s]."""
         return self.duration + OPENING_TIME * (self.pull > 0)
 
     @property
     def only_moves(self) -> bool:
-        """Whether the hand alone moves: nothing pushes or pulls at the object, no finger presses."""
+        """Whether there is no load on the object and no pressing finger."""
         return not (self.press or self.torque or self.trigger or self.pull)
 
     def displacement(self, time: float) -> tuple[float, float]:
-        """Turn [rad] or shift [m] of the palm, and its rate per second, at a time [s] since the beginning."""
+        """Return turn [rad] or shift [m] of the palm and its rate [1/s]. time: since the beginning [s]."""
         start, begin = 0.0, 0.0
         for end, duration, ramp in self.segments:
             if time < begin + duration:
@@ -104,7 +104,7 @@ class UseMotion:
 
 
 def _trapezoid(time: float, duration: float, ramp: float) -> tuple[float, float]:
-    """Share of a segment that is done and its rate [1/s]: speed rises evenly, stays, falls evenly."""
+    """Return the completed fraction of a segment and its rate [1/s]; the speed profile is a trapezoid."""
     speed = 1.0 / (duration - ramp)
     if time < ramp:
         return 0.5 * speed * time**2 / ramp, speed * time / ramp
@@ -115,14 +115,14 @@ def _trapezoid(time: float, duration: float, ramp: float) -> tuple[float, float]
 
 
 def load_use_motions(path: str | Path = USE_MOTIONS) -> dict[str, UseMotion]:
-    """Read motions by name.
+    """Read motions, by name.
 
     Args:
-        path: a TOML file like ``motions.toml``, which explains its fields.
+        path: TOML file like ``motions.toml``, which explains its fields.
 
     Raises:
-        FungraspError: the file is missing or damaged, or a motion in it is impossible or for a task that
-            another is for.
+        FungraspError: the file is missing or damaged, a motion is impossible, or two motions have the same
+            task.
     """
     data = read_toml(path, "file of use motions")
     motions = {name: _motion(path, name, entry) for name, entry in data.items()}
@@ -138,7 +138,7 @@ def load_use_motions(path: str | Path = USE_MOTIONS) -> dict[str, UseMotion]:
 
 
 def motion_of(task: str, motions: Iterable[UseMotion]) -> UseMotion | None:
-    """The motion that a task needs; None for a task without."""
+    """Return the motion of a task; None if it has none."""
     return next((motion for motion in motions if task in motion.tasks), None)
 
 
@@ -187,7 +187,7 @@ def _motion(path: str | Path, name: str, entry: Any) -> UseMotion:
 
 
 def _complete(path: str | Path, name: str, entry: dict[str, Any], field: str) -> bool:
-    """Whether a table of an entry is there, with all its fields."""
+    """Return whether an entry has a table, and check that the table has all its fields."""
     if field not in entry:
         return False
     missing = set(_SCHEMA[field]) - set(entry[field])

@@ -1,4 +1,4 @@
-"""Outcomes of use tests: how far objects moved, and which fingers lie on the parts that the person held."""
+"""Outcomes of use tests: displacement of objects, and contacts on the parts that the person held."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from fungrasp.objects.object_model import nearest_parts
 from fungrasp.task.environment import LiftEnvironment
 
 LARGEST_SHIFT = 0.01
-"""Largest displacement of the object's center of mass in the palm [m]."""
+"""Largest accepted displacement of the object's center of mass in the palm [m]."""
 
 LARGEST_TURN = np.deg2rad(10.0)
-"""Largest turn of the object in the palm [rad]."""
+"""Largest accepted turn of the object in the palm [rad]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class UseOutcomes(BatchRecord):
-    """Outcomes of W use tests, shape [W] each; NaN and "" where nothing was tested."""
+    """Outcomes of W use tests, shape [W] each; NaN and "" if not tested."""
 
     motion: np.ndarray
-    """Name of the motion, "" where the task has none or the object was not held, str."""
+    """Name of the motion, "" if the task has none or the object was not held, str."""
     success: np.ndarray
-    """Whether the object stayed in the palm and did what it is for, bool."""
+    """Whether the object stayed in the palm and the task's requirements were met, bool."""
     shift_m: np.ndarray
     """Largest displacement of the object's center of mass in the palm during the motion [m]."""
     turn_rad: np.ndarray
     """Largest turn of the object in the palm during the motion [rad]."""
     trigger_force_n: np.ndarray
-    """Force between the pressing finger and the object at the end [N]; NaN without a trigger."""
+    """Force of the pressing finger on the object at the end [N]; NaN without a trigger."""
     functional_contact: np.ndarray
-    """Share of the links that should touch that touch the part which the person held there, when the motion
-    begins."""
+    """Share of the target links that touch the part which the person touched there, at the start of the
+    motion."""
     reason: np.ndarray
     """Why the test failed, "" on success, str."""
 
@@ -48,11 +48,11 @@ class UseOutcomes(BatchRecord):
 def displacement(
     start: tuple[np.ndarray, np.ndarray], now: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far objects have moved [m] and turned [rad] in the palm, shape [I] each.
+    """Return displacements [m] and turns [rad] of objects in the palm, shape [I] each.
 
     Args:
-        start: centers of mass [m], shape [I, 3], and rotations, shape [I, 4], in the palm's frame; or one of
-            each, without the first axis.
+        start: centers of mass [m], shape [I, 3], and rotations, shape [I, 4], palm frame; the first axis may
+            be missing.
         now: the same, later.
     """
     turn = rotation_vector(quaternion_multiply(now[1], quaternion_conjugate(start[1])))
@@ -60,7 +60,7 @@ def displacement(
 
 
 def moved_too_far(shift: float, turn: float) -> str:
-    """Why an object has not stayed in the palm, "" if it has. The largest displacement [m] and turn [rad]."""
+    """Return why an object has not stayed in the palm, "" if it has. shift: [m]; turn: [rad]."""
     if shift > LARGEST_SHIFT:
         return "the object slipped in the palm"
     if turn > LARGEST_TURN:
@@ -69,12 +69,12 @@ def moved_too_far(shift: float, turn: float) -> str:
 
 
 def functional_contact(environment: LiftEnvironment) -> tuple[np.ndarray, np.ndarray]:
-    """Where hands touch the objects now.
+    """Measure contacts with the parts that the person touched.
 
     Returns:
-        Share of the links that should touch that touch the part on which the person's place lies (any part
-        for the palm, and where the place is not known), shape [W]; name of the part that each link touches or
-        would touch first, shape [W, L] str.
+        Share of the target links that touch the part with the person's contact, shape [W]; any part counts
+        for the palm and for unknown contacts. Name of the part that each link touches or would touch first,
+        shape [W, L] str.
     """
     engine, scene, shown = environment.engine, environment.scene, environment.task.shown
     models = [scene.models[i] for i in engine.object_index]
@@ -97,12 +97,12 @@ def functional_contact(environment: LiftEnvironment) -> tuple[np.ndarray, np.nda
 def touched_parts(
     hand: Hand, models: Sequence[ObjectModel], palm: np.ndarray, joints: np.ndarray
 ) -> np.ndarray:
-    """Name of the part of the object that each link touches or would touch first, "" for an object without
-    parts, shape [N, L] str.
+    """Return the name of the part that each link touches or would touch first, "" for objects without parts,
+    shape [N, L] str.
 
     Args:
-        models: the objects, N of them.
-        palm: object frame, shape [N, 7].
+        models: object models, N of them.
+        palm: palm poses, object frame, shape [N, 7].
         joints: independent joints [rad], shape [N, U].
     """
     spheres = collision_spheres(hand)

@@ -1,4 +1,4 @@
-"""What use motions ask of several worlds: where wrists and fingers go, and what pulls at the objects."""
+"""Use motions in several worlds: setpoints of wrists and fingers, and loads on the objects."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from fungrasp.task.use.geometry import far_end, horizontal, turn_axis
 from fungrasp.task.use.motion import OPENING_TIME, TriggerPress, UseMotion
 
 RAMP_TIME = 0.3
-"""Time in which forces on the object and the press of a finger rise [s]."""
+"""Rise time of loads on the object and of the press of a finger [s]."""
 
 SLOW = 0.02
-"""Friction of a surface grows with speed below this, so that it does not jump where a stroke turns [m/s]."""
+"""Speed below which the friction of a surface grows linearly, to avoid jumps at reversals [m/s]."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class UseWorlds:
-    """The tests of I worlds."""
+    """Use tests in I worlds."""
 
     motions: Sequence[UseMotion]
-    """Of each world, length I."""
+    """Motion of each world, length I."""
     palm: np.ndarray
-    """Setpoints of the palms where the motions begin, world frame, shape [I, 7]."""
+    """Palm setpoints at the start of the motions, world frame, shape [I, 7]."""
     axis: np.ndarray
-    """Axes of turns or lines of shifts, world frame, shape [I, 3]; zero for neither."""
+    """Axes of turns or directions of shifts, world frame, shape [I, 3]; zero for other motions."""
     end: np.ndarray
     """The objects' far ends, object frame [m], shape [I, 3]."""
     end_height: np.ndarray
-    """Their heights when the motions begin, world frame [m], shape [I]."""
+    """Heights of the far ends at the start of the motions, world frame [m], shape [I]."""
     press: np.ndarray
-    """Offsets of the setpoints that press a trigger [rad], shape [I, U]; zero for fingers that do not."""
+    """Setpoint offsets that press a trigger [rad], shape [I, U]; zero for other fingers."""
     squeeze: np.ndarray
     """Offsets of the setpoints from the joints in the hold [rad], shape [I, U]."""
 
@@ -53,11 +53,11 @@ class UseWorlds:
     def begin(
         cls, environment: LiftEnvironment, worlds: np.ndarray, motions: Sequence[UseMotion]
     ) -> UseWorlds:
-        """Of worlds that hold their objects.
+        """Create the use tests of worlds that hold their objects.
 
         Args:
             worlds: shape [I].
-            motions: of these, length I.
+            motions: motion of each world, length I.
         """
         engine, scene, setpoints = environment.engine, environment.scene, environment.task.setpoints
         object_pose, palm = engine.object_pose[worlds], engine.palm_pose[worlds]
@@ -85,8 +85,8 @@ class UseWorlds:
         )
 
     def palms_at(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Setpoints of the palms, shape [I, 7], and their linear velocities [m/s], shape [I, 3], world
-        frame. time: since the motions began [s]."""
+        """Return palm setpoints, shape [I, 7], and their linear velocities [m/s], shape [I, 3], world frame.
+        time: since the motions began [s]."""
         value, rate = self._displacement(time)
         shifts = np.array([bool(motion.shift) for motion in self.motions])[:, None]
         pose = self.palm.copy()
@@ -98,17 +98,17 @@ class UseWorlds:
     def fingers_at(
         self, time: float, joints: np.ndarray, holding: np.ndarray, kept: np.ndarray, opened: np.ndarray
     ) -> np.ndarray:
-        """Setpoints of the fingers [rad], shape [I, U].
+        """Return the finger setpoints [rad], shape [I, U].
 
         Args:
             time: since the motions began [s].
-            joints: where the joints are, shape [I, U].
-            holding: setpoints of the hold, shape [I, U].
-            kept: those that keep the joints where they are, shape [I, U].
-            opened: those of the open hand, shape [U].
+            joints: positions of the joints [rad], shape [I, U].
+            holding: setpoints at the start of the motions [rad], shape [I, U].
+            kept: setpoints that keep the joints in place [rad], shape [I, U].
+            opened: setpoints of the open hand [rad], shape [U].
         """
-        # A finger that closes a gap first presses as hard: its setpoints stay as far ahead of its joints.
-        # One that is pushed back keeps its setpoints, as what it holds would otherwise go through it.
+        # A finger that closes a gap keeps its press: its setpoints stay the same distance ahead of its
+        # joints. A finger that is pushed back keeps its setpoints; otherwise it would give way to the object.
         press = min(time / RAMP_TIME, 1.0) * self.press
         still, moving = holding + press, joints + self.squeeze + press
         ahead = np.where(press > 0.0, np.maximum(still, moving), np.minimum(still, moving))
@@ -120,15 +120,15 @@ class UseWorlds:
     def loads_at(
         self, time: float, object_pose: np.ndarray, center: np.ndarray, palm: np.ndarray, weight: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Forces at the centers of mass [N] and torques [N m] of the world on the objects, world frame, shape
-        [I, 3] each.
+        """Return external forces at the centers of mass [N] and torques on the objects [N m], world frame,
+        shape [I, 3] each.
 
         Args:
             time: since the motions began [s].
-            object_pose: world frame, shape [I, 7].
-            center: of the objects' mass, world frame [m], shape [I, 3].
-            palm: poses of the palms, world frame, shape [I, 7].
-            weight: of the objects [N], shape [I].
+            object_pose: object poses, world frame, shape [I, 7].
+            center: centers of mass, world frame [m], shape [I, 3].
+            palm: palm poses, world frame, shape [I, 7].
+            weight: weights of the objects [N], shape [I].
         """
         end = transform_points(object_pose, self.end[:, None])[:, 0]
         away = _away(end, palm)
@@ -148,35 +148,36 @@ class UseWorlds:
             if m.pull:
                 force[i] = rise * m.pull * away[i]
                 if time > m.duration:
-                    # Whoever takes the object carries it.
+                    # The person who takes the object carries its weight.
                     force[i] += weight[i] * _UP
         return force, torque + cross(end - center, force)
 
     def _displacement(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """``UseMotion.displacement`` of each world, shape [I, 1] each."""
+        """Return ``UseMotion.displacement`` of each world, shape [I, 1] each."""
         known = {motion: motion.displacement(min(time, motion.duration)) for motion in set(self.motions)}
         value, rate = np.array([known[motion] for motion in self.motions]).T
         return value[:, None], rate[:, None]
 
 
 def _away(end: np.ndarray, palm: np.ndarray) -> np.ndarray:
-    """Unit vectors from palms to far ends, shape [..., 3]. end: [m], [..., 3]; palm: poses, [..., 7]."""
+    """Return unit vectors from palms to far ends, shape [..., 3]. end: [m], [..., 3]; palm: poses, [...,
+    7]."""
     way = end - palm[..., :3]
     return way / np.linalg.norm(way, axis=-1, keepdims=True)
 
 
 PRESS_MARGIN = 1.5
-"""The press of a finger over the force that the trigger needs: it touches beside the point that is planned,
-and a part of it is lost."""
+"""Factor on the trigger's force for the press of a finger, which touches beside the planned point and loses a
+part of its force."""
 
 
 def press_offsets(environment: LiftEnvironment, world: int, trigger: TriggerPress) -> np.ndarray:
-    """Offsets of the finger servos that raise the force at the finger's tip, straight into the object, to the
-    trigger's and a margin [rad], shape [U]: ``J^T f`` over the servos' stiffness. What the finger presses
-    with already is what its servos' torques give in that direction.
+    """Return servo offsets that raise the finger tip's normal force on the object to ``PRESS_MARGIN`` times
+    the trigger's force [rad], shape [U]: ``J^T f`` over the servo stiffness. The present force is estimated
+    from the servo torques in that direction.
 
     Args:
-        trigger: what is pressed, with which finger.
+        trigger: force and finger.
     """
     engine, hand = environment.engine, environment.scene.hand
     object_pose, palm = engine.object_pose[[world]], engine.palm_pose[[world]]
