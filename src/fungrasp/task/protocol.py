@@ -9,8 +9,9 @@ from dataclasses import dataclass
 class LiftProtocol:
     """Parameters of start, motion limits, lift and hold."""
 
-    settle_time: float = 1.0
-    """Time for the object to settle from its rest pose [s]."""
+    settle_time: float = 2.0
+    """Time for the object to settle from its rest pose [s]. A pitcher on its side rolls by 23 mm in the
+    second second. Later, no object of 375 DexYCB and 120 built-in grasps moves by more than 2 mm/s."""
     start_distance: float = 0.30
     """Distance between wrist and object center at the start [m]. If the palm's origin is far from the hand, a
     point near it is used."""
