@@ -126,6 +126,18 @@ def test_joints_that_are_not_sure_make_the_hand_unsure():
     assert "joints within 20 mm of where they are, expected 20 %, not at least 60 %" in said.summary()
 
 
+def test_joints_of_a_hand_whose_object_is_not_found_need_no_other_view_of_the_hand():
+    said = judged(dataclasses.replace(GOOD, explained=0.3), joints_sure=0.5)
+    assert said.help and not any("hand" in words for words in said.help)
+
+
+def test_what_could_not_be_compared_says_why_first():
+    why = PerceptionWarning.of("not_searched", problem="the mask has only 3 pixels with depth")
+    obj = ObjectEstimate(np.array([0, 0, 0.5, 1.0, 0, 0, 0]), 0.0, False, warnings=(why,))
+    said = judge(obj, hand(joints_sure=0.5))
+    assert said.summary() == "not sure: the mask has only 3 pixels with depth" and not said.help
+
+
 def test_terminal_and_json_have_the_same_numbers():
     said = judged(dataclasses.replace(GOOD, edge_width=8.0, explained=0.6))
     head, *rows = said.rows()

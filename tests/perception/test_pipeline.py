@@ -150,6 +150,12 @@ def test_what_is_known_is_not_looked_for():
     assert 0 < moved.max() < 0.02
 
 
+def test_a_table_above_the_camera_is_refused():
+    scene, _ = mug()
+    with pytest.raises(FungraspError, match="turn all four signs"):
+        perceive(scene.capture, scene.model, table=-np.array([0.0, -0.8, -0.6, 0.5]), detector=Forbidden())
+
+
 def mirrored(
     scene: HandScene, detected: DetectedHand
 ) -> tuple[Capture, ObjectModel, ObjectEstimate, DetectedHand]:

@@ -307,13 +307,17 @@ def judge(
     of_hand = hand_meters(hand, touching, reach)
     of_object = () if obj.evidence is None else object_meters(obj.evidence)
     right_hand = all(meter.met for meter in of_hand)
+    if obj.evidence is None and not obj.accepted:
+        # It was not compared with the image, and nothing else is to be mended first.
+        doubt = doubt or "; ".join(map(str, obj.warnings))
     sure = obj.accepted and right_hand and not doubt
     advice = object_help(obj, given)
     if fitted and not obj.accepted:
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object")
-    if not all(meter.met for meter in of_hand[:2]):
+    # Joints are less probable where the object is not known: that is to be mended first.
+    if not (of_hand[0].met and (of_hand[1].met or not obj.accepted)):
         advice += ("a view in which more of the hand is seen, bare and well lit",)
-    elif not right_hand:
+    elif obj.accepted and not right_hand:
         advice += ("an image in which the hand holds the object: as measured it does not touch it",)
     return Acceptance(sure, obj.score, score_of(of_hand), (*of_object, *of_hand), advice, fitted, doubt)
 
@@ -414,7 +418,7 @@ def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fi
         fitted: whether a shape was fitted; a mesh that fits has the size of what is seen, a shape takes any.
     """
     # What is cut off may slide along the edge, and fingers beyond it are found inside.
-    against = {"cut_off", "depth_shifted", "axis_off_centre"} | ({"hand_size"} if fitted else set())
+    against = {"cut_off", "depth_shifted", "depth_turned", "axis_off_centre"} | ({"hand_size"} if fitted else set())
     if side_score is not None and side_score >= OTHER_SIDE:
         against.add("side_not_as_given")
     sizes = [float(one.values["size"]) for one in warnings if one.code == "hand_size"]

@@ -117,6 +117,11 @@ def perceive(
     unknown = isinstance(obj, str) and obj == UNKNOWN
     if unknown and object_estimate is not None:
         raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
+    if table is not None and table[3] <= 0:
+        raise FungraspError(
+            "the camera is not above the table: the plane nx,ny,nz,d has its normal upwards and, in the camera "
+            "frame, d is the camera's height [m]; turn all four signs"
+        )
     held = obj if isinstance(obj, ResolvedObject) else None if unknown else resolve_object(obj, mass)
     if not isinstance(capture, Capture):
         capture = as_capture(capture)

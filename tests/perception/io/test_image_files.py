@@ -57,6 +57,11 @@ def test_masks_of_any_kind_of_image(tmp_path):
     Image.fromarray(np.full((10, 10), 255, np.uint8)).save(tmp_path / "mask.png")
     with pytest.raises(FungraspError, match=r"mask .* has 10 x 10 pixels"):
         read_capture(*paths, mask=tmp_path / "mask.png")
+    np.save(tmp_path / "mask.npy", wanted)
+    np.testing.assert_array_equal(read_capture(*paths, mask=tmp_path / "mask.npy").mask, wanted)
+    np.save(tmp_path / "mask.npy", wanted[None])
+    with pytest.raises(FungraspError, match=r"must be numbers \[H, W\], not bool \(1, 240, 320\)"):
+        read_capture(*paths, mask=tmp_path / "mask.npy")
 
 
 def test_float_depth_is_metres(tmp_path):
@@ -85,6 +90,10 @@ def not_aligned(path):
     Image.fromarray(np.full((480, 848), 700, np.uint16)).save(path)
 
 
+def on_its_side(path):
+    Image.fromarray(np.full((WIDTH, HEIGHT), 700, np.uint16)).save(path)
+
+
 def a_picture_of_depth(path):
     Image.fromarray(np.full((HEIGHT, WIDTH), 100, np.uint8)).save(path)
 
@@ -102,8 +111,9 @@ def nothing_measured(path):
     [
         (0, cut_short, "color image .* damaged or cut short"),
         (1, cut_short, "depth image .* damaged or cut short"),
-        (0, words, "not an image"),
-        (1, words, "not an image"),
+        (0, words, "none of the kinds of images that are read: PNG, JPEG"),
+        (1, words, "none of the kinds of images that are read: PNG, JPEG"),
+        (1, on_its_side, "240 x 320 pixels and the color image 320 x 240: one of them is turned"),
         (1, not_aligned, "848 x 480 pixels and the color image 320 x 240: align"),
         (1, a_picture_of_depth, "picture of depth"),
         (1, nothing_measured, "no pixel has a measurement"),
@@ -119,6 +129,48 @@ def test_usual_mistakes_are_named(tmp_path, which, mistake, message):
         read_capture(*paths)
     assert paths[which].name in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_far_numbers_of_programs_that_render_are_no_measurement(tmp_path):
+    color, _, lens = write_scene(tmp_path)
+    depth = scene()[1]
+    for part in (0.1, 0.9):
+        far = np.where(np.arange(HEIGHT)[:, None] < part * HEIGHT, 1e10, depth)
+        np.save(tmp_path / "depth.npy", far)
+        read = read_capture(color, tmp_path / "depth.npy", lens).depth
+        np.testing.assert_array_equal(read, np.where(far > 20.0, 0.0, depth).astype(np.float32))
+
+
+@pytest.mark.parametrize("step", [2, 3, 5])
+def test_gaps_of_sparse_depth_are_filled(tmp_path, caplog, step):
+    color, _, lens = write_scene(tmp_path)
+    depth = scene()[1]
+    sparse = np.zeros_like(depth)
+    sparse[::step, ::step] = depth[::step, ::step]
+    np.save(tmp_path / "depth.npy", sparse)
+    with caplog.at_level(logging.WARNING):
+        read = read_capture(color, tmp_path / "depth.npy", lens).depth
+    assert "of the pixels have a depth" in caplog.text
+    inner = np.s_[step:-step, step:-step]
+    np.testing.assert_array_equal(read[sparse > 0], sparse[sparse > 0])
+    assert (read[inner] > 0).mean() > 0.98
+    assert (np.abs(read - depth)[inner] < 0.01).mean() > 0.9
+
+
+def test_depth_that_is_mirrored_or_turned_is_told(tmp_path):
+    path, _, lens = write_scene(tmp_path)
+    # Away from the middle, where it would be the same.
+    color, depth = (np.roll(image, (30, 40), (0, 1)) for image in scene())
+    Image.fromarray(color).save(path)
+    for turned, how in (
+        (depth[:, ::-1], "mirrored left to right"),
+        (depth[::-1], "mirrored top to bottom"),
+        (depth[::-1, ::-1], "turned by 180 degrees"),
+        (depth, ""),
+    ):
+        np.save(tmp_path / "depth.npy", turned)
+        warnings = read_capture(path, tmp_path / "depth.npy", lens).warnings
+        assert [(one.code, one.values["how"]) for one in warnings] == [("depth_turned", how)] * bool(how)
 
 
 def test_depth_given_as_color_is_named(tmp_path):
@@ -223,6 +275,14 @@ def test_an_opaque_pixel_of_a_mask_is_not_marked_for_that(tmp_path, mode):
     marked[2:5, 3:9] = True
     Image.fromarray(np.where(marked, 255, 0).astype(np.uint8)).convert(mode).save(tmp_path / "mask.png")
     assert np.array_equal(read_mask(tmp_path / "mask.png", marked.shape), marked)
+
+
+def test_what_was_cut_out_is_marked(tmp_path):
+    color, depth = scene()
+    wanted = depth == np.float32(0.6)
+    picture = np.dstack([np.maximum(color, 1), np.where(wanted, 255, 0)]).astype(np.uint8)
+    Image.fromarray(picture).save(tmp_path / "mask.png")
+    np.testing.assert_array_equal(read_mask(tmp_path / "mask.png", wanted.shape), wanted)
 
 
 def test_what_looks_wrong_with_the_files_goes_with_the_capture(tmp_path, caplog):

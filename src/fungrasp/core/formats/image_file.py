@@ -53,7 +53,9 @@ def read_image(path: str | Path, what: str) -> Image.Image:
                 )
             image.load()
     except UnidentifiedImageError as error:
-        raise FungraspError(f"{where} is not an image") from error
+        raise FungraspError(
+            f"{where} is none of the kinds of images that are read: {', '.join(FORMATS)}"
+        ) from error
     except FungraspError:
         raise
     except Exception as error:

@@ -22,6 +22,7 @@ MESSAGES: Mapping[str, str] = {
     "depth_shifted": (
         "the depth looks shifted by {across}, {down} pixels against the color: is it aligned to it?"
     ),
+    "depth_turned": "the depth fits the color better {how}: turn both the same way",
     "lens_distorted": "the lens's distortion is not taken into account; undistort the images",
     "axis_swapped": (
         "cx = {cx:g} and cy = {cy:g} look swapped, or are those of the image before it was turned: each is "

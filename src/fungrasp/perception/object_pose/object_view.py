@@ -77,9 +77,10 @@ def view_of_object(
             return None, f"the mask has only {pixels} pixels with depth"
         mask, extent = cleaned_mask(capture, known.size, rng)
         if (mask & capture.measured).sum() < (1.0 - BACKGROUND) * pixels:
+            inverted = given is not None and given.mean() > 0.5
             return None, (
                 f"the mask shows something {extent:.3f} m large, but the mesh is {known.size:.3f} m: "
-                "wrong mesh, mask or unit?"
+                + ("is the mask inverted?" if inverted else "wrong mesh, mask or unit?")
             )
         capture = capture.with_object(mask=mask)
     seen = segment(capture, joints, table, known.size, known.colors)
