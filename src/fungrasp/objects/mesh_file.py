@@ -46,7 +46,7 @@ TABLE_PIECE = 0.2
 TABLE_LARGER = 3.0
 """It covers at least so many times the area of what is on it."""
 
-UNITS = {"inches": 0.0254, "cm": 0.01, "mm": 0.001}
+UNITS = {"dm": 0.1, "inches": 0.0254, "cm": 0.01, "mm": 0.001}
 """Meters per unit in which meshes are made."""
 
 APART = 0.02

@@ -418,7 +418,9 @@ def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fi
         fitted: whether a shape was fitted; a mesh that fits has the size of what is seen, a shape takes any.
     """
     # What is cut off may slide along the edge, and fingers beyond it are found inside.
-    against = {"cut_off", "depth_shifted", "depth_turned", "axis_off_centre"} | ({"hand_size"} if fitted else set())
+    against = {"cut_off", "depth_shifted", "depth_turned", "axis_off_centre"} | (
+        {"hand_size"} if fitted else set()
+    )
     if side_score is not None and side_score >= OTHER_SIDE:
         against.add("side_not_as_given")
     sizes = [float(one.values["size"]) for one in warnings if one.code == "hand_size"]
