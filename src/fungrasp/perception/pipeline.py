@@ -119,8 +119,8 @@ def perceive(
         raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
     if table is not None and table[3] <= 0:
         raise FungraspError(
-            "the camera is not above the table: the plane nx,ny,nz,d has its normal upwards and, in the camera "
-            "frame, d is the camera's height [m]; turn all four signs"
+            "the camera is not above the table: the plane nx,ny,nz,d has its normal upwards, and d is the "
+            "camera's height [m]: turn all four signs"
         )
     held = obj if isinstance(obj, ResolvedObject) else None if unknown else resolve_object(obj, mass)
     if not isinstance(capture, Capture):
