@@ -8,6 +8,7 @@ import dataclasses
 import logging
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -228,7 +229,8 @@ def _filled(depth: np.ndarray, where: str) -> np.ndarray:
     part = float(measured.sum() / max(int(ndimage.maximum_filter(measured, AROUND).sum()), 1))
     if part >= SPARSE:
         return depth
-    away, nearest = ndimage.distance_transform_edt(~measured, return_indices=True)
+    transformed: Any = ndimage.distance_transform_edt(~measured, return_indices=True)
+    away, nearest = transformed
     _log.warning("%s: only %.0f %% of the pixels have a depth; gaps are filled", where, 100 * part)
     return np.where(away <= 1.0 / np.sqrt(part), depth[tuple(nearest)], np.float32(0.0))
 
