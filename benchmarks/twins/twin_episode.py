@@ -21,7 +21,6 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import ConstrainedPlanner, Planner
 from fungrasp.planning.selection.search import Feasible
-from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import RobotCommand, RobotState
 from fungrasp.robots.robot import Robot
@@ -29,6 +28,7 @@ from fungrasp.robots.twin.devices import TwinHand
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import TwinPhysics
 from fungrasp.robots.twin.world import TwinWorld
+from fungrasp.sim2real.joint_dynamics import HandDynamics
 from fungrasp.task import Belief, GraspPlan, Policy
 
 OutcomeT = TypeVar("OutcomeT")

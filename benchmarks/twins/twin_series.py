@@ -33,9 +33,10 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.policies import policy_source
-from fungrasp.robots.assembly import HandDynamics, limited_hand
+from fungrasp.robots.assembly import limited_hand
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
+from fungrasp.sim2real.joint_dynamics import HandDynamics
 
 if TYPE_CHECKING:
     from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps

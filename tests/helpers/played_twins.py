@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.twins import twin_episode, twin_series
-from fungrasp.robots.assembly import HandDynamics
+from fungrasp.sim2real.joint_dynamics import HandDynamics
 
 
 def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:

@@ -29,7 +29,7 @@ from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.policies import OpenLoopPolicy, make_policy
 from fungrasp.retargeting.robot_grasps import as_robot_grasps
-from fungrasp.robots.assembly import HandDynamics, identified_dynamics, is_twin, wired_robot
+from fungrasp.robots.assembly import identified_dynamics, is_twin, wired_robot
 from fungrasp.robots.cell import RobotCell, check_calibrated, load_cell, plan_speed, slowest_limit
 from fungrasp.robots.device import RobotCommand, RobotState, StopKind, WallClock
 from fungrasp.robots.robot import Robot
@@ -37,6 +37,7 @@ from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp.robots.twin.devices import RealTimeTwin, TwinArm, TwinClock, TwinHand, TwinTracker
 from fungrasp.robots.twin.parameters import TwinParameters, cell_twin
 from fungrasp.robots.twin.world import TwinJudge, TwinWorld, held_as_shown
+from fungrasp.sim2real.joint_dynamics import HandDynamics
 from fungrasp.task import GraspPlan, Policy
 
 POWERING_OFF = 0.1

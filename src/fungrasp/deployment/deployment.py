@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -106,6 +107,8 @@ class Deployment(AttemptCarrier):
             # A mistake of ours: the robot stops before anybody hears of it.
             self._fail(f"{type(error).__name__}: {error}", StopKind.HOLD)
             raise
+        finally:
+            gc.unfreeze()
         return DeploymentResult(
             self.spec,
             self.phase,
@@ -184,6 +187,9 @@ class Deployment(AttemptCarrier):
         self._prepared, self._object_pose = prepared, object_pose
         for observer in self._observers:
             observer.planned(self.robot, prepared)
+        # A collection of all garbage, of what was imported and planned too, takes a tenth of a second and
+        # more: none while the robot moves.
+        gc.freeze()
 
     def _awake(self, state: RobotState) -> RobotState:
         """The state after planning. Drivers that heard nothing meanwhile held, and follow again once they are

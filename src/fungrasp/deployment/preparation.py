@@ -14,13 +14,14 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import (
     compose,
     invert,
-    quaternion_conjugate,
     quaternion_from_rotation_vector,
     quaternion_multiply,
-    rotate,
+    relative,
     rotation_vector,
+    turned_towards,
 )
 from fungrasp.grasps import RobotGraspSet
+from fungrasp.grasps.conversion import settled_pose
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import broad_settled_up
@@ -28,11 +29,11 @@ from fungrasp.planning import ConstrainedPlanner, MotionPlanner, Planner
 from fungrasp.planning.attempts import ATTEMPT_SEEDS, NOT_WORTH_TRYING, worth_trying
 from fungrasp.planning.given_plans import GivenPlans
 from fungrasp.policies.slip_response import HIGHEST
-from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics, ClearanceModel, outside
 from fungrasp.robots.kinematics.joint_path import FreePath
 from fungrasp.robots.kinematics.reach import PalmPath, Reach, ReachChecker
+from fungrasp.sim2real.joint_dynamics import HandDynamics
 from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.start_pose import StartPoses, start_fingers
 
@@ -222,7 +223,8 @@ class GraspPreparer(Preparer):
         target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
         share = np.linspace(0.0, 1.0, 9)[:, None]
         # A start that was turned upwards turns back on the way.
-        turned = _between(start[3:], target[3:], share[:, 0])
+        angle = np.linalg.norm(rotation_vector(relative(start, target)[3:]))
+        turned = turned_towards(start[3:], target[3:], share * angle)
         there = np.concatenate([start[:3] + share * (target[:3] - start[:3]), turned], axis=1)
         up = np.repeat(there[-1:], 4, axis=0)
         up[:, 2] += np.linspace(0.0, self._protocol.lift_height + HIGHEST, 5)[1:]
@@ -257,12 +259,6 @@ class GraspPreparer(Preparer):
         if found is None:
             return f"{said}; no placement nearby would do: {ANOTHER}"
         return f"{said}; it would be with the object {found[1]}"
-
-
-def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Rotations between two, shape [S, 4]. share: of the way, shape [S]."""
-    turn = rotation_vector(quaternion_multiply(end, quaternion_conjugate(start)))
-    return quaternion_multiply(quaternion_from_rotation_vector(share[:, None] * turn), start)
 
 
 def reachable_placements(
@@ -306,7 +302,7 @@ def reachable_placements(
     preparer = GraspPreparer(cell, hand, obj, planner, seed=seed, advise=False)
     home = np.asarray(cell.arm.home)
     refused, found = None, False
-    middle = _at_rest(obj, grasp.object_rest_pose[0])
+    middle = settled_pose(grasp.object_rest_pose[0], obj, broad_settled_up)
     middle[:2] = 0.5 * (np.array(box.lower[:2]) + box.upper[:2])
     for pose, _ in islice(preparer.placements(grasp, middle), PLACEMENTS_PLANNED):
         try:
@@ -324,18 +320,3 @@ def reachable_placements(
             f"no placement of '{obj.name}' was found from which the arm can grasp it: "
             + (f"{why}; {ANOTHER}" if why else ANOTHER)
         )
-
-
-def _at_rest(obj: ObjectModel, pose: np.ndarray) -> np.ndarray:
-    """An object on the broad stable face that it is nearest to, world frame, shape [7]: measured poses at
-    rest are a few degrees and up to a centimeter off."""
-    up = np.array([0.0, 0.0, 1.0])
-    leaning = rotate(pose[3:], broad_settled_up(obj, rotate(invert(pose)[3:], up)))
-    axis = np.cross(leaning, up)
-    sine = float(np.linalg.norm(axis))
-    angle = np.arctan2(sine, leaning @ up)
-    turn = quaternion_from_rotation_vector(angle * axis / max(sine, 1e-12))
-    settled = pose.copy()
-    settled[3:] = quaternion_multiply(turn, pose[3:])
-    settled[2] = -rotate(settled[3:], obj.vertices)[:, 2].min()
-    return settled

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Literal
 
@@ -152,19 +152,25 @@ def _our_pose(pose: np.ndarray, convention: Convention, scale: float) -> np.ndar
     return pose
 
 
-def settled_pose(pose: np.ndarray, model: ObjectModel) -> np.ndarray:
+def settled_pose(
+    pose: np.ndarray,
+    model: ObjectModel,
+    face: Callable[[ObjectModel, np.ndarray], np.ndarray] = settled_up,
+) -> np.ndarray:
     """Where an object stands on the table after it is put down from a pose: on the stable face that is
     nearest to pointing down, straight below.
 
     Args:
         pose: world frame, shape [7].
+        face: which one that is: ``settled_up`` of all, or ``broad_settled_up``.
 
     Returns:
         World frame, shape [7].
     """
     up = rotate(quaternion_conjugate(pose[3:]), np.array([0.0, 0.0, 1.0]))
-    tilt = np.cross(settled_up(model, up), up)
-    angle = np.arcsin(min(np.linalg.norm(tilt), 1.0))
+    standing = face(model, up)
+    tilt = np.cross(standing, up)
+    angle = np.arctan2(np.linalg.norm(tilt), standing @ up)
     axis = tilt / max(np.linalg.norm(tilt), 1e-12)
     turn = quaternion_multiply(pose[3:], quaternion_from_rotation_vector(axis * angle))
     lowest = rotate(turn, model.hull.reshape(-1, 3))[:, 2].min()

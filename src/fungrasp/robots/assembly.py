@@ -20,7 +20,7 @@ from fungrasp.robots.control_loop.loop_driver import LoopDriver
 from fungrasp.robots.device import JointDriver, PoseSource, WallClock
 from fungrasp.robots.robot import Robot
 from fungrasp.robots.twin.parameters import twin_torque_limits
-from fungrasp.sim2real.joint_dynamics import JointDynamics, load_dynamics, model_dynamics
+from fungrasp.sim2real.joint_dynamics import HandDynamics, JointDynamics, load_dynamics
 
 OWN = "fungrasp"
 """Name of the distribution that this package's own drivers come from."""
@@ -182,32 +182,6 @@ def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = N
             )
         servos[name] = replace(servo, force_limit=largest)
     return replace(hand, actuators=servos)
-
-
-@dataclass(frozen=True, eq=False)
-class HandDynamics:
-    """Identified dynamics of a hand, as factors on the model's."""
-
-    damping: np.ndarray
-    """Of each joint and of its servo, shape [M]: what is identified is the sum of both."""
-    servo_stiffness: np.ndarray
-    """Stiffness of each joint's servo, shape [M]."""
-
-    @classmethod
-    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
-        """The factors of identified joints, some or all of the independent ones; those that were not
-        identified are as in the model."""
-        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
-        for j, name in enumerate(dynamics.joints):
-            joint, row = hand.joint_names.index(name), model.joints.index(name)
-            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
-            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
-        return cls(factors[1], factors[0])
-
-    def stiffness(self, hand: Hand) -> np.ndarray:
-        """Stiffness of the servos [N m/rad], shape [U]."""
-        driven = [hand.joint_names.index(name) for name in hand.actuators]
-        return np.array([servo.kp for servo in hand.actuators.values()]) * self.servo_stiffness[driven]
 
 
 def identified_dynamics(

@@ -3,23 +3,7 @@
 It protects against mistakes of software. It is no safety function in the sense of a standard: that is the
 robot's own controller, with its limits set, and an emergency stop within reach.
 
-| check | reaction |
-| --- | --- |
-| a value that is not finite, commanded or measured | hold |
-| joint beyond its limit | clipped |
-| joint speed beyond its limit | clipped (arm and hand) |
-| joint acceleration, palm speed beyond their limit | hold |
-| setpoint far from the measured joints | hold |
-| wrist goal of the policy far from the palm | hold |
-| palm outside the workspace box | hold |
-| arm near the table, hand below its top | hold |
-| arm or hand near the arm itself, or near an obstacle of the cell | hold |
-| torque of a hand joint | open |
-| device reports that it does not follow | hold |
-| time stamp of a device stands still | hold |
-| tracked pose stale, lost, doubtful, jumping or turning until the fingers close | hold |
-| setpoints in a burst, control period overrun | hold |
-
+What is checked, and how the robot reacts, is the table under "Safety filter" of docs/deploy.md.
 "Hold": the arm brakes and keeps its position, the hand keeps its targets. "Open": the arm holds and the hand
 opens. After either the robot is in the state of fault until a person starts anew.
 """

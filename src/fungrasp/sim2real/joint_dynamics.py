@@ -71,6 +71,32 @@ def model_dynamics(hand: Hand) -> JointDynamics:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class HandDynamics:
+    """Identified dynamics of a hand, as factors on the model's."""
+
+    damping: np.ndarray
+    """Of each joint and of its servo, shape [M]: what is identified is the sum of both."""
+    servo_stiffness: np.ndarray
+    """Stiffness of each joint's servo, shape [M]."""
+
+    @classmethod
+    def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
+        """The factors of identified joints, some or all of the independent ones; those that were not
+        identified are as in the model."""
+        model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
+        for j, name in enumerate(dynamics.joints):
+            joint, row = hand.joint_names.index(name), model.joints.index(name)
+            factors[0, joint] = dynamics.stiffness[j] / model.stiffness[row]
+            factors[1, joint] = dynamics.damping[j] / max(model.damping[row], 1e-9)
+        return cls(factors[1], factors[0])
+
+    def stiffness(self, hand: Hand) -> np.ndarray:
+        """Stiffness of the servos [N m/rad], shape [U]."""
+        driven = [hand.joint_names.index(name) for name in hand.actuators]
+        return np.array([servo.kp for servo in hand.actuators.values()]) * self.servo_stiffness[driven]
+
+
 def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
     """Change a compiled hand, or a scene with one, in place; joints and position servos are found by name.
 

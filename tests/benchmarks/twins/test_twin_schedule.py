@@ -21,9 +21,9 @@ from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
 from fungrasp.hands import load_hand
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import retarget
-from fungrasp.robots.assembly import HandDynamics
 from fungrasp.robots.cell import load_cell
 from fungrasp.robots.twin.devices import TwinHand
+from fungrasp.sim2real.joint_dynamics import HandDynamics
 
 HAND = load_hand("allegro")
 AT = np.array([[0, 0, 0, 1.0, 0, 0, 0]])

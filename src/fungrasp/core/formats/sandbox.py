@@ -18,6 +18,7 @@ from typing import Any
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats import sandbox_worker
+from fungrasp.core.parallel import worker_environment
 
 MEMORY = 1_600_000_000
 """Bytes that a child may take."""
@@ -87,15 +88,13 @@ def _ask(request: dict[str, Any]) -> tuple[int, bytes]:
 
 
 def _start() -> subprocess.Popen[bytes]:
-    search = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path if entry)
-    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     try:
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", sandbox_worker.__name__],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, **threads, "PYTHONPATH": search},
+            env=worker_environment(),
             start_new_session=True,
         )
     except OSError as error:

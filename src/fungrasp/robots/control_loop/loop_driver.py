@@ -16,23 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from fungrasp.core.parallel import worker_environment
 from fungrasp.robots.control_loop.device_loop import DeviceLoop, LoopGoal, LoopMode
 from fungrasp.robots.control_loop.loop_worker import FOLLOWING, LENGTH, LoopTask
 from fungrasp.robots.control_loop.mailbox import GoalMessage, LoopReport, mailboxes, shared_memory
 from fungrasp.robots.device import DeviceStatus, JointDriver, JointLimits, JointState, RobotError, StopKind
 
 _log = logging.getLogger(__name__)
-
-
-def worker_environment() -> dict[str, str]:
-    """Those of this process, so that a Python process finds the packages that this one finds, and computes in
-    one thread: more would take the time of others."""
-    return {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
 
 
 class LoopProcess:

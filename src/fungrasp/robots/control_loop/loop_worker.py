@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import gc
 import hashlib
 import mmap
 import os
@@ -307,6 +308,8 @@ def run_worker() -> None:
     # Ctrl-C in a terminal goes to both processes: the driver's decides how to stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: orphaned.set())
+    # A collection of all that was imported would take as long as many steps.
+    gc.freeze()
     goals, reports = mailboxes(memoryview(mmap.mmap(descriptor, 2 * SIZE)))
     run_device_loop(task, goals, reports, orphaned.is_set)
     sys.stderr.flush()

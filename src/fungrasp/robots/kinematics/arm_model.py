@@ -9,6 +9,7 @@ import numpy as np
 
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import FLANGE_SITE, PALM_SITE, arm_spec, mount, mounting_pose
+from fungrasp.hands.kinematic_tree import subtree
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.robots.cell import RobotCell, Workspace
@@ -150,9 +151,8 @@ class ClearanceModel:
         arm = [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
         self._arm_qpos = np.array([model.joint(name).qposadr[0] for name in arm])
         self._hand_qpos = np.array([model.joint(name).qposadr[0] for name in hand.joint_names])
-        palm = model.body(hand.palm).id
-        kind = np.array([1 + hangs_on(model, body, palm) for body in range(model.nbody)])
-        kind[0] = 0
+        kind = np.ones(model.nbody, dtype=int)
+        kind[subtree(model, model.body(hand.palm).id)], kind[0] = 2, 0
         self._object: int | None = None
         if obj is not None:
             kind[model.body(OBJECT).id] = 0
@@ -200,13 +200,6 @@ class ClearanceModel:
             (float(mujoco.mj_geomDistance(m, d, int(row), obj, MARGIN, None)) for row in rows),
             default=MARGIN,
         )
-
-
-def hangs_on(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
-    """Whether a body is another or hangs on it."""
-    while body not in (ancestor, 0):
-        body = int(model.body_parentid[body])
-    return body == ancestor
 
 
 def _add_object(spec: mujoco.MjSpec, obj: ObjectModel) -> None:

@@ -15,10 +15,10 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.grasps.as_shown import AsShown, ShownContacts, ShownJudge
 from fungrasp.hands import Hand
 from fungrasp.hands.arm import PALM_SITE, arm_spec
+from fungrasp.hands.kinematic_tree import subtree
 from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.device import TrackedPose, TrackingStatus
-from fungrasp.robots.kinematics.arm_model import hangs_on
 from fungrasp.robots.twin.parameters import TwinParameters
 from fungrasp.robots.twin.twin_model import OBJECT, TABLE, twin_model
 from fungrasp.sim2real import random_stream
@@ -77,8 +77,8 @@ class TwinWorld:
         self._object_qpos = int(model.joint(OBJECT).qposadr[0])
         self._palm = model.site(PALM_SITE).id
         self._object, self._table = model.body(OBJECT).id, model.geom(TABLE).id
-        palm_body = model.site_bodyid[self._palm]
-        self._is_hand = np.array([hangs_on(model, body, palm_body) for body in range(model.nbody)])
+        self._is_hand = np.zeros(model.nbody, dtype=bool)
+        self._is_hand[subtree(model, int(model.site_bodyid[self._palm]))] = True
         self._links = [[model.body(name).id for name in members] for members in hand.links]
         torque = np.array([hand.actuators[name].force_limit for name in fingers])
         self._kp = np.array([hand.actuators[name].kp for name in fingers])
