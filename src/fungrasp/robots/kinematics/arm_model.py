@@ -89,12 +89,13 @@ class Clearance:
 
         Args:
             box: with the distances that are kept.
-            room: kept from table and obstacles beyond that [m].
+            room: kept from table and obstacles beyond that [m]; by the hand, which works near the table, half
+                of it.
             apart: kept from the robot itself [m].
         """
         if self.table < box.table_clearance + room:
             return "the arm would touch the table"
-        if self.hand < -box.hand_depth:
+        if self.hand < 0.5 * room - box.hand_depth:
             return (
                 "the hand would press into the table, or come too near to it (workspace.hand_depth = "
                 f"{box.hand_depth:g})"

@@ -144,8 +144,8 @@ LEAST_MANIPULABILITY = 0.04
 """Nearer to a singularity the arm is not taken."""
 
 TABLE_ROOM = 0.005
-"""The arm of a plan stays so much farther from the table than the arm that moves must [m]: policies correct
-the palm by some millimeters."""
+"""The arm of a plan stays so much farther from the table than the arm that moves must, its hand half of that
+[m]: policies correct the palm by some millimeters, and fingers lag behind, downwards as they open."""
 
 LARGEST_ERROR = 0.002
 """Error of the palm on the path beyond which it does not follow [m, and rad for ten times as much]."""
