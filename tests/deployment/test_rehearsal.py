@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,17 @@ def test_a_rehearsal_sends_nothing_and_goes_the_whole_way(motion: Motion) -> Non
     height = motion.object_pose[:, 2] - motion.object_pose[0, 2]
     assert height.max() == pytest.approx(0.15, abs=0.01) and abs(height[-1]) < 1e-9
     assert (np.diff(motion.times) > 0).all()
+
+
+def test_nothing_is_collected_for_long_while_a_robot_moves() -> None:
+    frozen: list[int] = []
+
+    class Watching(DeploymentObserver):
+        def setpoint(self, *_: Any) -> None:
+            frozen.append(gc.get_freeze_count())
+
+    assert deploy(Watching(), until="approach").fault == ""
+    assert min(frozen) > 1000 and gc.get_freeze_count() == 0
 
 
 def test_what_is_carried_out_is_what_was_rehearsed() -> None:

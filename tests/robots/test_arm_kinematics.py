@@ -10,7 +10,8 @@ from robot_cells import cell_and_hand
 from fungrasp.geometry.poses import compose, relative, rotate, rotation_vector
 from fungrasp.hands.arm import Mount, mounting_pose
 from fungrasp.objects import ObjectModel
-from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, ClearanceModel
+from fungrasp.robots.cell import Workspace
+from fungrasp.robots.kinematics.arm_model import MARGIN, ArmKinematics, Clearance, ClearanceModel
 from fungrasp.robots.kinematics.joint_path import OBJECT_CLEAR, FreePath, timed_leg
 from fungrasp.robots.kinematics.reach import arm_postures, random_starts
 
@@ -181,3 +182,9 @@ def test_the_adapter_keeps_its_distance_from_the_table() -> None:
     assert bare.table == MARGIN
     longer = replace(cell, mount=Mount(aside, adapter_radius=0.04, adapter_length=float(flange) - 0.01))
     assert ClearanceModel(longer, hand).measure(down, fingers).table == pytest.approx(0.01, abs=1e-3)
+
+
+def test_a_plan_keeps_the_hand_farther_from_the_table_than_motion_must() -> None:
+    box, near = Workspace(hand_depth=-0.005), Clearance(hand=0.006)
+    assert not near.fault(box) and not Clearance(hand=0.008).fault(box, room=0.005)
+    assert "the hand would press into the table" in near.fault(box, room=0.005)
