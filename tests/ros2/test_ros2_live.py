@@ -22,14 +22,13 @@ from driver_contract import DeviceUnderTest, DriverContract, reach, wait_for
 from loop_thread import LoopThread
 from robot_cells import Told
 
-from fungrasp.core.parallel import worker_environment
 from fungrasp.deployment.deploy import deploy_on_robot, deployment_task
 from fungrasp.deployment.preparation import reachable_placements
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice, Phase
 from fungrasp.hands import load_hand
 from fungrasp.robots import assembly
 from fungrasp.robots.cell import load_cell
-from fungrasp.robots.control_loop.loop_driver import LoopDriver
+from fungrasp.robots.control_loop.loop_driver import LoopDriver, worker_environment
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 from fungrasp_emulators.plants import ServoPlant
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -110,8 +111,10 @@ def deployment_task(
             f"policy '{spec.policy}' needs feedback at 10 Hz and can't be slowed down; the policies "
             '"plan" and "reference" can'
         )
+    # Drivers that planning keeps from running take their devices for silent.
+    spare = 0 if is_twin(cell) else max(1, (os.cpu_count() or 2) - 1)
     planner = (
-        robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads)
+        robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads or spare)
         if plans is None
         else GivenPlans(plans, robot)
     )

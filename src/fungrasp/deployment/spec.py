@@ -87,7 +87,7 @@ class DeploymentSpec:
     look_time: Annotated[float, tyro.conf.Suppress] = 1.0
     """Time in which poses of the object are collected before planning [s]."""
     threads: Annotated[int, tyro.conf.Suppress] = 0
-    """Of the planner; 0 means all processors."""
+    """Of the planner; 0 means all processors, but one that is left to the drivers of a robot."""
     about: Annotated[str, tyro.conf.Suppress] = ""
     """Which grasp, in words, for the log."""
 
