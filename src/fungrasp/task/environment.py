@@ -151,7 +151,7 @@ class LiftEnvironment:
             plans: plans of these worlds, I of them.
             step: first control step of the plan, shape [I] int.
             sample: random parameters of the I episodes.
-            belief: beliefs with nominal friction and joint dynamics, I rows; the scene's if None.
+            belief: nominal friction and joint dynamics, I rows; the scene's if None.
             hand_followed: whether the hand has followed an object that was moved after planning to its
                 estimated pose; otherwise the hand is at the planned pose.
         """
@@ -256,7 +256,7 @@ class LiftEnvironment:
             index: scene indices of their objects, shape [I].
             mass: nominal masses of the objects [kg], shape [I].
             placed: placement of the objects and their tables.
-            belief: beliefs with nominal friction and joint dynamics, I rows; the scene's if None.
+            belief: nominal friction and joint dynamics, I rows; the scene's if None.
         """
         s, nominal = self.sample.select(ids), self.scene.settings.friction
         friction = np.full(len(ids), nominal) if s.friction is None else s.friction
@@ -312,7 +312,6 @@ class LiftEnvironment:
         )
 
     def _push(self) -> None:
-        """Push the objects as sampled."""
         r, s, task = self.randomization, self._felt, self.task
         if not r.push_times:
             return

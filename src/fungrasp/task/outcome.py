@@ -125,7 +125,7 @@ class LiftMeasurements:
         self._touched_table = none
         self._pushed = rows_like(on, np.zeros(count))
         # Rows: number of samples, recall, precision, F1, any contact, intervals, travel in the world, travel
-        # in the palm. There is one interval less than samples: the first sample ends the lift.
+        # in the palm. There is one interval fewer than samples: the first sample ends the lift.
         self._sums = rows_like(on, np.zeros((8, count)))
         self._held = rows_like(on, np.zeros(count, dtype=bool))
         links, joints = len(engine.scene.hand.links), engine.joint_positions.shape[1]
@@ -271,6 +271,5 @@ class LiftMeasurements:
 
 
 def _lengths(vectors: Array) -> Array:
-    """Return the lengths of vectors, shape [W]. vectors: shape [W, N]."""
     xp = array_namespace(vectors)
     return xp.sqrt(xp.sum(vectors * vectors, axis=1))

@@ -57,7 +57,7 @@ class Privileged(BatchRecord):
     friction: np.ndarray
     """True sliding friction of hand, object and table, shape [W]."""
     lifted_height: np.ndarray
-    """Height of the object's center of mass above where it settled [m], shape [W]."""
+    """Height of the object's center of mass above its settled height [m], shape [W]."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -118,7 +118,7 @@ def dynamic_contact_weight(keypoints: Array, targets: Array, contacts: Array) ->
     paper does not name the frame of the positions. In the world or object frame, the ratio would depend on
     the origin, so the palm frame is used. The weight is about 1 if these links reach as far as in the
     reference, less if the hand is closed too far, and more if it still reaches out. It measures distances but
-    not directions, which ``position_reward`` does. The printed ratio is unbounded and undefined without
+    not directions, which ``position_reward`` measures. The printed ratio is unbounded and undefined without
     targets; here it is clipped at 2, and 1 without targets.
 
     Args:
@@ -161,7 +161,7 @@ def shown_share(contacts: Array, targets: Array, closeness: Array) -> Array:
     Args:
         contacts: links that touch the object, shape [W, L] bool.
         targets: links that should touch, shape [W, L] bool.
-        closeness: closeness of each link, in [0, 1], shape [W, L].
+        closeness: in [0, 1], shape [W, L].
 
     Returns:
         In [0, 1], shape [W].
@@ -185,8 +185,8 @@ def contact_reward(
         contacts: links that touch the object, shape [W, L] bool.
         targets: links that should touch, shape [W, L] bool.
         forces: net contact force of each link on the object [N], magnitude, shape [W, L].
-        mass: mass of the object [kg], positive, shape [W].
-        closeness: closeness of each link, in [0, 1], shape [W, L].
+        mass: object mass [kg], positive, shape [W].
+        closeness: in [0, 1], shape [W, L].
         cap: largest rewarded force, in units of the object's weight.
 
     Returns:
@@ -206,7 +206,7 @@ def safety_reward(table_forces: Array, self_force: Array, unit: float = 10.0) ->
     Args:
         table_forces: forces between each link and the table [N], shape [W, L].
         self_force: force between links of the hand [N], shape [W].
-        unit: unit of force [N].
+        unit: [N].
 
     Returns:
         In [-1, 0], shape [W].

@@ -159,7 +159,7 @@ def _judge(
     """Fill in success and reason.
 
     Args:
-        outcomes: outcomes of W worlds.
+        outcomes: W rows.
         parts: part that each link touches, shape [W, L] str.
         shown: whether grasps are held as shown, W rows; None if the person's contacts are unknown.
     """

@@ -93,7 +93,8 @@ class UseMotion:
         return not (self.press or self.torque or self.trigger or self.pull)
 
     def displacement(self, time: float) -> tuple[float, float]:
-        """Return turn [rad] or shift [m] of the palm and its rate [1/s]. time: since the beginning [s]."""
+        """Return turn [rad] or shift [m] of the palm, and its rate per second. time: since the beginning
+        [s]."""
         start, begin = 0.0, 0.0
         for end, duration, ramp in self.segments:
             if time < begin + duration:

@@ -102,7 +102,7 @@ def touched_parts(
 
     Args:
         models: object models, N of them.
-        palm: palm poses, object frame, shape [N, 7].
+        palm: poses, object frame, shape [N, 7].
         joints: independent joints [rad], shape [N, U].
     """
     spheres = collision_spheres(hand)

@@ -127,7 +127,7 @@ class UseWorlds:
             time: since the motions began [s].
             object_pose: object poses, world frame, shape [I, 7].
             center: centers of mass, world frame [m], shape [I, 3].
-            palm: palm poses, world frame, shape [I, 7].
+            palm: poses, world frame, shape [I, 7].
             weight: weights of the objects [N], shape [I].
         """
         end = transform_points(object_pose, self.end[:, None])[:, 0]
