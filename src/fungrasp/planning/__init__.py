@@ -1,4 +1,4 @@
-"""From robot grasps to plans (settle, approach, grip, lift), and selection among plans."""
+"""Plans from robot grasps (adapt, approach, close, squeeze, lift), and selection among plans."""
 
 from __future__ import annotations
 

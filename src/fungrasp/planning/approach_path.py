@@ -1,9 +1,8 @@
-"""A path to the grasp that touches neither object nor table: found backwards, by taking the hand off the
-object.
+"""A collision-free path to the grasp, planned backwards by withdrawing the hand from the object.
 
-From the grasp, the wrist withdraws step by step along a direction, and at each step the fingers open as much
-as they must to keep clear (the retargeter's optimizer with its collision terms only). Several directions are
-tried; the clearest wins.
+From the grasp, the wrist withdraws step by step along a direction. At each step the fingers open only as much
+as needed to be clear (the retargeter's optimizer with collision terms only). The clearest path of several
+directions is used.
 """
 
 from __future__ import annotations
@@ -25,28 +24,28 @@ from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.problem import CollisionScene
 
 RETREATS = (0.015, 0.03, 0.05, 0.08, 0.12)
-"""How far the wrist has withdrawn at each waypoint after the first, which is at the grasp [m]. Between
-waypoints 4 cm apart, fingers went through the object."""
+"""Withdrawal of the wrist at each waypoint after the first, which is at the grasp [m]. Between waypoints 4 cm
+apart, fingers passed through the object."""
 
 BLOCKED = 0.003
-"""A path that intrudes this far into the margins [m] is tried again, with the fingers wide open and with less
-margin."""
+"""Intrusion into the margins [m] beyond which a path is planned again, with wide open fingers and smaller
+margins."""
 ORDER_PENALTY = 1e-4
-"""Each direction is preferred to the next unless it intrudes deeper by this [m]."""
+"""Intrusion by which a later direction must be better than the previous one [m]."""
 TOUCHED = 0.001
-"""Fingers that close this much deeper into the object than the grasp is do so through it, as beside a handle
-in place of within [m]."""
+"""Depth beyond that of the grasp [m] at which closing fingers count as passing through the object, for
+example if they are beside a handle instead of within it."""
 CLOSING_POINTS = 7
-"""Hands looked at between the open and the closed one: some 5 mm apart."""
+"""Number of hand poses checked between open and closed hand, about 5 mm apart."""
 WIDE = 0.3
 """Wide open fingers, as a fraction of their angles in the grasp."""
 NARROW = 0.25
-"""Share of the object's margin that is kept where it leaves no way in, as within a handle."""
+"""Fraction of the object margin that is kept in narrow places, such as within a handle."""
 
 
 @dataclass(frozen=True)
 class ApproachSettings:
-    """How clear the path should be."""
+    """Margins of the path, and weights of its optimization."""
 
     object_margin: float = 0.008
     """Distance to keep from the object [m]."""
@@ -64,7 +63,7 @@ class ApproachSettings:
 
 @dataclass(frozen=True)
 class Approach:
-    """Waypoints of N hands, nearest to the grasp first, K of them."""
+    """Waypoints of N hands, K each, nearest to the grasp first."""
 
     wrist_pose: np.ndarray
     """Poses of the palm body at the waypoints, object frame, shape [N, K, 7]."""
@@ -86,11 +85,11 @@ def plan_approach(
     """Plan the paths of N hands to their grasps.
 
     Args:
-        object_names: of the object of each grasp, length N.
-        settled_pose: of the objects on the table, world frame, shape [N, 7].
-        wrist_in_object: palm in the grasp, object frame, shape [N, 7].
-        grasp: independent joints in the grasp [rad], shape [N, U].
-        settings: the defaults if None.
+        object_names: name of each grasp's object, length N.
+        settled_pose: poses of the objects on the table, world frame, shape [N, 7].
+        wrist_in_object: palm poses in the grasps, object frame, shape [N, 7].
+        grasp: independent joints in the grasps [rad], shape [N, U].
+        settings: defaults if None.
     """
     settings = settings or ApproachSettings()
     around = CollisionScene.settled(object_names, settled_pose, objects)
@@ -136,11 +135,11 @@ def _best_path(
     opening: float,
     center: np.ndarray,
 ) -> Approach:
-    """The clearest of the paths in several directions, taken off the object with the fingers near
-    ``opening`` times their angles in the grasp.
+    """Return the clearest path among several directions, starting with fingers near ``opening`` times their
+    angles in the grasp.
 
-    No path is clearer than its first point, which all have in common: once one is as clear, the others are
-    not looked at.
+    No path is clearer than its first point, which all paths share: once one path is as clear, the other
+    directions are skipped.
     """
     wrist, fingers = grasp
     iterations = resolve.settings.iterations
@@ -165,7 +164,7 @@ def _best_path(
 
 
 def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarray) -> list[np.ndarray]:
-    """Unit vectors along which the wrist may withdraw, object frame, shape [N, 3] each."""
+    """Return unit vectors along which the wrist may withdraw, object frame, shape [N, 3] each."""
     outwards = _unit(wrist[:, :3] - center)
     backwards = -rotate(wrist[:, 3:], hand.palm_normal)
     along = -rotate(wrist[:, 3:], hand.palm_fingers)
@@ -180,13 +179,13 @@ def _directions(hand: Hand, wrist: np.ndarray, up: np.ndarray, center: np.ndarra
 
 
 class _CollisionResolution:
-    """Moves hands as little as needed to keep clear of object, table and themselves."""
+    """Moves hands as little as needed to avoid object, table and self-collisions."""
 
     def __init__(self, points: HandPoints, around: CollisionScene, settings: ApproachSettings, share: float):
         """
         Args:
-            points: of the hand; another number of hands will do.
-            share: of the object's margin that is kept.
+            points: points of the hand, for any number of hands.
+            share: fraction of the object margin that is kept.
         """
         self.hand, self.settings = points.kinematics.hand, settings
         self._points = points.for_hands(len(around))
@@ -198,11 +197,11 @@ class _CollisionResolution:
         ]
 
     def rows(self, which: np.ndarray) -> _CollisionResolution:
-        """For some of the hands."""
+        """Select some of the hands."""
         return _CollisionResolution(self._points, self._around.rows(which), self.settings, self._share)
 
     def __call__(self, wrist: np.ndarray, fingers: np.ndarray, iterations: int) -> Approach:
-        """One waypoint near the given state."""
+        """Return one waypoint near the given state."""
         s = self.settings
         stay = partial(
             terms.stay_near,
@@ -217,11 +216,11 @@ class _CollisionResolution:
         return Approach(wrist[:, None], fingers[:, None], self.intrusion(wrist, fingers))
 
     def closing_depth(self, first: Approach, wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
-        """How much deeper in the object than in the grasp a hand is on its straight way there [m], shape [N].
+        """Return the largest depth of closing hands in the object beyond that in the grasp [m], shape [N].
 
         Args:
-            first: the waypoint from which it closes.
-            wrist, fingers: the grasp.
+            first: waypoint at which closing begins.
+            wrist, fingers: grasp.
         """
         open_wrist, open_fingers, clearance = first.wrist_pose[:, 0], first.fingers[:, 0], []
         for share in np.linspace(0.0, 1.0, CLOSING_POINTS):
@@ -231,7 +230,7 @@ class _CollisionResolution:
         return np.maximum(np.minimum(clearance[-1], 0.0) - np.min(clearance, axis=0), 0.0)
 
     def intrusion(self, wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
-        """How deep hands are in the margins around object and table [m], shape [N]."""
+        """Return the depth of hands in the margins around object and table [m], shape [N]."""
         s, state = self.settings, HandState(self._points, self._around, wrist, fingers)
         deepest = np.maximum(
             s.object_margin - state.clearance.min(axis=1), s.table_margin - state.heights.min(axis=1)
@@ -248,7 +247,7 @@ def _withdraw(
         wrist[:, :3] += (retreat - before) * direction
         before = retreat
         path.append(resolve(wrist, path[-1].fingers[:, 0], iterations))
-        # Fingers may go through the object between two waypoints that are clear of it.
+        # Between two clear waypoints, fingers may still pass through the object.
         (a, b), (c, d) = ((p.wrist_pose[:, 0], p.fingers[:, 0]) for p in path[-2:])
         halfway = resolve.intrusion(_between(a, c, 0.5), 0.5 * (b + d))
         path[-1] = replace(path[-1], collision=np.maximum(path[-1].collision, halfway))
@@ -260,7 +259,7 @@ def _withdraw(
 
 
 def _between(a: np.ndarray, b: np.ndarray, share: float | np.ndarray) -> np.ndarray:
-    """Poses at a share of the way from ``a`` to ``b``, shape [N, 7]."""
+    """Interpolate poses from ``a`` to ``b``, shape [N, 7]."""
     b = np.where(np.sum(a[:, 3:] * b[:, 3:], axis=1, keepdims=True) < 0, b * [1, 1, 1, -1, -1, -1, -1], b)
     pose = a + share * (b - a)
     pose[:, 3:] = _unit(pose[:, 3:])
@@ -272,16 +271,16 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 class FollowedPath:
-    """The planned path as a curve that is followed by its arc length, world frame."""
+    """The planned path, parameterized by arc length, world frame."""
 
     def __init__(
         self, start: np.ndarray, start_fingers: np.ndarray, approach: Approach, settled_pose: np.ndarray
     ):
         """
         Args:
-            start: palm pose at the start, world frame, shape [N, 7].
-            start_fingers: [rad], shape [N, U].
-            settled_pose: of the objects, world frame, shape [N, 7].
+            start: palm poses at the start, world frame, shape [N, 7].
+            start_fingers: independent joints at the start [rad], shape [N, U].
+            settled_pose: poses of the objects, world frame, shape [N, 7].
         """
         planned = compose(settled_pose[:, None], approach.wrist_pose[:, ::-1])
         self.poses = np.concatenate([start[:, None], planned], axis=1)
@@ -294,7 +293,7 @@ class FollowedPath:
         self.progress = np.zeros(len(start))
 
     def at(self, arc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Palm pose [N, 7] and fingers [N, U] at arc lengths [m], shape [N]."""
+        """Return palm poses, shape [N, 7], and fingers, shape [N, U], at arc lengths [m], shape [N]."""
         arc = np.clip(arc, 0.0, self.length)
         leg = np.clip((self.arc <= arc[:, None]).sum(axis=1) - 1, 0, self.arc.shape[1] - 2)
         rows = np.arange(len(arc))
@@ -304,11 +303,10 @@ class FollowedPath:
         return pose, fingers
 
     def advance(self, position: np.ndarray, lookahead: float) -> None:
-        """Move on to the arc length that lies nearest to where the setpoint is, at most ``lookahead``
-        further [m].
+        """Advance to the arc length nearest to the palm's setpoint, by at most ``lookahead`` [m].
 
         Args:
-            position: of the palm's setpoint, world frame [m], shape [N, 3].
+            position: position of the palm's setpoint, world frame [m], shape [N, 3].
         """
         tries = self.progress + np.linspace(0.0, lookahead, 17)[:, None]
         distances = [np.linalg.norm(self.at(arc)[0][:, :3] - position, axis=1) for arc in tries]

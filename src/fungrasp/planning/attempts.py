@@ -1,9 +1,9 @@
 """Several attempts at a grasp.
 
-After each attempt the object's tracked pose says whether it is held (``AttemptJudge``). Where it is not, the
-hand lets go, withdraws, looks where the object lies now, and a planner plans anew for that pose. The loop is
-one for simulated worlds and for robots (``AttemptCarrier``). It sees observations alone; a simulation only
-says how often the judgment was wrong.
+After each attempt, the tracked pose of the object shows whether it is held (``AttemptJudge``). If not, the
+hand opens and withdraws, the object's new pose is observed, and a planner plans for it. The loop is the same
+for simulation and robots (``AttemptCarrier``) and uses only observations; a simulation additionally records
+wrong judgments.
 """
 
 from __future__ import annotations
@@ -39,32 +39,32 @@ from fungrasp.task.attempt_judge import AttemptJudge, TrackedFrames, lowest_heig
 from fungrasp.task.start_pose import StartPoses, start_fingers
 
 ATTEMPT_SEEDS = 1_000_003
-"""Added to the seed of a plan for each further attempt: a prime far from the seeds that people give, so that
-other variations are tried than those of which one has failed."""
+"""Added to the seed of a plan for each further attempt, so that new variations are tried: a prime far from
+usual seeds."""
 LEAST_EXPECTED = 0.1
-"""A plan of which less is expected is not tried: it knocks the object away."""
+"""Smallest expected success of a plan that is tried; others would only push the object away."""
 NOT_WORTH_TRYING = "no plan for it as it lies now is likely to succeed"
 FALLEN = 0.03
-"""An object whose lowest point is farther than this from where it was at rest before [m] is not on the table
-any more: an estimated pose is off by less."""
+"""Change of height of an object's lowest point [m] beyond which it is not on the table any more; larger than
+the error of an estimated pose."""
 FARTHEST = 0.4
-"""An object that lies farther than this from where it was at first [m] is given up: an arm's reach about the
-middle of its workspace."""
+"""Distance of an object from its first place [m] beyond which it is given up: an arm's reach about the middle
+of its workspace."""
 LONGEST_WAY = 150
-"""Control steps after which a hand that has not arrived is taken not to: three times what ways take."""
+"""Largest number of control steps for a motion between attempts, three times the usual number."""
 LONGEST_LOOK = 30
-"""Control steps in which the object has to come to rest before it is given up."""
+"""Largest number of control steps to wait until an object is at rest."""
 
 
 def check_attempts(attempts: int, watches: bool) -> None:
     """Check the number of attempts.
 
     Args:
-        attempts: of an episode, at most.
+        attempts: largest number of attempts per episode.
         watches: whether the policy uses feedback.
 
     Raises:
-        FungraspError: less than one, or several for an open-loop policy.
+        FungraspError: the number is less than one, or more than one for an open-loop policy.
     """
     if attempts < 1:
         raise FungraspError(f"there must be 1 attempt or more, not {attempts}")
@@ -75,29 +75,29 @@ def check_attempts(attempts: int, watches: bool) -> None:
 
 
 class AttemptCarrier(Protocol):
-    """Carries out what attempts consist of, in W worlds: simulated ones, or the one of a robot. Worlds are
-    given by their numbers, ``ids``, shape [I]; attempts by theirs, 0 for the first."""
+    """Carries out the parts of attempts in W simulated worlds or in the world of a robot. Worlds are given by
+    index, ``ids``, shape [I]; attempts are numbered from 0."""
 
     def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
-        """Grasp, lift and hold. Gives whether the object is seen not to be held then, shape [I] bool."""
+        """Grasp, lift and hold. Return whether the object is seen not to be held, shape [I] bool."""
         ...
 
     def withdraw(self, ids: np.ndarray, number: int) -> None:
-        """Let go and move the hand off the object, after the attempt of this number."""
+        """Open the hand and withdraw it from the object after this attempt."""
         ...
 
     def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where objects rest. Gives the worlds where they do, shape [J], and their poses there, world frame,
-        shape [J, 7]."""
+        """Observe the objects. Return the worlds in which they are at rest, shape [J], and their poses, world
+        frame, shape [J, 7]."""
         ...
 
     def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
-        """Plan the attempt of this number for objects where they lie, world frame, shape [I, 7], and be ready
-        for it. Gives the worlds where that could be done, shape [J]."""
+        """Plan this attempt for object poses, world frame, shape [I, 7], and move to its start. Return the
+        worlds in which this succeeded, shape [J]."""
         ...
 
     def give_up(self, ids: np.ndarray, why: str) -> None:
-        """Told of worlds where no further attempt is made though it was allowed, and why, as a phrase."""
+        """Handle worlds in which no further attempt is possible. why: reason, as a phrase."""
         ...
 
 
@@ -108,13 +108,13 @@ def make_attempts(
     names: list[str],
     objects: Mapping[str, ObjectModel],
 ) -> None:
-    """Attempt, and try again where the object is seen not to be held and lies within reach.
+    """Make attempts until the object is held, out of reach, or the number of attempts is used up.
 
     Args:
-        carrier: of the attempts, for W worlds.
-        most: attempts, 1 or more.
-        first: where the objects rested before the first attempt, world frame, shape [W, 7].
-        names: of the objects, length W.
+        carrier: carrier for W worlds.
+        most: largest number of attempts, 1 or more.
+        first: rest poses of the objects before the first attempt, world frame, shape [W, 7].
+        names: object names, length W.
     """
     ids = np.arange(len(names))
     for number in range(most):
@@ -138,12 +138,12 @@ def make_attempts(
 def within_reach(
     object_pose: np.ndarray, first: np.ndarray, names: list[str], objects: Mapping[str, ObjectModel]
 ) -> np.ndarray:
-    """Whether objects lie on the table, near to where they were at first, shape [N] bool.
+    """Return whether objects are on the table near their first places, shape [N] bool.
 
     Args:
-        object_pose: where they are seen, world frame, shape [N, 7].
-        first: where they were at first, world frame, shape [N, 7].
-        names: of the objects, length N.
+        object_pose: estimated poses, world frame, shape [N, 7].
+        first: poses before the first attempt, world frame, shape [N, 7].
+        names: object names, length N.
     """
     if not names:
         return np.zeros(0, dtype=bool)
@@ -154,7 +154,7 @@ def within_reach(
 
 
 def worth_trying(plan: GraspPlan) -> np.ndarray:
-    """Whether enough is expected of plans, as far as the planner says, shape [N] bool."""
+    """Return whether plans have enough expected success, shape [N] bool; True if it is unknown."""
     if plan.expected_success is None:
         return np.ones(len(plan), dtype=bool)
     return plan.expected_success >= LEAST_EXPECTED
@@ -168,13 +168,13 @@ def next_belief(
     objects: Mapping[str, ObjectModel],
     protocol: LiftProtocol,
 ) -> Belief:
-    """The belief for another attempt, with the hand at its new start.
+    """Return the belief for another attempt, with the hand at its new start pose.
 
     Args:
-        belief: of the attempt before, N rows.
-        object_pose: where the objects lie now, world frame, shape [N, 7].
+        belief: belief of the previous attempt, N rows.
+        object_pose: current poses of the objects, world frame, shape [N, 7].
         grasps: N grasps.
-        protocol: with the start.
+        protocol: protocol with the start pose.
     """
     names = grasps.object_name.tolist()
     fingers = start_fingers(hand, grasps, protocol.start_closing)
@@ -188,44 +188,44 @@ def next_belief(
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AttemptRecord(BatchRecord):
-    """What became of the attempts of W episodes, a number each, shape [W]."""
+    """Results of the attempts of W episodes, shape [W] each."""
 
     attempts: np.ndarray
-    """Attempts made, 1 or more."""
+    """Number of attempts, 1 or more."""
     first_success: np.ndarray
     """Whether the first attempt passed the lift test, bool."""
     held_given_up: np.ndarray
-    """Attempts that passed the lift test and were judged to have failed."""
+    """Number of attempts that passed the lift test but were judged as failed."""
     misses_unnoticed: np.ndarray
-    """Attempts that failed and were judged not to have."""
+    """Number of attempts that failed but were not judged as failed."""
     no_plan: np.ndarray
-    """Whether the episode ended because the object lay where nothing was planned, bool."""
+    """Whether the episode ended because no further attempt was possible, bool."""
 
     @classmethod
     def none(cls, count: int) -> AttemptRecord:
-        """Before the first attempt. count: W."""
+        """Create a record before the first attempt. count: W."""
         number, flag = np.zeros(count, dtype=int), np.zeros(count, dtype=bool)
         return cls(number, flag, number.copy(), number.copy(), flag.copy())
 
 
 @dataclass(frozen=True, eq=False)
 class AttemptSetting:
-    """What several attempts need besides a policy and the first plan."""
+    """Inputs of several attempts besides a policy and the first plan."""
 
     attempts: int
-    """Most attempts of an episode."""
+    """Largest number of attempts per episode."""
     planner: Planner
-    """Of the further plans."""
+    """Planner of further plans."""
     grasps: RobotGraspSet
-    """One for each world."""
+    """One grasp per world."""
     objects: Mapping[str, ObjectModel]
-    """By name, as they are believed to be."""
+    """Believed object models, by name."""
     belief: Belief
-    """That the first plan was made from."""
+    """Belief used for the first plan."""
     seed: int
-    """Of the plans, and of the sensors."""
+    """Seed of plans and sensors."""
     rows: np.ndarray
-    """Number of each episode, shape [W]."""
+    """Index of each episode, shape [W]."""
 
 
 def play_attempts(
@@ -236,15 +236,15 @@ def play_attempts(
     *,
     watch: Callable[[], None] = lambda: None,
 ) -> tuple[Outcomes, AttemptRecord, GraspPlan]:
-    """Let a policy act, and try again where it is seen to have failed.
+    """Run a policy with several attempts.
 
     Args:
-        plan: the first, one for each world.
+        plan: first plans, one per world.
         watch: called after each setpoint.
 
     Returns:
-        outcomes of the last attempts, what became of all, and the last plans, whose rollouts are all that
-        were spent.
+        outcomes of the last attempts, record of all attempts, and last plans with the total number of
+        rollouts.
     """
     carrier = _SimulatedAttempts(environment, policy, plan, setting, watch)
     names = setting.grasps.object_name.tolist()
@@ -267,14 +267,14 @@ class _SimulatedAttempts:
     ):
         self._environment, self._policy, self._setting, self._watch = environment, policy, setting, watch
         self.plans = plan
-        """The last ones, one for each world."""
+        """Last plans, one per world."""
         self.record = AttemptRecord.none(len(environment))
-        """What became of the attempts so far."""
+        """Record of the attempts so far."""
         self._belief = setting.belief
         self._gap = np.zeros(len(environment))
 
     def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
-        """Play the worlds; whether they are judged to have failed, shape [I] bool."""
+        """Play the worlds; see ``AttemptCarrier.attempt``."""
         judge = AttemptJudge(self.plans, self._setting.objects)
         success = play(
             self._environment, self._policy, self.plans, watch=self._watch, look=judge.watch
@@ -289,18 +289,18 @@ class _SimulatedAttempts:
         return verdict.missed[ids]
 
     def withdraw(self, ids: np.ndarray, number: int) -> None:
-        """Off the objects; after the last attempt nothing more is to be seen."""
+        """Withdraw from the objects, except after the last attempt."""
         s, environment = self._setting, self._environment
         if number + 1 == s.attempts:
             return
-        # A stream for each attempt: the others of a chunk do not decide what is drawn.
+        # One random stream per episode and attempt, so that results do not depend on other episodes.
         streams = [random_stream("sensor jitter", s.seed, int(row), number + 1) for row in s.rows[ids]]
         environment.withdraw(ids, streams)
         off = way_off(self.plans.select(ids), environment.observe().select(ids), self._gap[ids])
         _go(environment, ids, off, self._watch)
 
     def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the objects rest; hands stay where they are."""
+        """Observe the objects; the hands do not move."""
         environment = self._environment
         environment.resume(ids)
         frames, task = TrackedFrames(len(ids)), environment.task
@@ -315,7 +315,7 @@ class _SimulatedAttempts:
         return ids[rows], frames.pose()[rows]
 
     def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
-        """Plan, and take hands to their starts, round the objects."""
+        """Plan, and move the hands around the objects to their start poses."""
         s, environment = self._setting, self._environment
         grasps, protocol = s.grasps.select(ids), environment.protocol
         hand = environment.scene.hand
@@ -340,24 +340,23 @@ class _SimulatedAttempts:
         return ids
 
     def give_up(self, ids: np.ndarray, why: str) -> None:
-        """Counted, whatever the reason."""
+        """Count the worlds; the reason is ignored."""
         self.record.no_plan[ids] = True
 
 
 def _go(
     environment: LiftEnvironment, ids: np.ndarray, ways: Waypoints, watch: Callable[[], None]
 ) -> np.ndarray:
-    """Take hands along ways. Each world stands still once its hand has arrived, so that it does not depend on
-    the others.
+    """Move hands along waypoints. Each world is paused once its hand has arrived, so that it does not depend
+    on the others.
 
     Args:
-        environment: with the hands.
         ids: worlds, shape [I].
-        ways: of these, I rows.
+        ways: waypoints of these worlds, I rows.
         watch: called after each setpoint.
 
     Returns:
-        Whether they have arrived, shape [I] bool.
+        Whether each hand has arrived, shape [I] bool.
     """
     environment.resume(ids)
     policy, task = WaypointPolicy(ways), environment.task
@@ -372,7 +371,7 @@ def _go(
 
 
 def _with_plans(plan: GraspPlan, ids: np.ndarray, fresh: GraspPlan) -> GraspPlan:
-    """The plans with those of some worlds replaced; the rollouts of both are counted."""
+    """Replace the plans of some worlds, and add up the rollouts."""
     place = np.arange(len(plan))
     place[ids] = len(plan) + np.arange(len(ids))
     both = GraspPlan.join([plan, fresh]).select(place)
@@ -384,7 +383,7 @@ def _with_plans(plan: GraspPlan, ids: np.ndarray, fresh: GraspPlan) -> GraspPlan
 
 
 def _still(environment: LiftEnvironment) -> Action:
-    """Stay where the setpoints are."""
+    """Return the action that keeps the current setpoints."""
     setpoints = environment.task.setpoints
     return Action(
         setpoints.wrist.pose.copy(), setpoints.fingers.copy(), np.zeros(len(environment), dtype=bool)
@@ -392,5 +391,6 @@ def _still(environment: LiftEnvironment) -> Action:
 
 
 def _for_all(environment: LiftEnvironment, ids: np.ndarray, action: Action) -> Action:
-    """An action for all worlds; those without one stay. ids: worlds, shape [I]; action: of these, I rows."""
+    """Extend an action to all worlds; the others keep their setpoints. ids: worlds, shape [I]; action: I
+    rows."""
     return _still(environment).replaced(ids, action)

@@ -1,4 +1,4 @@
-"""What a grip must withstand in the motion that the object is held for."""
+"""Loads that a grip must withstand during the use motion of the object."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ def use_loads(
     joints: np.ndarray,
     mass: float,
 ) -> np.ndarray:
-    """Forces [N] at the center of mass and torques [N m] on the object during a use motion, object frame,
-    shape [K, 6]: its weight as the palm turns, what moves it, what the world does to its far end, and the
-    press of a finger on its trigger.
+    """Return forces at the center of mass [N] and torques [N m] on the object during a use motion, object
+    frame, shape [K, 6]: weight and inertia in the turning palm, loads at the far end, and the press of a
+    finger on a trigger.
 
     Args:
-        object_pose: in the hold, world frame, shape [7].
-        palm: in the grasp, object frame, shape [7].
+        object_pose: object pose in the hold, world frame, shape [7].
+        palm: pose in the grasp, object frame, shape [7].
         joints: independent joints in the grasp [rad], shape [U].
-        mass: of the object [kg].
+        mass: object mass [kg].
     """
     held = compose(object_pose, palm)
     end = far_end(model, object_pose, held)
@@ -54,7 +54,7 @@ def use_loads(
         before = value
         if motion.turn:
             axis = turn_axis(motion.turn, hand, held, place)
-            # Seen from the object, gravity turns the other way; the object resists being sped up and braked.
+            # In the object frame, gravity turns the opposite way; inertia acts in both directions.
             down = rotate(quaternion_from_rotation_vector(-value * axis), weight)
             sideways = mass * peak * np.cross(axis, center - held[:3])
             loads += [(down + sign * sideways, np.zeros(3)) for sign in (-1.0, 1.0)]
@@ -77,8 +77,8 @@ def use_loads(
 
 
 def _press(hand: Hand, model: ObjectModel, palm: np.ndarray, joints: np.ndarray, tip: str) -> np.ndarray:
-    """One newton of a fingertip, straight into the object where that is nearest: force [N] and torque about
-    the center of mass [N m], object frame, shape [6]."""
+    """Return the wrench of a fingertip force of 1 N, along the surface normal at the nearest point: force [N]
+    and torque about the center of mass [N m], object frame, shape [6]."""
     kinematics = HandKinematics(hand, 1)
     kinematics.update(palm[None], joints[None])
     bank, only = SignedDistanceBank([model.signed_distance]), np.zeros(1, dtype=int)

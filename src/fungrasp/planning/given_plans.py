@@ -1,4 +1,4 @@
-"""Plans made earlier, to be evaluated or deployed."""
+"""Existing plans as a planner, for evaluation and deployment."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fungrasp.task import Belief, GraspPlan
 
 
 class GivenPlans:
-    """A planner with given plans. Each is moved to the believed pose of its object."""
+    """A planner with given plans. Each plan is moved to the believed pose of its object."""
 
     def __init__(self, plans: GraspPlan, grasps: RobotGraspSet):
         """
@@ -22,7 +22,7 @@ class GivenPlans:
             plans: one per grasp, in the same order.
 
         Raises:
-            FungraspError: plans for other grasps.
+            FungraspError: the plans are for other grasps.
         """
         if not isinstance(plans, GraspPlan):
             raise FungraspError(f"expected the plans of fungrasp.plan, not a {type(plans).__name__}")
@@ -39,7 +39,7 @@ class GivenPlans:
             )
         self.plans = plans
         self.key = digest(plans.arrays())
-        """Says which plans they are."""
+        """Digest of the plans."""
 
     def plan(
         self,
@@ -48,9 +48,9 @@ class GivenPlans:
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """The plans for where the objects are. grasps: all of them, in the order of the plans."""
+        """Return the plans for the believed object poses. grasps: all of them, in the order of the plans."""
         return replace(self.plans, object_pose=belief.object_pose.copy())
 
     def rows(self, rows: np.ndarray, belief: Belief) -> GraspPlan:
-        """Those of some grasps. rows: indices [I]; belief: I rows."""
+        """Return some of the plans. rows: indices, shape [I]; belief: I rows."""
         return replace(self.plans.select(rows), object_pose=belief.object_pose.copy())

@@ -1,9 +1,9 @@
-"""Grasps fitted to where the object has come to rest.
+"""Adaptation of grasps to the settled object.
 
-Measured rest poses are noisy: when the object settles it tilts a little, and round things roll, which would
-take the grasp below the table. The grasp is therefore moved as little as needed to be above the table and in
-touch again. It starts from where it is on the object or, if that fits better, from where it was around the
-object before it rolled.
+Measured rest poses are noisy: while the object settles it tilts a little, and round objects roll, which would
+move the grasp below the table. The grasp is therefore moved as little as needed to be above the table and in
+contact again. It starts from its pose relative to the object or, if that gives a better result, from its pose
+before the object rolled.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 @dataclass(frozen=True)
 class AdaptSettings:
-    """How far a grasp may move."""
+    """Settings of the adaptation."""
 
     table_margin: float = 0.001
     """Distance to keep from the table [m]."""
@@ -40,15 +40,15 @@ class AdaptSettings:
     rotation_unit: float = 0.15
     """Turn of the wrist that counts as one unit [rad]."""
     place_unit: float = 0.007
-    """Distance of a contact from the person's place that counts as one unit [m]."""
+    """Distance of a contact from the person's contact that counts as one unit [m]."""
     closure_unit: float = 0.06
-    """Unbalanced part of contact forces that counts as one unit."""
+    """Unbalanced fraction of the contact forces that counts as one unit."""
     closure_friction: float = 0.2
-    """Friction that the balance may count on."""
+    """Friction coefficient assumed for the force balance."""
     iterations: int = 15
     """Iterations of the optimizer."""
     switch_penalty: float = 3.0
-    """Decrease of the objective that moving to where the grasp was before the object rolled must bring."""
+    """Smallest decrease of the objective for which the pose before the object rolled is used."""
 
 
 def adapt_to_settled_object(
@@ -60,14 +60,15 @@ def adapt_to_settled_object(
     grasp: np.ndarray,
     settings: AdaptSettings | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses in the settled objects' frames [N, 7] and independent joints [rad], shape [N, U].
+    """Return adapted palm poses, frame of the settled object, shape [N, 7], and independent joints [rad],
+    shape [N, U].
 
     Args:
         grasps: N grasps.
-        settled_pose: of the objects, world frame, shape [N, 7].
-        wrist_in_object: palm in the grasp, object frame, shape [N, 7].
-        grasp: independent joints in the grasp [rad], shape [N, U].
-        settings: the defaults if None.
+        settled_pose: poses of the objects, world frame, shape [N, 7].
+        wrist_in_object: palm poses in the grasps, object frame, shape [N, 7].
+        grasp: independent joints in the grasps [rad], shape [N, U].
+        settings: defaults if None.
     """
     s = settings or AdaptSettings()
     names = grasps.object_name.tolist()

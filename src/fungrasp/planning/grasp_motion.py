@@ -1,4 +1,4 @@
-"""One motion per grasp: targets of wrist and fingers at every control step, from the belief before acting."""
+"""One motion per grasp: targets of wrist and fingers at every control step, planned from a belief."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from fungrasp.task.setpoints import SETPOINT_PERIOD, WristSetpoint
 from fungrasp.task.use import UseMotion, load_use_motions, motion_of
 
 TABLE_TOLERANCE = 0.005
-"""If a resting object is farther from the nominal table than this [m], the table is taken to be under it."""
+"""Distance of a resting object from the nominal table [m] beyond which the table height is set to the
+object's lowest point."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class MotionSettings:
     most_least_force: float = 10.0
     """Largest force by this rule [N]; heavy objects are squeezed as hard as their loads require."""
     disturbance: float = 0.5
-    """Load that the squeeze should withstand in addition to the weight, in weights."""
+    """Load that the squeeze should withstand in addition to the weight, in units of the weight."""
     for_use: bool = False
     """Whether the squeeze should also withstand the use motion of the task (``fungrasp.task.use``)."""
     squeeze_limit: float = 0.6
@@ -65,7 +66,7 @@ class MotionSettings:
     finger_lookahead: float = 0.005
     """Look-ahead of the fingers, which lag behind their servo targets [m]."""
     adapt: AdaptSettings | None = AdaptSettings()
-    """How grasps are adapted to the settled object; None: they move with it unchanged."""
+    """Adaptation of grasps to the settled object; None: the grasp stays unchanged relative to the object."""
     approach: ApproachSettings = ApproachSettings()
     """Clearances of the approach."""
 
@@ -76,14 +77,14 @@ def table_below(
     nominal_height: np.ndarray,
     objects: Mapping[str, ObjectModel],
 ) -> np.ndarray:
-    """Height of the table on which objects rest, world frame [m], shape [N].
+    """Return the height of the table below resting objects, world frame [m], shape [N].
 
-    It is the nominal one unless their lowest points differ from it by more than ``TABLE_TOLERANCE``.
+    It is the nominal height unless an object's lowest point differs by more than ``TABLE_TOLERANCE``.
 
     Args:
-        names: of the objects, length N.
-        object_pose: of the objects at rest, world frame, shape [N, 7].
-        nominal_height: of the table [m], shape [N].
+        names: object names, length N.
+        object_pose: rest poses of the objects, world frame, shape [N, 7].
+        nominal_height: nominal height of the table [m], shape [N].
     """
     up = rotate(invert(object_pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
     lowest = np.array([np.min(objects[name].vertices @ u) for name, u in zip(names, up, strict=True)])
@@ -92,7 +93,7 @@ def table_below(
 
 
 def lowered(belief: Belief, height: np.ndarray) -> Belief:
-    """The belief in a frame whose origin is on the table. height: of the table [m], shape [N]."""
+    """Move a belief to a frame with the table at zero. height: height of the table [m], shape [N]."""
     down = np.zeros((len(belief), 7))
     down[:, 2] = height
     return replace(
@@ -115,14 +116,14 @@ class MotionPlanner:
     ):
         """
         Args:
-            hand: the robot hand, or its name.
-            settings: the defaults if None.
-            protocol: with motion limits and control period; the published one if None.
+            hand: robot hand, or its name.
+            settings: defaults if None.
+            protocol: protocol with motion limits and control period; the published one if None.
         """
         self.hand, self.objects = as_hand(hand), objects
         self.settings, self.protocol = settings or MotionSettings(), protocol or LiftProtocol()
         self.key = digest(self.settings, self.protocol)
-        """Digest of all that plans depend on besides hand, objects and the arguments of ``plan``."""
+        """Digest of everything that plans depend on besides hand, objects and the arguments of ``plan``."""
 
     def plan(
         self,
@@ -134,15 +135,15 @@ class MotionPlanner:
         """Plan N motions.
 
         Args:
-            grasps: N grasps of the hand; ``extra`` may hold their own ``force_scale``, ``press_in`` and
+            grasps: N grasps of the hand; ``extra`` may contain ``force_scale``, ``press_in`` and
                 ``press_down``.
             belief: N rows.
-            seed: not used; nothing is random.
+            seed: not used.
             progress: called once, with N.
         """
         hand, objects, s = self.hand, self.objects, self.settings
         names = grasps.object_name.tolist()
-        # Below, the table is at zero; what is planned is in the object's frame.
+        # From here on, the table is at zero, and plans are in the object frame.
         b = lowered(belief, table_below(names, belief.object_pose, belief.table_height, objects))
         in_object = compose(invert(grasps.object_pose), grasps.wrist_pose)
         palm, joints = in_object, hand.independent(grasps.joint_positions)
@@ -183,15 +184,15 @@ def _follow_path(
     s: MotionSettings,
     p: LiftProtocol,
 ) -> dict[str, np.ndarray]:
-    """Follow the planned path with a setpoint that keeps the wrist's speed limits; the fields of
-    ``GraspPlan`` that have steps.
+    """Follow the planned path with a setpoint within the wrist's speed limits. Return the fields of
+    ``GraspPlan`` with one value per step.
 
     Args:
         belief: table at zero, N rows.
         approach: N paths.
-        closing_pose: of the palm while the fingers close, world frame, shape [N, 7].
-        grasp: independent joints in the grasp [rad], shape [N, U].
-        squeeze: offsets of the servo targets from them [rad], shape [N, U].
+        closing_pose: palm poses while the fingers close, world frame, shape [N, 7].
+        grasp: independent joints in the grasps [rad], shape [N, U].
+        squeeze: offsets of the servo targets from the grasps [rad], shape [N, U].
     """
     path = FollowedPath(belief.palm_pose, belief.joint_positions, approach, belief.object_pose)
     setpoint = WristSetpoint(belief.palm_pose, p)
@@ -242,12 +243,12 @@ def _follow_path(
 
 
 def _setting(grasps: RobotGraspSet, name: str, default: float) -> np.ndarray:
-    """A number that a grasp may bring with it, shape [N, 1]."""
+    """Return a setting that a grasp may override in ``extra``, shape [N, 1]."""
     return np.asarray(grasps.extra.get(name, np.full(len(grasps), default)))[:, None]
 
 
 def _motions(grasps: RobotGraspSet, settings: MotionSettings) -> list[UseMotion | None]:
-    """Use motion that each grip must withstand; None for the lift alone."""
+    """Return the use motion that each grip must withstand; None for the lift only."""
     if not settings.for_use or grasps.task is None:
         return [None] * len(grasps)
     known = load_use_motions().values()
@@ -263,14 +264,14 @@ def squeeze_offsets(
     joints: np.ndarray,
     settings: MotionSettings | None = None,
 ) -> np.ndarray:
-    """Offsets of the joints' servo targets that squeeze the object [rad], shape [N, U].
+    """Return offsets of the servo targets that squeeze the object [rad], shape [N, U].
 
     Args:
-        grasps: N grasps; ``extra`` may hold their own ``force_scale``.
+        grasps: N grasps; ``extra`` may contain ``force_scale``.
         belief: N rows, table at zero.
-        palm: in the grasp, object frame, shape [N, 7].
-        joints: independent joints in the grasp [rad], shape [N, U].
-        settings: the defaults if None.
+        palm: poses in the grasps, object frame, shape [N, 7].
+        joints: independent joints in the grasps [rad], shape [N, U].
+        settings: defaults if None.
     """
     s = settings or MotionSettings()
     models = [objects[name] for name in grasps.object_name.tolist()]
@@ -285,7 +286,7 @@ def squeeze_offsets(
     least = np.minimum(s.least_force + s.least_force_per_kg * mass, s.most_least_force)
     motions = _motions(grasps, s)
     torques = np.zeros_like(stiffness)
-    # Those of one motion have as many loads.
+    # Grasps with the same motion have the same number of loads.
     for motion in dict.fromkeys(motions):
         rows = np.array([i for i, other in enumerate(motions) if other is motion])
         loads = lifting[rows]
@@ -297,7 +298,7 @@ def squeeze_offsets(
             loads = np.concatenate([loads, np.array(of_use)], axis=1)
         points = HandPoints(HandKinematics(hand, len(rows)))
         grip = grip_of(points, around.rows(rows), [models[i] for i in rows], palm[rows], joints[rows])
-        # In use whatever lies at the object carries.
+        # In use, all links in contact may carry load.
         wanted = grasps.link_contacts[rows] | (motion is not None)
         torques[rows] = squeeze_torques(grip, wanted, stiffness[rows], loads, least[rows])
     torques = _setting(grasps, "force_scale", 1.0) * torques

@@ -41,20 +41,20 @@ def plan(
     threads: int = 0,
     progress: ShowProgress = None,
 ) -> GraspPlan:
-    """Plan grasps as the lift test does: objects settle in nominal worlds, then the policy's planner makes
-    one motion per grasp, or selects one of many.
+    """Plan grasps as in the lift test: objects settle in nominal worlds, then the policy's planner makes or
+    selects one motion per grasp.
 
     Args:
         grasps: N robot grasps, or human grasps, which are retargeted first; a set or a single one.
-        objects: their objects, as for ``retarget``.
+        objects: objects of the grasps, as for ``retarget``.
         policy: name or file of the policy that will follow the plans (``fungrasp.policies.policy_source``).
-        hand: for human grasps; allegro if None.
-        protocol: how worlds differ in the rollouts.
-        rollouts: whether candidates are tried in simulation, if the planner has several.
+        hand: hand for human grasps; allegro if None.
+        protocol: protocol of the rollouts' randomization.
+        rollouts: whether candidates are tested in simulation, if the planner has several.
         for_use: whether plans should also withstand the use motion of the task.
         other_places: if no plan holds the object as shown, allow one that holds it in another way.
-        seed: of the planner's random numbers.
-        threads: 0 means all processors. The plans are the same for any number.
+        seed: random seed.
+        threads: 0 for all processors. Plans do not depend on it.
         progress: called with the number of planned grasps, fractions included. True or False: a progress bar
             or none. None: a bar in terminals and notebooks.
 
@@ -86,17 +86,17 @@ def make_planner(
     threads: int = 0,
     motions: MotionSettings | None = None,
 ) -> Planner:
-    """The planner of a policy.
+    """Make the planner of a policy.
 
     Args:
-        name: of the policy, as for ``policy_source``.
-        settings: of the selection among candidates; the defaults if None.
-        protocol: of the motions; the published one if None.
-        threads: 0 means all processors. Plans are the same for any number.
-        motions: how grasps are adapted, approached, closed and lifted; the defaults if None.
+        name: name of the policy, as for ``policy_source``.
+        settings: defaults if None.
+        protocol: published protocol if None.
+        threads: 0 for all processors. Plans do not depend on it.
+        motions: defaults if None.
 
     Raises:
-        FungraspError: unknown policy, or a policy for another hand.
+        FungraspError: the policy is unknown or for another hand.
     """
     source = policy_source(name, hand.name)
     if not source.searches:

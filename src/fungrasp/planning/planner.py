@@ -12,8 +12,8 @@ from fungrasp.task import Belief, GraspPlan
 
 
 class Planner(Protocol):
-    """Plans grasps of one hand. If the plans depend only on the arguments of ``plan`` and on a str attribute
-    ``key``, define that attribute: it allows evaluations to store partial results."""
+    """Plans grasps of one hand. If plans depend only on the arguments of ``plan`` and on a str attribute
+    ``key``, define this attribute: evaluations can then store partial results."""
 
     def plan(
         self,
@@ -26,8 +26,8 @@ class Planner(Protocol):
 
         Args:
             grasps: N grasps.
-            belief: what is known about their scenes, N rows.
-            seed: of the planner's random numbers.
+            belief: N rows.
+            seed: random seed.
             progress: called with the number of planned grasps, fractions included.
         """
         ...
@@ -48,8 +48,8 @@ class ConstrainedPlanner(Planner, Protocol):
 
         Args:
             grasps: N grasps.
-            belief: what is known about their scenes, N rows.
-            feasible: a function from P plans to a bool array of shape [P]; row p is a plan for grasp p mod N.
-            seed: of the planner's random numbers.
+            belief: N rows.
+            feasible: function from P plans to a bool array of shape [P]; row p is a plan for grasp p mod N.
+            seed: random seed.
         """
         ...

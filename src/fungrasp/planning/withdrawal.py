@@ -1,5 +1,4 @@
-"""Between two attempts: the way of the hand off the object, and round it to where the next one starts; and a
-policy that takes hands along ways, on which nothing is grasped."""
+"""Motions between two attempts: withdrawal from the object, and the way around it to the next start pose."""
 
 from __future__ import annotations
 
@@ -22,43 +21,42 @@ from fungrasp.objects import ObjectModel
 from fungrasp.task import Action, GraspPlan, Observation
 
 OPENING_STEPS = 10
-"""Control steps in which the hand opens: a second."""
+"""Control steps for opening the hand (1 s)."""
 SMALL_GAP = 0.01
-"""An object that is nearer to the table than this [m] is let go of where it is: the error of the tracked
+"""Height above the table [m] below which an object is released without lowering: the error of the tracked
 pose."""
 PASSING = 0.05
-"""Way points are passed by at this distance [m], so that the wrist need not stop."""
+"""Distance at which the palm passes a waypoint without stopping [m]."""
 ARRIVED = 0.002
-"""The palm's setpoint has arrived at this distance [m]."""
+"""Distance at which the palm's setpoint has arrived [m]."""
 TURNED = 0.02
-"""At the last point the palm's setpoint is turned as it should be to this angle [rad]."""
+"""Angle at which the palm's setpoint has arrived at the last waypoint [rad]."""
 WAY_ROUND = 0.35
-"""Least distance of the palm from the object's center on the way round it, for an object without extent [m]:
-a hand's length and 15 cm."""
+"""Smallest distance of the palm from the center of a point-sized object on the way around it [m]: a hand's
+length and 15 cm."""
 ROUND_STEPS = 12
-"""Way points on the way round."""
+"""Number of waypoints on the way around the object."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Waypoints(BatchRecord):
-    """Ways of W hands, K points each."""
+    """Waypoints of W hands, K each."""
 
     palm: np.ndarray
     """Palm poses, world frame, shape [W, K, 7]."""
     fingers: np.ndarray
     """Targets of the finger servos [rad], shape [W, K, U]."""
     near: np.ndarray
-    """How near the palm's setpoint comes to each point before it goes on to the next [m], shape [W, K]."""
+    """Distance of the palm's setpoint at which each waypoint is reached [m], shape [W, K]."""
 
 
 def way_off(plan: GraspPlan, observation: Observation, gap: np.ndarray) -> Waypoints:
-    """Lower what hangs in the hand onto the table, open the hand, withdraw by the planned path backwards.
-
-    The path is moved to where the hand opens.
+    """Return waypoints that lower a hanging object onto the table, open the hand, and withdraw along the
+    reversed approach, shifted to the place of opening.
 
     Args:
-        plan: that was followed, W of them.
-        gap: how far the objects are above the table [m], shape [W].
+        plan: followed plans, W of them.
+        gap: heights of the objects above the table [m], shape [W].
     """
     rows, closing = np.arange(len(plan)), plan.closing_step
     low = observation.palm_setpoint.copy()
@@ -67,7 +65,7 @@ def way_off(plan: GraspPlan, observation: Observation, gap: np.ndarray) -> Waypo
     back = np.maximum(closing[:, None] - np.arange(last + 1), 0)
     path = compose(plan.object_pose[:, None], plan.palm_setpoint_object[rows[:, None], back])
     path[..., :3] += (low[:, :3] - path[:, 0, :3])[:, None]
-    # As open as it was before the fingers closed.
+    # As open as before the fingers closed.
     opened = plan.finger_targets[rows, np.maximum(closing - 1, 0)]
     closed = observation.joint_setpoints
     share = np.arange(1, OPENING_STEPS + 1)[:, None] / OPENING_STEPS
@@ -91,14 +89,14 @@ def way_round(
     start: np.ndarray,
     start_fingers: np.ndarray,
 ) -> Waypoints:
-    """From where hands are to where they start, on circles about the objects.
+    """Return waypoints from the current palm poses to start poses, on circles about the objects.
 
     Args:
-        observation: of W worlds.
-        object_pose: where the objects lie, world frame, shape [W, 7].
-        names: of the objects, length W.
-        start: palm poses, world frame, shape [W, 7].
-        start_fingers: independent joints [rad], shape [W, U].
+        observation: W rows.
+        object_pose: object poses, world frame, shape [W, 7].
+        names: object names, length W.
+        start: palm poses at the start, world frame, shape [W, 7].
+        start_fingers: independent joints at the start [rad], shape [W, U].
     """
     palm, fingers = observation.palm_setpoint, observation.joint_setpoints
     center = np.array([models[name].center_of_mass for name in names])
@@ -129,8 +127,8 @@ def way_round(
 
 
 def _turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Rotation vectors that turn unit vectors a into b, over the top where they are opposite; all of shape
-    [W, 3]."""
+    """Return rotation vectors that turn unit vectors a into b, over the top if they are opposite; shape [W,
+    3] each."""
     axis = np.cross(a, b)
     size = np.linalg.norm(axis, axis=1, keepdims=True)
     angle = np.arctan2(size[:, 0], np.sum(a * b, axis=1))
@@ -141,13 +139,13 @@ def _turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class WaypointPolicy:
-    """Goes from point to point as the palm's setpoint comes near, and stays at the last."""
+    """Follows waypoints as the palm's setpoint reaches them, and stays at the last one."""
 
     def __init__(self, ways: Waypoints):
-        """ways: of W hands."""
+        """ways: waypoints of W hands."""
         self._ways, self._at = ways, np.zeros(len(ways), dtype=int)
         self.arrived = np.zeros(len(ways), dtype=bool)
-        """Whether the last point has been reached, shape [W] bool."""
+        """Whether the last waypoint has been reached, shape [W] bool."""
 
     def act(self, observation: Observation) -> Action:
         """See ``Policy.act``."""

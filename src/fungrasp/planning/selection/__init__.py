@@ -1,4 +1,4 @@
-"""Which plan to follow: candidates, simulated rollouts, search."""
+"""Selection of a plan: candidates, simulated rollouts, search."""
 
 from __future__ import annotations
 

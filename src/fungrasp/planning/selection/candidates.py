@@ -1,4 +1,4 @@
-"""Candidates: variations of grasps, their plans, and how their rollouts went."""
+"""Candidates: variations of grasps, their plans, and results of their rollouts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fungrasp.task import Belief, GraspPlan
 
 
 def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None) -> RobotGraspSet:
-    """The grasps with the settings of their motion written out in ``extra`` where they have none."""
+    """Add the motion settings to ``extra`` of grasps that lack them."""
     s = settings or MotionSettings()
     count = len(grasps)
     defaults = {
@@ -35,8 +35,8 @@ def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None)
 
 
 def _touched_points(grasps: RobotGraspSet) -> np.ndarray:
-    """Mean of where the links touch that should, world frame [m], shape [N, 3]; of the key points where the
-    person's places are not known, or none is wanted."""
+    """Return the mean of the target links' shown contacts, world frame [m], shape [N, 3]; the mean of the key
+    points if there are none."""
     middle = grasps.keypoints.mean(axis=1)
     if grasps.shown_places is None:
         return middle
@@ -54,13 +54,13 @@ def vary(
     seed: int,
     spread: VariationSpread,
 ) -> RobotGraspSet:
-    """Grasps with wrist, fingers, squeeze and last press varied; each depends on seed, index and attempt
-    alone.
+    """Vary wrist, fingers, squeeze and press of grasps. Each variation depends only on seed, index and
+    attempt.
 
     Args:
-        grasps: N grasps that have settings (``with_settings``).
-        indices: a number for each grasp, shape [N].
-        attempts: a number for each variation of a grasp, 0 for the grasp as it is, shape [N].
+        grasps: N grasps with settings (``with_settings``).
+        indices: number of each grasp, shape [N].
+        attempts: number of each variation, 0 for the unchanged grasp, shape [N].
     """
     kinematics = HandKinematics(hand, 1)
     independent = hand.independent(grasps.joint_positions)
@@ -72,7 +72,7 @@ def vary(
         ]
     )
     noise *= (attempts > 0)[:, None]
-    # The wrist turns about where the fingers touch, so that they stay there: x -> center + turn (x - center).
+    # The wrist turns about the contacts, which keeps the fingers there: x -> center + turn (x - center).
     center = inverse_transform_points(grasps.wrist_pose, _touched_points(grasps)[:, None])[:, 0]
     turn = quaternion_from_rotation_vector(spread.rotation * noise[:, 3:6])
     shift = np.concatenate([center - rotate(turn, center) + spread.position * noise[:, :3], turn], axis=1)
@@ -91,55 +91,54 @@ def vary(
 
 
 HOPE, HOPE_WEIGHT = 0.7, 2.0
-"""Success expected of a candidate before its first rollout, and the number of rollouts that this stands for:
-one that fails at once comes after those not tried yet, one that holds comes first."""
+"""Prior success probability of a candidate, and its weight in rollouts: a candidate that fails at once ranks
+below untried ones, and one that holds ranks first."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """How the rollouts of K candidates of each of G grasps went; all arrays have the shape [K, G]."""
+    """Results of the rollouts of K candidates of each of G grasps; all arrays have shape [K, G]."""
 
     possible: np.ndarray
-    """Candidates that can be carried out, bool; others are never tried."""
+    """Whether the candidate is feasible, bool; others are never tried."""
     tried: np.ndarray
     """Number of rollouts of each candidate."""
     held: np.ndarray
-    """Number of rollouts that succeeded."""
+    """Number of successful rollouts."""
     shown: np.ndarray
-    """Number of those in which the object was held as shown."""
+    """Number of rollouts in which the object was held as shown."""
     bonus: np.ndarray
-    """Sum over the rollouts of the weighted shown share and contact ratio less the weighted slip."""
+    """Sum over the rollouts of weighted shown share plus weighted contact ratio minus weighted slip."""
 
     @classmethod
     def untried(cls, shape: tuple[int, int]) -> Tally:
-        """Before any rollout."""
+        """Create results without rollouts."""
         return cls(np.ones(shape, dtype=bool), *(np.zeros(shape) for _ in range(4)))
 
     def hope(self, other_places: float, share: float) -> np.ndarray:
-        """The larger, the sooner a candidate is tried: success as shown if ``HOPE`` was expected, and the
-        bonus.
+        """Return the priority of each candidate: success as shown (``hoped``) plus mean bonus.
 
         Args:
-            other_places: what success otherwise than shown counts.
-            share: bonus of a rollout that is expected before the first.
+            other_places: value of a success that is not as shown.
+            share: prior of the bonus.
         """
         bonus = (self.bonus + HOPE_WEIGHT * share) / (self.tried + HOPE_WEIGHT)
         return np.where(self.possible, self.hoped(other_places) + bonus, -np.inf)
 
     def hoped(self, other_places: float) -> np.ndarray:
-        """Success as shown after the rollouts if ``HOPE`` was expected before."""
+        """Return the mean success as shown, with the prior ``HOPE``."""
         counted = self.shown + other_places * (self.held - self.shown)
         return (counted + HOPE_WEIGHT * HOPE) / (self.tried + HOPE_WEIGHT)
 
     def expected(self, counted: np.ndarray) -> np.ndarray:
-        """Share of the rollouts that ``counted``; ``HOPE_WEIGHT`` more are added that go like those of all
-        candidates of the grasp, so that luck counts less where little holds."""
+        """Return the share of rollouts that ``counted``, shrunk towards the mean of all candidates of the
+        grasp with weight ``HOPE_WEIGHT``, so that luck matters less if few candidates hold."""
         common = (counted.sum(axis=0) + HOPE_WEIGHT * HOPE) / (self.tried.sum(axis=0) + HOPE_WEIGHT)
         mean = (counted + HOPE_WEIGHT * common) / (self.tried + HOPE_WEIGHT)
         return np.where(self.possible, mean, 0.0)
 
     def best(self, other_places: float) -> np.ndarray:
-        """Candidates of each grasp, the best first; those that were tried before the others."""
+        """Rank the candidates of each grasp, best first, and tried ones before untried ones."""
         shown, held = self.expected(self.shown), self.expected(self.held)
         value = shown + other_places * np.maximum(held - shown, 0.0) + self.bonus / np.maximum(self.tried, 1)
         return np.lexsort((~self.possible, -value, self.tried == 0), axis=0)
@@ -152,34 +151,33 @@ class Tally:
         shown: np.ndarray,
         bonus: np.ndarray,
     ) -> None:
-        """Count one rollout each of different candidates, shape [R]."""
+        """Add one rollout each of R distinct candidates; all arguments have shape [R]."""
         self.tried[candidates, grasps] += 1
         for total, values in ((self.held, held), (self.shown, shown), (self.bonus, bonus)):
             total[candidates, grasps] += values
 
     def select(self, candidates: np.ndarray, grasps: np.ndarray) -> Tally:
-        """Of candidates, shape [P, S], of some grasps, shape [S]."""
+        """Select candidates, shape [P, S], of some grasps, shape [S]."""
         return Tally(*(getattr(self, f.name)[candidates, grasps] for f in fields(self)))
 
     def join(self, other: Tally) -> Tally:
-        """These and more candidates of the same grasps."""
+        """Append more candidates of the same grasps."""
         return Tally(*(np.concatenate([getattr(t, f.name) for t in (self, other)]) for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """K candidates of each of G grasps, those of one variation after those of another: candidate k of grasp g
-    is row k G + g."""
+    """K candidates of each of G grasps, ordered by variation: candidate k of grasp g is row k G + g."""
 
     grasps: RobotGraspSet
     """The varied grasps, K G rows."""
     plans: GraspPlan
     """Plans of the varied grasps, K G rows."""
     tally: Tally
-    """How their rollouts went, arrays of shape [K, G]."""
+    """Results of their rollouts, arrays of shape [K, G]."""
 
     def best(self, other_places: float) -> GraspPlan:
-        """The best plan of each grasp, with what is expected of it."""
+        """Return the best plan of each grasp, with its expected success."""
         tally, grasps = self.tally, np.arange(self.tally.tried.shape[1])
         best = tally.best(other_places)[0]
         return replace(
@@ -190,7 +188,7 @@ class Candidates:
         )
 
     def of(self, grasps: np.ndarray) -> Candidates:
-        """The candidates of some grasps, shape [S] of indices."""
+        """Select the candidates of some grasps, given by indices of shape [S]."""
         count, size = self.tally.tried.shape
         candidates = np.arange(count)[:, None]
         rows = (candidates * size + grasps).ravel()
@@ -199,7 +197,7 @@ class Candidates:
         )
 
     def join(self, other: Candidates) -> Candidates:
-        """These and more candidates of the same grasps."""
+        """Append more candidates of the same grasps."""
         return Candidates(
             RobotGraspSet.concatenate([self.grasps, other.grasps]),
             GraspPlan.join([self.plans, other.plans]),
@@ -221,10 +219,10 @@ def propose(
     """Plan variations of grasps.
 
     Args:
-        beliefs: of G grasps.
-        grasps: to vary, G after G, K G of them.
+        beliefs: G rows.
+        grasps: K G grasps to vary, ordered as in ``Candidates``.
         attempts: number of each variation, shape [K G].
-        search: another number of the variations.
+        search: index of the search, which changes the variations.
     """
     count = len(beliefs)
     where = np.resize(np.arange(count), len(grasps))

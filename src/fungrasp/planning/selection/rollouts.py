@@ -1,5 +1,4 @@
-"""Rollouts of plans in simulation before one is followed, in worlds that differ from the nominal one: those
-that hold in most of them are good plans, and not only lucky ones."""
+"""Rollouts of plans in randomized simulated worlds. Plans that hold in most of them are selected."""
 
 from __future__ import annotations
 
@@ -30,21 +29,22 @@ from fungrasp.task.use import LARGEST_SHIFT, LARGEST_TURN, load_use_motions, mot
 _log = logging.getLogger(__name__)
 
 NEARLY_WITHSTOOD = 0.65
-"""What an object that is held counts at most where it fails the use test, so that the search comes nearer to
-what passes; far below what is taken for sure."""
+"""Largest value of a rollout that passes the lift test but fails the use test. It guides the search and is
+far below the value of a confirmed plan."""
 
 WITHSTOOD = 0.9
-"""What it counts at least where it passes; more the less it moves, as worlds differ."""
+"""Smallest value of a rollout that passes the use test; the value grows as the object moves less."""
 
 LARGEST_SLIP = 10.0
-"""Slip beyond this counts no more [mm/s]."""
+"""Slip at which the penalty saturates [mm/s]."""
 
 
 WHOLE = 10_000
 """More control steps than any motion has."""
 
 MOST = 2.0
-"""Guessed masses are drawn within so many standard deviations: a box that is all lead is not planned for."""
+"""Bound of sampled mass errors in standard deviations, to exclude extreme masses such as a box full of
+lead."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,13 +52,13 @@ class RolloutResults(BatchRecord):
     """Outcomes of R rollouts."""
 
     success: np.ndarray
-    """Whether the object was held, or the share that counts, shape [R]."""
+    """Whether the object was held, or a value in [0, 1] with use motions, shape [R]."""
     as_shown: np.ndarray
-    """The same where the object was held as shown, zero elsewhere, shape [R]; as success where the person's
-    places are not known."""
+    """Success of rollouts that held the object as shown, zero for others, shape [R]; equal to success if the
+    person's contacts are unknown."""
     shown_share: np.ndarray
-    """Share of the wanted links that are as shown; zero for lost objects, and where the person's places are
-    not known, shape [R]."""
+    """Share of the target links that touch as shown, shape [R]; zero for lost objects and for unknown
+    contacts."""
     contact_ratio: np.ndarray
     """Share of the target links in contact during the hold; zero for lost objects, shape [R]."""
     slip: np.ndarray
@@ -66,8 +66,8 @@ class RolloutResults(BatchRecord):
 
 
 class RolloutTrials:
-    """Tries the candidates of a search. All meet the same differences in the same order, so the result of a
-    grasp does not depend on the others."""
+    """Runs the rollouts of a search. All candidates get the same random parameters in the same order, so the
+    result of a grasp does not depend on the other grasps."""
 
     def __init__(
         self,
@@ -83,10 +83,10 @@ class RolloutTrials:
     ):
         """
         Args:
-            beliefs: of G grasps.
-            object_names: of their objects, G names.
+            beliefs: G rows.
+            object_names: names of their objects, length G.
             number: largest number of rollouts of a candidate.
-            threads: 0 means all processors.
+            threads: 0 for all processors.
         """
         self._beliefs, self._policy, self._threads, self.settings = beliefs, policy, threads, settings
         self._whole = replace(
@@ -109,12 +109,12 @@ class RolloutTrials:
     def __call__(
         self, candidates: Candidates, grasps: np.ndarray, chosen: np.ndarray, which: np.ndarray
     ) -> None:
-        """One more rollout each of R candidates, which are counted in their tally.
+        """Run one more rollout each of R candidates and add it to their tally.
 
         Args:
-            candidates: of S grasps.
-            grasps: which grasps of the beliefs those are, shape [S].
-            chosen, which: candidate and grasp, an index into S, of each rollout, shape [R]; no pair twice.
+            candidates: candidates of S grasps.
+            grasps: indices of these grasps in the beliefs, shape [S].
+            chosen, which: candidate and grasp (index into S) of each rollout, shape [R]; pairs are unique.
         """
         s, number = self.settings, candidates.tally.tried[chosen, which].astype(int)
         whole = number % s.rehearsal == s.rehearsal - 1
@@ -158,15 +158,15 @@ def roll_out(
     threads: int = 0,
     tasks: np.ndarray | None = None,
 ) -> RolloutResults:
-    """Try R plans once each.
+    """Run one rollout each of R plans.
 
     Args:
-        plans: R of them.
-        beliefs: of their scenes, R rows.
-        sample: what differs in each, R rows.
-        scene: with the plans' objects.
-        threads: 0 means all processors.
-        tasks: what the grasps are for, shape [R] str, whose use motions follow; none if None.
+        plans: R plans.
+        beliefs: R rows.
+        sample: random parameters, R rows.
+        scene: scene with the plans' objects.
+        threads: 0 for all processors.
+        tasks: tasks of the grasps, shape [R] str, whose use motions follow the hold; none if None.
     """
     s = settings
     protocol = replace(LiftProtocol(), hold_time=s.hold_time)
@@ -177,7 +177,7 @@ def roll_out(
         some = plans.select(rows)
         ids = np.arange(len(some))
         environment = LiftEnvironment(scene, len(ids), randomization, protocol, threads=threads)
-        # What hands push on the way decides where the way is not free.
+        # If the approach is not free, hands may push the object on the way: simulate it.
         step = np.where(some.path_collision > BLOCKED, 0, np.maximum(some.closing_step - s.early, 0))
         environment.begin(ids, some, step, sample.select(rows), beliefs.select(rows))
         outcomes = play(environment, policy, some, end_lost=True)
@@ -199,8 +199,8 @@ def roll_out(
 
 
 def _withstood(environment: LiftEnvironment, tasks: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """How well W objects withstand their use motions, shape [W]: 1 for those that have none, otherwise a half
-    for what is lost, more for what nearly passes the use test, and ``WITHSTOOD`` to 1 for what passes it."""
+    """Return how well W objects withstand their use motions, shape [W]: 1 without a motion, ``WITHSTOOD`` to
+    1 if the use test is passed, 0.5 to ``NEARLY_WITHSTOOD`` if it is failed, 0 if the simulation diverged."""
     known = load_use_motions().values()
     motions = [motion_of(task, known) for task in tasks.tolist()]
     use = play_use(environment, motions, held)
@@ -225,7 +225,7 @@ def _scene(
 
 
 def _without_jitter(randomization: Randomization) -> Randomization:
-    """The randomization without jitter, so that a rollout does not depend on which others run beside it."""
+    """Remove jitter and dropouts, so that a rollout does not depend on the others in its batch."""
     errors = {f.name: getattr(randomization, f.name) for f in fields(Randomization)}
     still = {n: replace(e, jitter=0.0) for n, e in errors.items() if isinstance(e, MeasurementError)}
     return replace(randomization, **still, tracker_dropout=0.0)
@@ -234,14 +234,13 @@ def _without_jitter(randomization: Randomization) -> Randomization:
 def _with_estimated_errors(
     sample: EpisodeSample, beliefs: Belief, z: np.ndarray, mass: np.ndarray
 ) -> EpisodeSample:
-    """Object pose errors as large as the belief says they may be, ``e = L z`` with ``L L^T`` its covariance;
-    and masses as far from the believed ones as it says.
+    """Sample pose and mass errors from the belief: ``e = L z`` with ``L L^T`` the pose covariance.
 
     Args:
-        sample: R rows; returned as it is if the belief knows neither covariance nor spread.
+        sample: R rows; unchanged if the belief has neither covariance nor mass spread.
         beliefs: R rows.
         z: standard normal numbers, shape [R, 6].
-        mass: the same, shape [R].
+        mass: standard normal numbers, shape [R].
     """
     if beliefs.object_mass_spread is not None:
         sample = replace(sample, mass=np.exp(beliefs.object_mass_spread * np.clip(mass, -MOST, MOST)))

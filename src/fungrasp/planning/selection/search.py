@@ -1,4 +1,4 @@
-"""The best of many candidates of a grasp: simulated rollouts decide between them."""
+"""Search for the best of many candidates of a grasp by simulated rollouts."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from fungrasp.planning.selection.settings import SelectionSettings, VariationSpr
 from fungrasp.task import Belief, GraspPlan, LiftProtocol, Policy
 
 Feasible = Callable[[GraspPlan], np.ndarray]
-"""Says of P plans which can be carried out, a bool array of shape [P]."""
+"""Function from P plans to a bool array of shape [P]: whether each plan is feasible."""
 
 WIDEST = 8
-"""Most candidates of a grasp that are tried at once."""
+"""Largest number of candidates of a grasp that are tried in parallel."""
 
 PASSED = 0.6
-"""A candidate that counts less than this on average has failed."""
+"""Mean value below which a candidate has failed."""
 
 RESOLUTION = 1e-4
-"""Beliefs are rounded to steps of so much [m, rad], so that what has settled anew is not planned anew."""
+"""Resolution to which beliefs are rounded [m, rad], so that tiny differences reuse a known plan."""
 
 
 class SearchPlanner:
-    """Plans many variations of each grasp and selects one; remembers what it has planned.
+    """Plans many variations of each grasp, selects one, and caches the result.
 
-    It simulates ``settings.rollouts_per_grasp`` episodes for each grasp, in an engine of its own, never in
-    the world that the plan is for.
+    It simulates ``settings.rollouts_per_grasp`` episodes per grasp in its own engine, never in the world for
+    which it plans.
     """
 
     def __init__(
@@ -57,18 +57,18 @@ class SearchPlanner:
     ):
         """
         Args:
-            policy: what will follow the plans, and follows them in the rollouts.
-            settings: the defaults if None.
-            protocol: of the motions; the published one if None.
-            threads: of the rollouts; 0 means all processors. The choice does not depend on it.
-            motions: how candidates are approached, closed and lifted; the defaults if None.
+            policy: policy that will follow the plans, also used in the rollouts.
+            settings: defaults if None.
+            protocol: published protocol if None.
+            threads: threads of the rollouts, 0 for all processors. Plans do not depend on it.
+            motions: defaults if None.
         """
         self.settings = settings or SelectionSettings()
         self._hand, self._objects, self._threads = hand, objects, threads
         self._policy, self._policy_digest = policy, policy_digest
         self._single = MotionPlanner(hand, objects, motions, protocol)
         self.key = digest(policy_digest, self.settings, self._single.key)
-        """Digest of all that plans depend on besides the arguments of ``plan``."""
+        """Digest of everything that plans depend on besides the arguments of ``plan``."""
         self._known: dict[str, GraspPlan] = {}
 
     def plan(
@@ -78,7 +78,7 @@ class SearchPlanner:
         seed: int = 0,
         progress: Callable[[float], None] = lambda done: None,
     ) -> GraspPlan:
-        """See ``Planner.plan``. All grasps are varied in the same ways, so that the choice for one does not
+        """See ``Planner.plan``. All grasps get the same variations, so that the plan of one grasp does not
         depend on the others."""
         names = grasps.object_name.tolist()
         table = table_below(names, belief.object_pose, belief.table_height, self._objects)
@@ -105,7 +105,7 @@ class SearchPlanner:
     def plan_within(
         self, grasps: RobotGraspSet, belief: Belief, feasible: Feasible, seed: int = 0
     ) -> GraspPlan:
-        """See ``ConstrainedPlanner.plan_within``. Nothing is remembered."""
+        """See ``ConstrainedPlanner.plan_within``. Results are not cached."""
         names = grasps.object_name.tolist()
         table = table_below(names, belief.object_pose, belief.table_height, self._objects)
 
@@ -123,7 +123,7 @@ class SearchPlanner:
         progress: Callable[[float], None],
         feasible: Feasible | None = None,
     ) -> GraspPlan:
-        """One plan for each grasp, table at zero. progress: called with the share that is done."""
+        """Return one plan per grasp, table at zero. progress: called with the completed fraction."""
         s, names = self.settings, grasps.object_name.tolist()
         make = partial(
             propose,
@@ -132,7 +132,7 @@ class SearchPlanner:
             seed=seed,
             chunk=s.chunk,
         )
-        # Where few plans can be carried out, there must be some to choose from.
+        # If few plans are feasible, more candidates are needed.
         number = s.candidates if feasible is None else max(s.candidates, s.more)
         number = 1 if s.rollouts is None and feasible is None else number
         everyone = np.arange(len(grasps))
@@ -163,14 +163,15 @@ class SearchPlanner:
         return GraspPlan.join(chosen).select(np.argsort(np.concatenate(order)))
 
     def _race(self, pool: Candidates, grasps: np.ndarray, roll: RolloutTrials, budget: int) -> None:
-        """Try the leading candidates of each grasp until one is sure, or the budget spent.
+        """Try the leading candidates of each grasp until one is confirmed or the budget is used up.
 
-        As many are tried at once as have failed so far, up to 8: hard grasps take fewer turns.
+        As many candidates are tried in parallel as have failed so far, up to ``WIDEST``, so that hard grasps
+        need fewer rounds.
 
         Args:
             pool: candidates of S grasps.
-            grasps: which of the search's those are, shape [S].
-            budget: rollouts of each grasp.
+            grasps: indices of these grasps in the search, shape [S].
+            budget: rollouts per grasp.
         """
         tally, s = pool.tally, self.settings
         before = tally.tried.sum(axis=0)
@@ -191,8 +192,8 @@ class SearchPlanner:
             roll(pool, grasps, np.concatenate(chosen), which)
 
     def _sure(self, pool: Candidates) -> np.ndarray:
-        """Grasps of which a candidate is as good as one that held as shown in ``confirmations`` of as many
-        rollouts, shape [S] bool. In use, what passes counts a little less than one."""
+        """Return whether each grasp has a confirmed candidate, shape [S] bool: one as good as
+        ``confirmations`` rollouts as shown. With use motions, a passed rollout counts ``WITHSTOOD``."""
         s, tally = self.settings, pool.tally
         passed = WITHSTOOD if s.for_use else 1.0
         enough = (passed * s.confirmations + HOPE_WEIGHT * HOPE) / (s.confirmations + HOPE_WEIGHT)
@@ -209,7 +210,7 @@ class SearchPlanner:
         search: int,
         feasible: Feasible | None,
     ) -> Candidates:
-        """The candidates and variations of the best of them. grasps: which they are of, shape [S]."""
+        """Add variations of the best candidates. grasps: indices of the pool's grasps, shape [S]."""
         s, count = self.settings, len(grasps)
         parents = pool.tally.best(s.other_places)[: s.parents]
         number = np.arange(s.more) % len(parents)
@@ -219,7 +220,7 @@ class SearchPlanner:
         return pool.join(_only(children, feasible))
 
     def _key(self, grasp: RobotGraspSet, belief: Belief, seed: int) -> str:
-        """Digest of all that the choice for one grasp depends on."""
+        """Return a digest of everything that the plan of one grasp depends on."""
         return digest(
             seed,
             self._policy_digest,
@@ -231,7 +232,7 @@ class SearchPlanner:
 
 
 def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
-    """The candidates, where those that can't be carried out are marked."""
+    """Mark infeasible candidates."""
     if feasible is not None:
         possible = candidates.tally.possible
         possible &= feasible(candidates.plans).reshape(possible.shape)
@@ -239,7 +240,7 @@ def _only(candidates: Candidates, feasible: Feasible | None) -> Candidates:
 
 
 def _rounded(belief: Belief) -> Belief:
-    """The belief, rounded to steps of ``RESOLUTION``."""
+    """Round a belief to ``RESOLUTION``."""
 
     def steps(values: np.ndarray) -> np.ndarray:
         return RESOLUTION * np.round(values / RESOLUTION) + 0.0  # no -0.0, which has another digest

@@ -16,16 +16,16 @@ class VariationSpread:
     position: float = 0.004
     """Standard deviation of the wrist's shift along each axis [m]."""
     rotation: float = 0.15
-    """Standard deviation of the wrist's turn about each axis through the middle of the wanted places
+    """Standard deviation of the wrist's turn about each axis through the mean of the target contacts
     [rad]."""
     joints: float = 0.03
-    """Standard deviation of each joint by itself [rad]."""
+    """Standard deviation of each joint, independently [rad]."""
     closing: float = 0.05
-    """Standard deviation of a change of all joints in proportion to their angle [fraction]."""
+    """Standard deviation of the relative change of all joint angles [fraction]."""
     force: float = 0.4
     """Standard deviation of the logarithm of the squeeze."""
     press: float = 0.006
-    """Range of how far the wrist goes beyond its target [m]."""
+    """Range of the wrist's press beyond its target [m]."""
 
 
 WIDE_SPREAD = VariationSpread(position=0.008, rotation=0.35, joints=0.06, closing=0.1, force=0.5, press=0.01)
@@ -47,16 +47,16 @@ class RolloutSettings:
     timestep: float = 0.01
     """Physics step [s]."""
     hold_time: float = 1.0
-    """Duration of the hold [s]: a third of the test's, which finds the same plans faster."""
+    """Duration of the hold [s]: a third of the lift test's, which finds the same plans faster."""
     rehearsal: int = 3
-    """Period of full rollouts: every n-th rollout of a candidate is the whole motion, with physics and hold
-    of the lift test. Half of the plans that failed after only short rollouts dropped the object late, or
-    touched it on the way."""
+    """Period of full rollouts: every n-th rollout of a candidate covers the whole motion, with the timestep
+    and hold of the lift test. Half of the plans that failed after short rollouts only dropped the object late
+    or touched it on the way."""
     rehearsed: Randomization = NOMINAL
     """Randomization of full rollouts. Default: the believed world."""
     early: int = 2
-    """Control steps before the fingers close at which rollouts begin; where the approach is not free
-    (``approach_path.BLOCKED``), they begin where it begins."""
+    """Number of control steps before closing at which rollouts begin; they begin with the approach if it is
+    not free (``approach_path.BLOCKED``)."""
     share: float = 0.2
     """Weight of the shown share relative to success."""
     contact: float = 0.1
@@ -64,14 +64,14 @@ class RolloutSettings:
     slip: float = 0.01
     """Weight of the slip relative to success [s/mm]."""
     for_use: bool = False
-    """Whether a rollout goes on with the use motion of the grasp's task: what holds, but does not withstand
-    it, counts half, and up to ``rollouts.NEARLY_WITHSTOOD`` where it comes near."""
+    """Whether rollouts continue with the use motion of the grasp's task. A rollout that holds but fails the
+    use motion counts 0.5 to ``rollouts.NEARLY_WITHSTOOD``."""
     chunk: int = 512
     """Parallel rollouts."""
     device: Device = "cpu"
     """Device of the rollouts."""
     buffers: BufferSizes | None = None
-    """Contact buffers on a GPU; found by a probe if None."""
+    """Contact buffers on a GPU; determined by a probe if None."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,11 @@ class SelectionSettings:
     """
 
     candidates: int = 8
-    """First candidates of each grasp, the unchanged grasp included."""
+    """First candidates of each grasp, including the unchanged grasp."""
     rollouts: RolloutSettings | None = field(default_factory=RolloutSettings)
     """Settings of rollouts. None: use the first candidate without rollouts."""
     confirmations: int = 3
-    """Rollouts, all as shown, after which a candidate is selected."""
+    """Number of rollouts, all as shown, that confirm a candidate."""
     searches: int = 3
     """Largest number of further searches."""
     more: int = 24
@@ -97,12 +97,12 @@ class SelectionSettings:
     spread: VariationSpread = WIDE_SPREAD
     """Spread of variations in further searches."""
     for_use: bool = False
-    """Whether rollouts go on with the use motions of the grasps' tasks."""
+    """Whether rollouts continue with the use motions of the grasps' tasks."""
     other_places: float = 0.0
     """Value of a hold that is not as shown, relative to one that is; ``OTHER_PLACES`` if such plans are
     allowed."""
     chunk: int = 512
-    """Plans made at once."""
+    """Plans computed in parallel."""
 
     def __post_init__(self) -> None:
         """
@@ -123,29 +123,29 @@ class SelectionSettings:
         for_use: bool = False,
         other_places: bool = False,
     ) -> SelectionSettings:
-        """Rollouts that know how far worlds may be from what is believed, and nothing of what was drawn.
+        """Return settings whose rollouts have the protocol's uncertainty, but not its sampled parameters.
 
         Args:
-            protocol: of the evaluation; that of robustness tries what was not expected.
-            rollouts: whether there are any.
-            for_use: whether they go on with the use motions of the grasps' tasks.
-            other_places: whether a plan may hold the object otherwise than shown where none as shown holds.
+            protocol: protocol of the evaluation; for "robustness", the rollouts stay moderate.
+            rollouts: whether to use rollouts.
+            for_use: whether rollouts continue with the use motions of the grasps' tasks.
+            other_places: whether a plan may hold the object in another way if none holds it as shown.
         """
         other = OTHER_PLACES if other_places else 0.0
         if not rollouts:
             return cls(rollouts=None, for_use=for_use, other_places=other)
         rolled = RolloutSettings()
         if protocol == "reality":
-            # Short rollouts promise too much there: 56 % as shown, of which the test finds 43 %.
+            # Short rollouts are too optimistic: they find 56 % as shown, the test finds 43 %.
             rolled = RolloutSettings(REALITY_ROLLOUTS, rehearsal=1, rehearsed=REALITY_ROLLOUTS)
         if not for_use:
             return cls(rollouts=rolled, other_places=other)
-        # The use goes on with the hold. One search: what withstands nothing then rarely does later.
+        # The use motion prolongs the hold. One further search: if it fails, later ones rarely help.
         use = replace(rolled, for_use=True, hold_time=0.8)
         return cls(rollouts=use, searches=1, for_use=True, other_places=other)
 
     def on(self, device: Device, buffers: BufferSizes | None = None) -> SelectionSettings:
-        """The same with rollouts on a device; a GPU makes those of many grasps together."""
+        """Return the settings for a device; a GPU runs the rollouts of many grasps together."""
         if self.rollouts is None or device == self.rollouts.device:
             return self
         chunk = GPU_CHUNK if device == "cuda" else self.rollouts.chunk
@@ -154,12 +154,12 @@ class SelectionSettings:
 
     @property
     def rollouts_per_grasp(self) -> tuple[int, int]:
-        """Fewest and most episodes that are simulated to plan one grasp."""
+        """Smallest and largest number of simulated episodes per grasp."""
         if self.rollouts is None:
             return 0, 0
         return self.confirmations, self.budget(0) + self.searches * self.budget(1)
 
     def budget(self, search: int) -> int:
-        """Most rollouts of a grasp, of the first candidates (0) or in a further search: each candidate once,
-        and two of them to the end."""
+        """Return the largest number of rollouts of a grasp in the first search (0) or a further one: one per
+        candidate, and two full sets of confirmations."""
         return (self.more if search else self.candidates) + 2 * self.confirmations
