@@ -15,15 +15,15 @@ from fungrasp.task.features import unscaled_forces
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ContactEstimates(BatchRecord):
-    """Sums over the control steps and links of W episodes, a number each, shape [W]; all zero where nothing
-    was estimated."""
+    """Sums over the control steps and links of W episodes, shape [W] each; all zero if the policy estimates
+    nothing."""
 
     contact_hits: np.ndarray
-    """True positives: links in contact and estimated so."""
+    """True positives: links in contact that are estimated in contact."""
     contact_false_alarms: np.ndarray
     """False positives: links estimated in contact that are not."""
     contact_misses: np.ndarray
-    """False negatives: links in contact, not estimated so."""
+    """False negatives: links in contact that are not estimated in contact."""
     force_error_n: np.ndarray
     """Absolute force errors of links in contact [N]."""
     force_n: np.ndarray
@@ -31,15 +31,15 @@ class ContactEstimates(BatchRecord):
 
     @classmethod
     def none(cls, count: int) -> ContactEstimates:
-        """Of episodes in which nothing is estimated. count: W."""
+        """Create zeros for W episodes without estimates. count: W."""
         return cls(*(np.zeros(count) for _ in fields(cls)))
 
     def summary(self, which: np.ndarray) -> dict[str, Any] | None:
-        """Precision, recall and F1 of the contact states, mean absolute error of the forces of links that
-        touch and mean of these forces [N]; None where nothing touches or is said to.
+        """Return precision, recall and F1 of contacts, and for links in contact the mean absolute force error
+        and the mean force [N]; None without true or estimated contacts.
 
         Args:
-            which: episodes that count, shape [W] bool.
+            which: episodes to include, shape [W] bool.
         """
         hits, alarms, misses, error, force = (getattr(self, f.name)[which].sum() for f in fields(self))
         if hits + alarms + misses == 0:
@@ -55,17 +55,17 @@ class ContactEstimates(BatchRecord):
 
 
 class ContactEstimateMeter:
-    """A wrapper that compares a student's estimates with the truth at every step."""
+    """Compares a student's estimates with the simulation at every step."""
 
     def __init__(self, student: StudentPolicy, environment: LiftEnvironment):
         """
         Args:
-            student: whose network says contacts and forces.
-            environment: with the truth.
+            student: student whose network estimates contacts and forces.
+            environment: simulated worlds.
         """
         self._student, self._environment = student, environment
         self.estimates = ContactEstimates.none(len(environment))
-        """What was counted so far."""
+        """Sums so far."""
 
     def reset(self, plan: GraspPlan, observation: Observation) -> None:
         """See ``Policy.reset``."""
@@ -92,7 +92,7 @@ class ContactEstimateMeter:
         forces: np.ndarray,
         counted: np.ndarray,
     ) -> None:
-        """Add one step. All but the last of shape [W, L]; counted: shape [W] bool."""
+        """Add one step. counted: shape [W] bool; the others: shape [W, L]."""
         e, active = self.estimates, counted[:, None]
         for total, values in (
             (e.contact_hits, said & touching),

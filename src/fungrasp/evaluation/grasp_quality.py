@@ -25,59 +25,60 @@ from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
 from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 UNITS = ("mm", "deg", "rad")
-"""Units at the end of the names of quality numbers."""
+"""Unit suffixes of the names of quality measures."""
 
 PART = 128
-"""Grasps that are judged together."""
+"""Grasps that are measured together."""
 
 EXACT_WITHIN = 0.02
-"""Spheres nearer to the object's surface than this, outside or inside, are measured exactly [m]."""
+"""Distance from the object's surface, outside or inside, within which spheres are measured exactly [m]."""
 
 GRID_ERROR = 0.001
-"""A point whose distance by the grid is more than this is outside the object [m]."""
+"""Grid distance above which a point is certainly outside the object [m]."""
 
 
 @dataclass(frozen=True)
 class StaticQuality:
-    """One number per grasp, shape [N] each; NaN for grasps without contacts."""
+    """Quality measures, shape [N] each; NaN for grasps without contacts."""
 
     held_as_shown: np.ndarray
     """1 if the hand holds the object as the person does (``grasps.as_shown``), else 0."""
     shown_share: np.ndarray
-    """Share of wanted finger links that touch as shown."""
+    """Share of the target finger links that touch as shown."""
     place_error_mm: np.ndarray
-    """Mean distance of their contacts from the person's."""
+    """Mean distance of these links' contacts from the person's."""
     other_side: np.ndarray
-    """Share of them that touch another side of the object."""
+    """Share of these links that touch another side of the object."""
     strays: np.ndarray
     """Number of links that touch far from every contact of the person."""
     contact_error_mm: np.ndarray
-    """Mean over human joints in contact of the distance between the surface point nearest to the joint and
-    the one nearest to the robot's corresponding point."""
+    """Mean over human joints in contact of the distance between the surface points nearest to the joint and
+    to the corresponding point of the robot."""
     contact_gap_mm: np.ndarray
-    """Mean over robot links that should touch of the distance of their collision surface from the object."""
+    """Mean distance of the target links' collision surfaces from the object."""
     link_direction_error_deg: np.ndarray
     """Mean angle between corresponding finger links."""
     object_penetration_mm: np.ndarray
     """Deepest point of the hand's collision geometry inside the object."""
     table_penetration_mm: np.ndarray
-    """Deepest point below the table, object at its rest pose."""
+    """Depth of the deepest point below the table, with the object at its rest pose."""
     self_penetration_mm: np.ndarray
-    """Deepest overlap of two of the hand's collision geoms that may collide."""
+    """Deepest overlap of two collision geoms of the hand that may collide."""
     limit_violation_rad: np.ndarray
     """Largest violation of a joint limit."""
     force_closure_residual: np.ndarray
-    """Unbalanced part of the best contact forces that sum to one, at the links within ``CONTACT_DISTANCE`` of
-    the object; torques over half the object's largest extent."""
+    """Smallest unbalanced part of contact forces that sum to one, at the links within ``CONTACT_DISTANCE`` of
+    the object; torques are divided by half the object's largest extent."""
     force_closure_epsilon: np.ndarray
-    """Weakest wrench that those contacts resist (Ferrari and Canny's Q1); zero if they don't resist all."""
+    """Largest wrench that these contacts resist in every direction (Ferrari and Canny's Q1); zero without
+    force closure."""
 
     def table(self) -> str:
-        """``summary`` as text."""
+        """Return ``summary`` as text."""
         return static_quality_table(self.summary())
 
     def summary(self) -> dict[str, dict[str, float]]:
-        """Mean, 90th and 95th percentile and maximum of each number over the grasps."""
+        """Return mean, 90th and 95th percentile and maximum of each measure over the grasps."""
         result = {}
         for field in fields(self):
             values = getattr(self, field.name)
@@ -93,7 +94,7 @@ class StaticQuality:
 
 
 def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
-    """``StaticQuality.summary`` as text."""
+    """Return ``StaticQuality.summary`` as text."""
     rows: list[tuple[str, ...]] = [("quality", "mean", "p90", "p95", "max", "unit")]
     for name, numbers in summary.items():
         what, _, unit = name.rpartition("_")
@@ -106,7 +107,7 @@ def static_quality_table(summary: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def with_quality(robot: RobotGraspSet, quality: StaticQuality) -> RobotGraspSet:
-    """The grasps with their quality in ``extra``, but for numbers that no grasp has."""
+    """Add the quality to ``extra`` of the grasps, except measures without any finite value."""
     numbers = {field.name: getattr(quality, field.name) for field in fields(quality)}
     numbers = {name: values for name, values in numbers.items() if np.isfinite(values).any()}
     return replace(robot, extra={**robot.extra, **numbers})
@@ -120,12 +121,12 @@ def static_quality(
     spacing: float = 0.004,
     exact: bool = True,
 ) -> StaticQuality:
-    """Measure robot grasps against their human grasps.
+    """Measure the quality of robot grasps relative to their human grasps.
 
     Args:
         robot: N grasps.
-        hand: the robot hand or its name; the hand of the grasps if None.
-        spacing: of the points that cover the hand's collision geometry [m].
+        hand: robot hand or its name; the hand of the grasps if None.
+        spacing: spacing of the points that cover the hand's collision geometry [m].
         exact: use exact mesh distances and compute ``force_closure_epsilon``, which is slow. Otherwise
             distances come from the solver's grid (up to 1 mm off), and ``force_closure_epsilon`` is NaN.
 
@@ -142,7 +143,7 @@ def static_quality(
         raise FungraspError(f"the robot grasps have other joints than hand '{hand.name}'")
     match = correspond(hand)
     spheres = collision_spheres(hand, spacing)
-    # Grasps of one object after the other, a part at a time, so that memory does not grow with their number.
+    # Process grasps in parts, sorted by object, to limit memory.
     order = np.argsort(robot.object_name, kind="stable")
     parts = [
         _quality(robot.select(rows), human.select(rows), objects, hand, match, spheres, exact)
@@ -224,9 +225,9 @@ def _clearances(
     grid: np.ndarray,
     robot: RobotGraspSet,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centers of the spheres in the object frame [m], shape [N, P, 3]; distance of their surfaces from the
-    object and from the table [m], shape [N, P] each."""
-    # In parts of 256 spheres, so that the arrays of a query stay in the cache of the processor.
+    """Return sphere centers, object frame [m], shape [N, P, 3], and distances of the spheres' surfaces from
+    object and table [m], shape [N, P] each."""
+    # In parts of 256 spheres, whose arrays fit in the processor's cache.
     centers, clearance, heights = [], [], []
     for start in range(0, len(spheres.radius), 256):
         part = slice(start, start + 256)
@@ -239,7 +240,7 @@ def _clearances(
 
 
 def _nearest(clearance: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index and clearance of the nearest of the spheres in a mask, shape [N] each; infinite where it is
+    """Return index and clearance of the nearest sphere in a mask, shape [N] each; infinite if the mask is
     empty."""
     masked = np.where(which, clearance, np.inf)
     sphere = masked.argmin(axis=1)
@@ -254,13 +255,13 @@ def _force_closure(
     objects: list[ObjectModel],
     exact: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and epsilon of the links in contact, shape [N] each; epsilon NaN unless ``exact``.
+    """Return residual and epsilon of the links in contact, shape [N] each; epsilon is NaN unless ``exact``.
 
     Args:
-        centers: of the sphere of each link that is nearest to the object, object frame [m], shape [N, L, 3].
-        clearance: of those spheres [m], shape [N, L].
-        grid: which object each grasp is of, shape [N].
-        objects: in the order of the bank.
+        centers: center of each link's sphere nearest to the object, object frame [m], shape [N, L, 3].
+        clearance: [m], shape [N, L].
+        grid: index of each grasp's object, shape [N].
+        objects: object models in the order of the bank.
     """
     surface, outward = project_to_surface(bank, grid, centers)
     values = np.zeros((2, len(grid)))
@@ -294,15 +295,15 @@ def exact_clearance(
     clearance: np.ndarray,
     radius: np.ndarray,
 ) -> np.ndarray:
-    """Clearance of the spheres, shape [N, P]: exact, by the object's triangles, near the object; by the grid,
-    which is up to a millimeter off, elsewhere.
+    """Return the clearance of the spheres, shape [N, P]: exact (by triangles) near the object, elsewhere from
+    the grid, which is up to 1 mm off.
 
     Args:
-        objects: O of them.
+        objects: O object models.
         grid: index of each grasp's object, shape [N].
-        centers: of the spheres, object frame [m], shape [N, P, 3].
-        clearance: by the grid [m], shape [N, P].
-        radius: of the spheres [m], shape [P].
+        centers: sphere centers, object frame [m], shape [N, P, 3].
+        clearance: from the grid [m], shape [N, P].
+        radius: sphere radii [m], shape [P].
     """
     near = np.abs(clearance) < EXACT_WITHIN
     nearest = nearest_surface_points(objects, grid, centers, near)
@@ -321,15 +322,14 @@ def penetration_depth(
     link: np.ndarray,
     exact: bool = True,
 ) -> np.ndarray:
-    """Depth of the deepest point of the hand in the object [m], shape [N]. In a thin wall, or at an edge, it
-    is less than how far a sphere reaches beyond the surface.
+    """Return the depth of the hand's deepest point in the object [m], shape [N]. In a thin wall or at an
+    edge, it is less than the depth of a sphere below the surface.
 
-    Sampled in the two spheres of each link that reach farthest, in three rounds around the deepest sample so
-    far.
+    The two deepest spheres of each link are sampled in three rounds around the deepest sample so far.
 
     Args:
-        link: which link each sphere belongs to, shape [P].
-        others: as for ``exact_clearance``.
+        link: link of each sphere, shape [P].
+        others: see ``exact_clearance``.
     """
     rows, spheres = _deepest_spheres(clearance, link)
     best = np.zeros((len(rows), 1, 3))
@@ -349,7 +349,7 @@ def penetration_depth(
 
 
 def _deepest_spheres(clearance: np.ndarray, link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and indices of spheres that reach into the object: the two farthest of each link."""
+    """Return rows and indices of penetrating spheres, at most the two deepest of each link."""
     rows, spheres = [], []
     for number in np.unique(link):
         members = np.flatnonzero(link == number)
@@ -363,8 +363,8 @@ def _deepest_spheres(clearance: np.ndarray, link: np.ndarray) -> tuple[np.ndarra
 def _signed_distance(
     objects: list[ObjectModel], rough: np.ndarray, grid: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Exact distance of points that may be inside, by the side of the nearest triangle they are on; by
-    the grid (``rough``, shape [M, S]) for the others. points: shape [M, S, 3]; returns shape [M, S]."""
+    """Return exact signed distances of points that may be inside, with the sign from the nearest triangle's
+    normal; grid distances (``rough``, shape [M, S]) for the others. points: shape [M, S, 3]."""
     near = rough < GRID_ERROR
     result = rough.copy()
     for number, model in enumerate(objects):
@@ -378,7 +378,7 @@ def _signed_distance(
 
 
 def _unit_ball(outer: int = 100, inner: int = 20) -> np.ndarray:
-    """Points spread evenly over the unit sphere (a Fibonacci spiral), over one of half the size, and the
+    """Return points spread evenly on the unit sphere (Fibonacci spiral) and on one of half the size, and the
     center, shape [P, 3]."""
     shells = [np.zeros((1, 3))]
     for count, size in ((inner, 0.5), (outer, 1.0)):

@@ -1,4 +1,4 @@
-"""Episodes of a lift test: draw worlds, plan, play, and run the use test."""
+"""Episodes of a lift test: sample worlds, plan, play, and run the use test."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from fungrasp.task import LiftEnvironment, Policy, PrivilegedPolicy, play
 from fungrasp.task.use import load_use_motions, motion_of, play_use
 
 USE_PREFIX = "use."
-"""Before the names of the fields of ``UseOutcomes`` where they stand beside those of ``Outcomes``."""
+"""Prefix of fields of ``UseOutcomes`` in the arrays of a part."""
 
 USE_FILE = "{}_use.npz"
-"""Name of the file of a recorded use test, from that of the lift test's without its suffix."""
+"""File name of a recorded use test, from the stem of the lift test's file."""
 
 ATTEMPT_PREFIX = "attempts."
-"""The same of ``AttemptRecord``."""
+"""Prefix of fields of ``AttemptRecord``."""
 
 HOLD_PREFIX = "hold."
-"""The same of ``HoldMiddle``."""
+"""Prefix of fields of ``HoldMiddle``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +46,9 @@ class Episodes:
     """Episodes simulated together."""
 
     condition: str
-    """Name of what their worlds are drawn from."""
+    """Name of the condition, which gives the randomization."""
     seed: int
-    """Seed of what is random."""
+    """Random seed."""
     rows: np.ndarray
     """Rows of the grasps in their set, shape [W]."""
 
@@ -58,18 +58,18 @@ class LiftTest:
     """Grasps to test, and settings.
 
     Raises:
-        FungraspError: an unknown policy, grasps of another hand, several attempts of an open-loop policy, or
-            several seeds without randomness.
+        FungraspError: the policy is unknown, the grasps are of another hand, an open-loop policy has several
+            attempts, or there are several seeds without randomness.
     """
 
     grasps: RobotGraspSet
     """N grasps."""
     objects: Mapping[str, ObjectModel]
-    """By name."""
+    """Object models, by name."""
     hand: Hand
-    """Their hand."""
+    """Hand of the grasps."""
     spec: LiftTestSpec
-    """How they are tried."""
+    """Settings of the test."""
     given_policy: Policy | PrivilegedPolicy | None = None
     """A policy object, instead of the named policy."""
     given_planner: Planner | GivenPlans | None = None
@@ -77,7 +77,7 @@ class LiftTest:
     record: Path | None = None
     """Folder for the recorded episodes."""
     threads: int = 0
-    """0 means all processors."""
+    """Number of threads, 0 for all processors."""
 
     def __post_init__(self) -> None:
         spec = self.spec
@@ -101,7 +101,7 @@ class LiftTest:
 
     @property
     def policy_digest(self) -> str:
-        """SHA-256 of the policy's network, "" for none."""
+        """SHA-256 of the policy's network, "" without a network."""
         return self._source.digest
 
     @cached_property
@@ -111,7 +111,7 @@ class LiftTest:
 
     @cached_property
     def planner(self) -> Planner:
-        """The planner, one for all conditions, so that plans are reused."""
+        """The planner, shared by all conditions, so that plans are reused."""
         if self.given_planner is not None and not isinstance(self.given_planner, GivenPlans):
             return self.given_planner
         spec = self.spec
@@ -132,13 +132,13 @@ class LiftTest:
         return {}
 
     def is_random(self, randomization: Randomization) -> bool:
-        """Whether episodes depend on the seed; assumed for user-defined policies and planners."""
+        """Return whether episodes depend on the seed; True for user-defined policies and planners."""
         made = self.given_planner is not None and not isinstance(self.given_planner, GivenPlans)
         own = self.given_policy is not None or made
         return bool(own or randomization.is_random or self.searches)
 
     def files(self, part: Episodes) -> list[Path]:
-        """For the recorded episodes of a part: none, or W."""
+        """Return the files of a part's recorded episodes, W or none."""
         if self.record is None:
             return []
         folder = self.record / part.condition.replace(",", "").replace(" ", "-")
@@ -149,15 +149,16 @@ class LiftTest:
         return [folder / f"{row:04d}{label}_{names[row]}.npz" for row in part.rows.tolist()]
 
     def simulate(self, part: Episodes, progress: Callable[[float], None]) -> Arrays:
-        """Plan and play.
+        """Plan and play episodes.
 
         Args:
             part: W episodes.
-            progress: called with the number of them that are done, fractions included.
+            progress: called with the number of finished episodes, fractions included.
 
         Returns:
-            fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, ``expected_as_shown``, with several
-            attempts those of ``AttemptRecord``, each of shape [W], and those of ``HoldMiddle``.
+            fields of ``Outcomes`` and ``ContactEstimates``, ``rollouts``, ``expected_as_shown``, fields of
+            ``HoldMiddle``, and with use tests or several attempts those of ``UseOutcomes`` and
+            ``AttemptRecord``; the first axis is W.
         """
         rows, seed, files, spec = part.rows, part.seed, self.files(part), self.spec
         r, p = spec.conditions[part.condition], spec.lift
@@ -166,7 +167,7 @@ class LiftTest:
         jitter = [random_stream("sensor jitter", seed, int(row)) for row in rows]
         environment = LiftEnvironment(self._scene(r), len(rows), r, p, jitter, self.threads)
         belief = environment.settle(grasps, sample)
-        # A searching planner takes most of the time: half of the progress is its.
+        # A search takes most of the time: it counts as half of the progress.
         half = 0.5 if self.searches and isinstance(self.planner, SearchPlanner) else 0.0
         if isinstance(self.given_planner, GivenPlans):
             plan = self.given_planner.rows(rows, belief)
@@ -178,7 +179,7 @@ class LiftTest:
 
         def watch() -> None:
             nonlocal furthest
-            # A further attempt begins at zero.
+            # Each attempt starts at time zero.
             furthest = max(furthest, min(float(environment.task.time.max()) / longest, 1.0))
             progress(len(rows) * (half + (1 - half) * furthest))
             if recorder is not None:
@@ -224,7 +225,7 @@ class LiftTest:
         held: np.ndarray,
         files: Sequence[Path],
     ) -> Arrays:
-        """Play the use motions of the grasps that held. held: shape [W] bool."""
+        """Play the use motions of the held objects. held: shape [W] bool."""
         assert grasps.task is not None
         known = load_use_motions().values()
         motions = [motion_of(task, known) for task in grasps.task.tolist()]
@@ -237,7 +238,7 @@ class LiftTest:
         return {USE_PREFIX + name: values for name, values in tried.arrays().items()}
 
     def _scene(self, randomization: Randomization) -> Scene:
-        """Made once for each size of the objects."""
+        """Return the scene, which is built once per set of object sizes."""
         objects, key = with_sizes(self.objects, randomization.object_scales), str(randomization.object_scales)
         if key not in self._scenes:
             self._scenes[key] = build_scene(self.hand, objects, self.spec.physics)

@@ -40,14 +40,15 @@ from fungrasp.task.policy_checks import check_policy
 from fungrasp.task.use import UseOutcomes, load_use_motions
 
 EPISODES = (8, 32)
-"""Fewest and most episodes of a part: at most 5 s of work, little overhead, and enough parts for many
-processors."""
+"""Smallest and largest number of episodes in a part: at most 5 s of work, little overhead, and enough parts
+for many processors."""
 
 SEARCHED_EPISODES = (2, 32)
 """The same for policies that search for plans."""
 
 BATCH = 128
-"""Most episodes that one process simulates at once. Limits memory and the work lost by an interruption."""
+"""Largest number of episodes that one process simulates together. It limits memory and the work lost by an
+interruption."""
 
 LOSS = 8
 """Desired number of parts; an interrupted run loses at most one of them."""
@@ -73,27 +74,28 @@ def evaluate(
 
     Args:
         grasps: robot grasps, or human grasps, which are retargeted first; a set or a single one.
-        objects: their objects, as for ``retarget``.
-        policy: replaces that of ``spec``: a name, a file, or a policy object.
-        protocol: replaces that of ``spec``.
-        spec: the request; the defaults if None.
-        hand: for human grasps; allegro if None. For robot grasps only if its dynamics differ from its files.
-        human: the human grasps of robot grasps: for the static quality, and for grasps without the person's
+        objects: objects of the grasps, as for ``retarget``.
+        policy: policy instead of the one in ``spec``: a name, a file, or a policy object.
+        protocol: protocol instead of the one in ``spec``.
+        spec: settings of the test; defaults if None.
+        hand: hand for human grasps; allegro if None. For robot grasps only if its dynamics differ from its
+            files.
+        human: human grasps of the robot grasps, for the static quality and for grasps without the person's
             contacts.
         plans: one plan per grasp (``fungrasp.plan``), or a planner. Default: the policy's planner.
         record: folder for the recorded episodes, ``<row>_<object>.npz`` (``<row>_<seed>_<object>.npz`` with
             several seeds), and of the use tests, ``<row>_<object>_use.npz``; with several conditions, one
             folder each.
-        threads: 0 means all processors. The result is the same for any number.
-        store: keeps finished parts so that an interrupted run can continue. The caller removes it. Only if
-            policy and planner are given by name.
-        ray: run on a cluster, under the same condition.
+        threads: 0 for all processors. Results do not depend on it.
+        store: keeps finished parts, so that an interrupted run can continue; the caller removes it. It
+            needs a policy given by name and a planner with a key.
+        ray: cluster to run on, under the same condition.
         progress: called with the number of finished episodes, fractions included. True or False: a progress
             bar or none. None: a bar in terminals and notebooks.
 
     Raises:
-        FungraspError: no grasps, an unknown policy, grasps of another hand, contradicting options, or a
-            folder that can't be written.
+        FungraspError: there are no grasps, the policy is unknown, the grasps are of another hand, options
+            contradict each other, or a folder can't be written.
     """
     spec = spec or LiftTestSpec()
     policy = str(policy) if isinstance(policy, Path) else policy
@@ -135,7 +137,8 @@ class LiftTestJob(LiftTest, Job[Episodes]):
     """The episodes of a lift test, in parts."""
 
     def is_named(self) -> bool:
-        """Whether policy and planner have names, so that what they do can be kept and done elsewhere."""
+        """Return whether policy and planner are identified by name, so that results can be stored and
+        computed elsewhere."""
         return self.given_policy is None and (
             self.given_planner is None
             or hasattr(self.given_planner, "key")
@@ -143,7 +146,7 @@ class LiftTestJob(LiftTest, Job[Episodes]):
         )
 
     def parts(self) -> list[Episodes]:
-        """All episodes, conditions one after the other; where nothing is random, of the first seed only."""
+        """Return all episodes, by condition; without randomness, only those of the first seed."""
         size, count, spec = self._part_size, len(self.grasps), self.spec
         return [
             Episodes(name, seed, np.arange(first, min(first + size, count)))
@@ -153,7 +156,7 @@ class LiftTestJob(LiftTest, Job[Episodes]):
         ]
 
     def key(self, part: Episodes) -> str:
-        """Digest of all that the outcomes depend on."""
+        """Return a digest of everything that the outcomes depend on."""
         grasps, spec = self.grasps.select(part.rows), self.spec
         motions = load_use_motions() if spec.use else {}
         return part_key(
@@ -170,11 +173,11 @@ class LiftTestJob(LiftTest, Job[Episodes]):
         )
 
     def size(self, part: Episodes) -> float:
-        """Number of episodes."""
+        """Return the number of episodes."""
         return len(part.rows)
 
     def together(self, missing: list[Episodes]) -> list[list[Episodes]]:
-        """Parts of one condition and seed."""
+        """Group parts of the same condition and seed."""
         size = self._part_size
         most = min(max(math.ceil(len(self.grasps) / LOSS), size), BATCH)
         groups: list[list[Episodes]] = []
@@ -190,15 +193,15 @@ class LiftTestJob(LiftTest, Job[Episodes]):
         return groups
 
     def is_whole(self, part: Episodes) -> bool:
-        """Whether the recorded episodes are there."""
+        """Return whether the recorded episodes exist."""
         return all(file.is_file() for file in self.files(part))
 
     def on_one_processor(self) -> Self:
-        """With one thread."""
+        """Return the job with one thread."""
         return replace(self, threads=1)
 
     def run(self, parts: Sequence[Episodes], progress: Callable[[float], None]) -> list[Arrays]:
-        """Plan and play; what ``simulate`` returns of each part."""
+        """Return the result of ``simulate`` for each part."""
         first = parts[0]
         rows = np.concatenate([part.rows for part in parts])
         found = self.simulate(Episodes(first.condition, first.seed, rows), progress)
@@ -213,7 +216,6 @@ class LiftTestJob(LiftTest, Job[Episodes]):
 
 
 def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays]]) -> LiftTestResult:
-    """Of one condition."""
     merged = {name: np.concatenate([arrays[name] for _, arrays in parts]) for name in parts[0][1]}
     index = np.concatenate([part.rows for part, _ in parts])
     grasps, spec = job.grasps, job.spec
@@ -237,5 +239,5 @@ def _result(job: LiftTestJob, condition: str, parts: list[tuple[Episodes, Arrays
 
 
 def _without(arrays: Mapping[str, np.ndarray], prefix: str) -> Arrays:
-    """Those arrays whose names have a prefix, without it."""
+    """Select arrays whose names have a prefix, and remove the prefix."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

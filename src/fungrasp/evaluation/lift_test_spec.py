@@ -1,4 +1,4 @@
-"""The request of a lift test. It is sent to workers and stored in the result."""
+"""Settings of a lift test. They are sent to workers and stored in the result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from fungrasp.task import LiftProtocol
 
 @dataclass(frozen=True)
 class WorldDifferences:
-    """How worlds differ from the belief of planner and policy, by fixed amounts in every episode."""
+    """Differences of worlds from the belief of planner and policy, the same in every episode."""
 
     mass_scale: float = 1.0
     """Factor on the object's mass; the policy assumes the nominal mass."""
@@ -43,10 +43,10 @@ class WorldDifferences:
 
     @property
     def randomization(self) -> Randomization:
-        """The same as a randomization.
+        """The differences as a randomization.
 
         Raises:
-            FungraspError: invalid number.
+            FungraspError: a number is invalid.
         """
         distance, angle = self.pose_noise
         weights, duration = self.push
@@ -66,18 +66,18 @@ class WorldDifferences:
 
 @dataclass(frozen=True)
 class LiftTestSpec:
-    """Request of a lift test; ``fungrasp.core.records`` converts it to and from JSON."""
+    """Settings of a lift test; ``fungrasp.core.records`` converts them to and from JSON."""
 
     policy: str = "reference"
-    """What moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan" (the
-    student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
+    """Policy that moves the hand: "reference" (one planned motion, open loop), "student", "teacher", "plan"
+    (the student's plan, open loop), one of `fungrasp policies list`, or a policy file (.onnx)."""
     protocol: ProtocolName = "nominal"
-    """How worlds differ from the estimate: nominal (not at all), reality (in everything, drawn per episode),
-    robustness (one difference at a time, in several conditions)."""
+    """Differences of worlds from the estimate: nominal (none), reality (all quantities, drawn per episode),
+    robustness (one quantity at a time, in several conditions)."""
     seeds: tuple[int, ...] = (0,)
-    """Random seeds; each grasp is tested once with each."""
+    """Random seeds; each grasp is tested once per seed."""
     randomization: Randomization = NOMINAL
-    """How worlds differ, instead of a protocol."""
+    """Differences of worlds from the estimate, instead of a protocol."""
     lift: LiftProtocol = field(default_factory=LiftProtocol)
     """Parameters of the test. Default: the published ones."""
     physics: SceneSettings = field(default_factory=SceneSettings)
@@ -91,21 +91,22 @@ class LiftTestSpec:
     other_places: bool = False
     """If no candidate plan holds the object as shown, play one that holds it in another way."""
     selection: SelectionSettings | None = None
-    """How plans are selected. None: suitable for protocol, rollouts and use."""
+    """Settings of the plan selection. None: suitable for protocol, rollouts and use."""
     attempts: int = 1
     """Maximum number of attempts. A policy with feedback (student) notices that the object is not held,
     withdraws, plans again and tries again. The published protocol is one attempt; with more, the result
     also has the success rate of the first."""
     use: bool = False
     """After the hold, play the motion of the task (tilt, strike, stroke, press, hand over) and report how
-    many objects stay in place, held as shown."""
+    many objects stay in place and are held as shown."""
     static: bool = False
     """Also measure the static quality, if the human grasps are known."""
 
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: invalid number, unknown protocol, or a protocol and a randomization.
+            FungraspError: a number is invalid, the protocol is unknown, or a protocol and a randomization are
+                given.
         """
         if self.protocol not in get_args(ProtocolName):
             raise UnknownNameError("protocol", self.protocol, get_args(ProtocolName))
@@ -123,11 +124,11 @@ class LiftTestSpec:
 
     @classmethod
     def read(cls, data: Any, where: str) -> LiftTestSpec | None:
-        """What ``record_to_json`` has written, of earlier versions too. None where it can't be asked again:
-        its grasps were varied in the test's own world first.
+        """Read the output of ``record_to_json``, also of earlier versions. Return None for settings that are
+        not supported any more: grasps varied in the test's own world.
 
         Raises:
-            FungraspError: not a request.
+            FungraspError: the data are not settings of a lift test.
         """
         if not isinstance(data, Mapping):
             return record_from_json(cls, data, where)
@@ -142,14 +143,14 @@ class LiftTestSpec:
 
     @property
     def conditions(self) -> dict[str, Randomization]:
-        """Randomizations by condition; the name is "" for a single one."""
+        """Randomizations by condition; the name of a single one is ""."""
         if self.randomization != NOMINAL:
             return {"": self.randomization}
         return protocol_conditions(self.protocol)
 
     @property
     def selection_settings(self) -> SelectionSettings:
-        """``selection``, or suitable settings, on the device of the physics."""
+        """``selection``, or suitable settings on the device of the physics."""
         if self.selection is not None:
             return self.selection
         settings = SelectionSettings.for_protocol(self.protocol, self.rollouts, self.use, self.other_places)

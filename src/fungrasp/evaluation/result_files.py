@@ -1,9 +1,9 @@
 """Result files: a small JSON header and a CSV table with one row per episode.
 
-The header holds what was run (command, revision, versions, seed, machine, date) and the summary; its keys
-``rows``, ``columns`` and ``sha256`` name the table, the type of each column and the table's digest. Nested
-values have dotted column names, ``seconds.hand.cpu``. One JSON file that holds its rows as lists, as
-``fungrasp evaluate --json`` writes it, is read alike.
+The header has the provenance (command, revision, versions, seed, machine, date) and the summary; its keys
+``rows``, ``columns`` and ``sha256`` give the table's file, the type of each column and the table's digest.
+Nested values have dotted column names, ``seconds.hand.cpu``. A single JSON file with rows as lists, as
+written by ``fungrasp evaluate --json``, can also be read.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from fungrasp.core.formats.checks import one_line, read_bytes
 from fungrasp.core.formats.text_files import read_json
 
 ROW_LISTS = ("trials", "each")
-"""Keys of a single JSON file under which its rows are."""
+"""Keys of the row lists in a single JSON file."""
 PART = "part"
-"""Column that says where in a single JSON file a row was, "robustness/nominal"; absent where all were in one
-place."""
+"""Column with the location of a row in a single JSON file, "robustness/nominal"; absent if all rows have the
+same location."""
 
 LARGEST = 64_000_000
-"""Bytes of the largest header or table that is read."""
+"""Largest size of a header or table that is read [bytes]."""
 
 Row = dict[str, Any]
-"""Values by column: bool, int, float, text, or None for what was not measured."""
+"""Values by column: bool, int, float, str, or None if not measured."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +40,18 @@ class ResultFile:
     """Content of a result file."""
 
     header: dict[str, Any]
-    """What was run, and the summary."""
+    """Provenance and summary."""
     rows: list[Row]
-    """One per episode (of a perception benchmark: per capture)."""
+    """One row per episode (in a perception benchmark: per capture)."""
 
 
 def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write a header and its table, ``<name>.json`` and ``<name>.csv``.
 
     Args:
-        path: of the header, ends in ``.json``.
-        header: what JSON can hold; NaN and infinities can't be written.
-        rows: may be nested, and may lack columns that others have.
+        path: path of the header, ends in ``.json``.
+        header: JSON values without NaN and infinity.
+        rows: rows, which may be nested and may lack columns.
 
     Raises:
         FungraspError: a file can't be written, or a value is NaN or infinite.
@@ -80,11 +80,11 @@ def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Map
 
 
 def save_result(path: str | Path, whole: Mapping[str, Any], compact: bool = False) -> None:
-    """Write a result that holds its rows as lists.
+    """Write a result with rows as lists.
 
     Args:
-        whole: nothing in it is NaN or infinite.
-        compact: as a header and a table (``write_result``), in the place of one file.
+        whole: JSON values without NaN and infinity.
+        compact: write a header and a table (``write_result``) instead of one file.
 
     Raises:
         FungraspError: a file can't be written.
@@ -97,10 +97,10 @@ def save_result(path: str | Path, whole: Mapping[str, Any], compact: bool = Fals
 
 
 def read_result(path: str | Path) -> ResultFile:
-    """Read a header with its table, or a single JSON file of ``--json``.
+    """Read a header with its table, or a single JSON file written by ``--json``.
 
     Raises:
-        FungraspError: a file can't be read, or the table is not the one that the header was written with.
+        FungraspError: a file can't be read, or the table has changed since the header was written.
     """
     path = Path(path)
     try:
@@ -124,10 +124,10 @@ def read_result(path: str | Path) -> ResultFile:
 
 
 def split_rows(whole: Mapping[str, Any]) -> tuple[dict[str, Any], list[Row]]:
-    """Header and rows of a result that holds its rows as lists.
+    """Split a result with rows as lists into header and rows.
 
     Args:
-        whole: as ``fungrasp evaluate --json`` writes it.
+        whole: content of a file written by ``fungrasp evaluate --json``.
     """
     header, found = _split(whole, ())
     parts = ["/".join(place) for place, rows in found for _ in rows]
@@ -162,7 +162,7 @@ def _flattened(row: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, A
 
 
 def _kind(values: Sequence[Any]) -> str:
-    """The narrowest type that holds all values that are there."""
+    """Return the narrowest type that holds all values except None."""
     kinds = {type(value) for value in values if value is not None}
     # A carriage return would end a row of the table; JSON escapes it.
     if any(isinstance(value, str) and "\r" in value for value in values):

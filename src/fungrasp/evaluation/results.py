@@ -33,7 +33,7 @@ from fungrasp.task.outcome import HoldMiddle
 from fungrasp.task.use import UseOutcomes
 
 LEGACY_PERIOD = 0.0289
-"""Control period of earlier published code, per which it counts the displacement [s]."""
+"""Control period of earlier published code, its unit of time for displacement [s]."""
 
 MEANS = (
     "contact_ratio",
@@ -45,11 +45,11 @@ MEANS = (
 )
 """Fields of ``Outcomes`` that are averaged."""
 SHOWN_MEANS = ("shown_share", "place_error_mm", "other_side", "strays")
-"""Fields of ``Outcomes`` that are averaged over the held objects, where the person's places are known."""
+"""Fields of ``Outcomes`` that are averaged over held objects with known contacts of the person."""
 CONDITION_COLUMNS = ("success", "held_as_shown", "reason", "not_as_shown")
-"""Fields of ``Outcomes`` that are kept of each episode under several conditions."""
+"""Fields of ``Outcomes`` that are stored per episode for several conditions."""
 UNLIKELY = 0.5
-"""A plan of which less is expected is not taken to hold as shown."""
+"""Expected probability below which a plan is not likely to hold as shown."""
 HEAD = (
     "episodes",
     "held as shown",
@@ -65,15 +65,15 @@ HEAD = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LiftTestResult:
-    """Outcome of N episodes under one condition. With several conditions, this is the first; ``conditions``
-    has all."""
+    """Outcomes of N episodes under one condition. With several conditions, this is the first one, and
+    ``conditions`` has all."""
 
     hand: str
     """Name of the hand."""
     spec: LiftTestSpec
-    """The request."""
+    """Settings of the test."""
     randomization: Randomization
-    """How worlds differed from the nominal worlds of the plans."""
+    """Differences of the worlds from the nominal worlds of the plans."""
     index: np.ndarray
     """Row of each episode's grasp in the set, shape [N]."""
     seed: np.ndarray
@@ -99,7 +99,7 @@ class LiftTestResult:
     quality: StaticQuality | None = None
     """Static quality of the grasps, if requested and the human grasps are known."""
     conditions: Mapping[str, LiftTestResult] = field(default_factory=dict)
-    """Results by condition, this one included; empty for a single condition."""
+    """Results by condition, including this one; empty for a single condition."""
     grasps: RobotGraspSet | None = None
     """The tested grasps; not written to files."""
     human: HumanGraspSet | None = None
@@ -125,7 +125,7 @@ class LiftTestResult:
         return sum(len(each.index) for each in self.conditions.values()) or len(self.index)
 
     def table(self) -> str:
-        """Success rates by object or condition, and reasons of failures, as text."""
+        """Return success rates by object or condition, and reasons of failures, as text."""
         parts = [robustness_table(self.conditions) if self.conditions else _object_table(self)]
         parts += not_found_lines(self)
         if self.use is not None:
@@ -135,7 +135,7 @@ class LiftTestResult:
         return "\n".join(parts)
 
     def json(self) -> dict[str, Any]:
-        """All numbers, the request and the provenance, without NaN or infinity."""
+        """Return all numbers, settings and provenance, without NaN or infinity."""
         numbers = result_json(self)
         return run_record(numbers["seed"]) | numbers | {"seconds": self.seconds}
 
@@ -143,7 +143,7 @@ class LiftTestResult:
         """Write the result to a file for ``fungrasp.evaluation.read_result``.
 
         Args:
-            compact: write episodes to a CSV file next to it, one row each.
+            compact: write the episodes to a CSV file next to it, one row each.
 
         Raises:
             FungraspError: a file can't be written.
@@ -151,7 +151,7 @@ class LiftTestResult:
         save_result(path, self.json(), compact)
 
     def frame(self) -> Any:
-        """A data frame with one row per episode, of pandas or, if that is not installed, Polars.
+        """Return a data frame with one row per episode, of pandas or, if it is not installed, Polars.
 
         Raises:
             FungraspError: neither is installed.
@@ -164,12 +164,12 @@ class LiftTestResult:
 
     @property
     def knows_places(self) -> bool:
-        """Whether the person's places are known, without which nothing is held as shown."""
+        """Whether the person's contacts are known; otherwise nothing counts as held as shown."""
         return bool(np.isfinite(self.outcomes.strays).any())
 
     def count(self, which: np.ndarray | None = None) -> str:
-        """How many of some episodes are held, and held as shown where that is known, in words. which: shape
-        [N] bool; all if None."""
+        """Return the number of held episodes and, if known, of those held as shown, as text. which: shape [N]
+        bool; all if None."""
         flags = np.ones(len(self.index), dtype=bool) if which is None else which
         held = f"{int(self.success[flags].sum())} of {int(flags.sum())} held"
         return (
@@ -181,7 +181,7 @@ class LiftTestResult:
 
 
 def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str, Any]:
-    """Rates and means over the episodes. which: shape [N] bool, all if None."""
+    """Return rates and means over episodes. which: shape [N] bool, all if None."""
     which = np.ones(len(result.index), dtype=bool) if which is None else which
     count, successes = int(which.sum()), int(result.outcomes.success[which].sum())
     values: dict[str, Any] = {
@@ -208,8 +208,8 @@ def summary(result: LiftTestResult, which: np.ndarray | None = None) -> dict[str
 
 
 def shown_summary(outcomes: Outcomes, which: np.ndarray) -> dict[str, Any]:
-    """How many of some episodes are held as shown, and means over what is held; None where the person's
-    places are not known. which: shape [N] bool."""
+    """Return the rate of episodes held as shown, and means over held objects; None if the person's contacts
+    are unknown. which: shape [N] bool."""
     known = which & np.isfinite(outcomes.place_error_mm)
     if not np.isfinite(outcomes.strays[which]).any():
         return dict.fromkeys(("held_as_shown", "held_as_shown_interval", *SHOWN_MEANS, "place_error_p90_mm"))
@@ -226,7 +226,7 @@ def shown_summary(outcomes: Outcomes, which: np.ndarray) -> dict[str, Any]:
 
 
 def by_task(result: LiftTestResult) -> dict[str, dict[str, int]]:
-    """Number of episodes, of held objects and of those held as shown, for each named task."""
+    """Return the numbers of episodes, held objects, and objects held as shown, by task."""
     rows = {name: result.task == name for name in np.unique(result.task).tolist() if name}
     return {
         name: {
@@ -239,7 +239,7 @@ def by_task(result: LiftTestResult) -> dict[str, dict[str, int]]:
 
 
 def mean_over_objects(result: LiftTestResult) -> dict[str, float]:
-    """Rate of success and means, each object counted once."""
+    """Return success rate and means, in which each object has the same weight."""
     columns = {"success_rate": result.outcomes.success} | {
         name: getattr(result.outcomes, name) for name in MEANS
     }
@@ -249,7 +249,7 @@ def mean_over_objects(result: LiftTestResult) -> dict[str, float]:
 
 
 def result_json(result: LiftTestResult) -> dict[str, Any]:
-    """All of a result; nothing in it is NaN or infinite (None stands for what was not measured)."""
+    """Return the result as JSON values without NaN and infinity; None if not measured."""
     seeds = np.unique(result.seed).tolist()
     names = np.unique(result.object_name).tolist()
     columns = {field.name: getattr(result.outcomes, field.name) for field in fields(result.outcomes)}
@@ -294,7 +294,7 @@ def result_json(result: LiftTestResult) -> dict[str, Any]:
 
 
 def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
-    """Rates and means of a policy under each condition, and whether each episode succeeded.
+    """Return rates and means under each condition, and the outcome of each episode.
 
     Args:
         results: by condition, of the same policy and grasps.
@@ -317,7 +317,7 @@ def robustness_json(results: Mapping[str, LiftTestResult]) -> dict[str, Any]:
 
 
 def attempts_json(attempts: AttemptRecord, which: np.ndarray) -> dict[str, Any]:
-    """Rates and counts of some episodes. which: shape [N] bool."""
+    """Return rates and counts of episodes. which: shape [N] bool."""
     count, first = int(which.sum()), int(attempts.first_success[which].sum())
     again = which & (attempts.attempts > 1)
     return {
@@ -331,7 +331,6 @@ def attempts_json(attempts: AttemptRecord, which: np.ndarray) -> dict[str, Any]:
 
 
 def _object_table(result: LiftTestResult) -> str:
-    """Objects and their rates of success, and why episodes failed."""
     numbers = result_json(result)
     rows = [("object", *HEAD)]
     rows += [_row(name, part) for name, part in numbers["by_object"].items()]
@@ -352,7 +351,7 @@ def _object_table(result: LiftTestResult) -> str:
 
 
 def not_found_lines(result: LiftTestResult) -> list[str]:
-    """Which grasps have no plan that is likely to hold as shown, a line, or none."""
+    """Return a line with the grasps that have no plan likely to hold as shown, or no line."""
     if result.expected_as_shown is None or result.spec.other_places:
         return []
     rows = np.unique(result.index[result.expected_as_shown < UNLIKELY]).tolist()
@@ -365,7 +364,7 @@ def not_found_lines(result: LiftTestResult) -> list[str]:
 
 
 def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
-    """How well a student knew what it touched, a line, or none."""
+    """Return a line with the accuracy of a student's contact estimates, or no line."""
     if estimate is None:
         return []
     return [
@@ -376,7 +375,7 @@ def contact_estimate_lines(estimate: Mapping[str, Any] | None) -> list[str]:
 
 
 def attempt_lines(attempts: Mapping[str, Any] | None) -> list[str]:
-    """What further attempts were worth, two lines, or none."""
+    """Return two lines on the further attempts, or none."""
     if attempts is None:
         return []
     low, high = attempts["first_success_interval"]
@@ -389,7 +388,6 @@ def attempt_lines(attempts: Mapping[str, Any] | None) -> list[str]:
 
 
 def _use_table(use: UseOutcomes, task: np.ndarray) -> str:
-    """Tasks and how many of their held grasps passed the use test, and why the others failed."""
     numbers = use_json(use, task)
     if not numbers["count"]:
         return "no held grasp is for a task that has a use motion"
@@ -414,7 +412,7 @@ def _use_table(use: UseOutcomes, task: np.ndarray) -> str:
 
 
 def robustness_table(results: Mapping[str, LiftTestResult]) -> str:
-    """Conditions side by side, and the mean of their rates of success; the first is undisturbed."""
+    """Return a table of conditions and the mean success rate of all but the first, which is undisturbed."""
     disturbed = list(results.values())[1:]
     mean = f"mean over the {len(disturbed)} disturbed conditions: success "
     mean += f"{np.mean([each.success.mean() for each in disturbed]):.1%}"

@@ -7,21 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 
 NORMAL_QUANTILE = 1.959963984540054
-"""97.5 % of a normal distribution lie below it."""
+"""97.5 % quantile of the standard normal distribution."""
 
 
 def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
-    """Two-sided 95 % confidence interval of a rate (Wilson, 1927): sound for few episodes and for rates near
-    0 and 1.
+    """Return the two-sided 95 % confidence interval of a rate (Wilson, 1927), which is valid for few episodes
+    and for rates near 0 and 1.
 
     Args:
         successes: from 0 to ``episodes``.
         episodes: at least 1.
 
     Returns:
-        lower and upper end, within [0, 1].
+        lower and upper bound, within [0, 1].
     """
-    # SciPy has it in scipy.stats, whose import takes longer than that of all the rest of a command.
+    # Importing scipy.stats would take longer than the rest of a command.
     rate, z = successes / episodes, NORMAL_QUANTILE
     middle = rate + z * z / (2 * episodes)
     half = z * float(np.sqrt(rate * (1 - rate) / episodes + z * z / (4 * episodes**2)))
@@ -30,7 +30,7 @@ def wilson_interval(successes: int, episodes: int) -> tuple[float, float]:
 
 
 def mean_over_groups(values: np.ndarray, groups: Sequence[str] | np.ndarray) -> float:
-    """Mean of the groups' means, so that each object counts the same however many grasps it has.
+    """Return the mean of the groups' means, so that each object has the same weight.
 
     Args:
         values: shape [N].

@@ -30,10 +30,10 @@ _SHAPES = {
     "link_contacts": ("b", 2),
     **dict.fromkeys(("qpos", "object_pose", "palm_pose", "joint_positions", "controls"), ("f", 2)),
 }
-"""Of each array of a file: kinds of numbers that it may hold, and how many axes it has."""
+"""Allowed kinds of numbers and number of axes of each array in a file."""
 
 PHASES = ("approach", "lift", "hold", "use")
-"""Names of the numbers in ``Trajectory.phase``. A use test is a recording of its own
+"""Names of the numbers in ``Trajectory.phase``. A use test is a separate recording
 (``fungrasp.evaluation.UseRecorder``)."""
 
 
@@ -54,7 +54,7 @@ class Trajectory:
     reason: str
     """Why the episode failed, "" on success."""
     times: np.ndarray
-    """Time of each state [s], shape [T]; 0 is when the hand starts, or the use motion."""
+    """Time of each state [s], shape [T]; 0 at the start of the episode or the use motion."""
     qpos: np.ndarray
     """Positions of the scene of ``fungrasp.simulation.build_scene``, shape [T, nq]."""
     wrist_reference: np.ndarray
@@ -66,7 +66,7 @@ class Trajectory:
     joint_positions: np.ndarray
     """Angles of the joints in the order of ``Hand.joint_names`` [rad], shape [T, M]."""
     link_contacts: np.ndarray
-    """Which links touch the object, in the order of ``Hand.links``, shape [T, L] bool."""
+    """Links that touch the object, in the order of ``Hand.links``, shape [T, L] bool."""
     phase: np.ndarray
     """Phase of each state as an index into ``PHASES``, shape [T]."""
     controls: np.ndarray | None = None
@@ -92,12 +92,12 @@ class Trajectory:
 
     @property
     def is_use_test(self) -> bool:
-        """Whether it is a use test."""
+        """Whether this is a use test."""
         return bool((self.phase == PHASES.index("use")).any())
 
     @property
     def phases(self) -> list[tuple[float, str]]:
-        """Start [s] and name of each phase, as ``fungrasp.media.episode_film`` takes them."""
+        """Start [s] and name of each phase, as accepted by ``fungrasp.media.episode_film``."""
         starts = np.flatnonzero(np.diff(self.phase, prepend=-1))
         return [(float(self.times[i]), PHASES[int(self.phase[i])]) for i in starts]
 
@@ -106,7 +106,7 @@ def replay(path: str | Path) -> Trajectory:
     """Read a recorded episode.
 
     Raises:
-        FungraspError: missing file, or not a recorded episode.
+        FungraspError: the file is missing or not a recorded episode.
     """
     names = {field.name for field in fields(Trajectory)}
     arrays = read_npz(path, "recorded episode", names.__contains__)
@@ -156,7 +156,8 @@ class Recorder:
         )
 
     def trajectories(self, rows: np.ndarray) -> list[Trajectory]:
-        """One per world, each until its episode was done. rows: of the grasps in their set, shape [W]."""
+        """Return one trajectory per world, until its episode was done. rows: rows of the grasps in their set,
+        shape [W]."""
         task = self._task
         outcomes, frame = task.outcomes(), task.engine.wrist_frame
         running, *states = (np.stack(column) for column in zip(*self._states, strict=True))
@@ -189,7 +190,7 @@ class Recorder:
 
 
 class UseRecorder:
-    """Watches the use tests of W worlds (``fungrasp.task.use.play_use``) and keeps their states."""
+    """Records the use tests of W worlds (``fungrasp.task.use.play_use``)."""
 
     def __init__(
         self, environment: LiftEnvironment, grasps: RobotGraspSet, motions: Sequence[UseMotion | None]
@@ -201,18 +202,18 @@ class UseRecorder:
         self._states: list[tuple[np.ndarray, ...]] = []
 
     def __call__(self, controls: np.ndarray) -> None:
-        """Keep the current state; to be called after each setpoint. controls: what the servos were told."""
+        """Record the current state after a setpoint. controls: servo controls."""
         engine = self._engine
         numbers = engine.positions, engine.object_pose, engine.palm_pose, engine.joint_positions, controls
         self._states.append((*(array.astype(np.float32) for array in numbers), engine.link_contacts))
 
     def trajectories(self, rows: np.ndarray, outcomes: UseOutcomes) -> list[Trajectory | None]:
-        """One per world, each until its test was over; None where there was none. All their states are of the
-        phase "use"; they have controls where nothing but the hand moved the object.
+        """Return one trajectory per world, until its test was over; None if there was none. All states have
+        the phase "use". Controls are kept only if no external force moved the object.
 
         Args:
-            rows: of the grasps in their set, shape [W].
-            outcomes: W of them.
+            rows: rows of the grasps in their set, shape [W].
+            outcomes: W outcomes.
         """
         found: list[Trajectory | None] = [None] * len(rows)
         if not self._states:
@@ -220,7 +221,7 @@ class UseRecorder:
         whole = [np.stack(column) for column in zip(*self._states, strict=True)]
         for world in np.flatnonzero(outcomes.motion != "").tolist():
             positions, obj, palm, joints, controls, contacts = (array[:, world] for array in whole)
-            # A world whose test is over stands still.
+            # A world whose test is over does not move any more.
             count = min(round(self._lasts[world] / self._period), len(positions))
             moving = np.flatnonzero((positions[1:count] != positions[: count - 1]).any(axis=1))
             count = int(moving[-1]) + 2 if len(moving) else 1

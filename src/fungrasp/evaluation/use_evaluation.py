@@ -1,4 +1,4 @@
-"""The numbers of use tests on many grasps."""
+"""Summary of use tests on many grasps."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from fungrasp.task import DIVERGED
 from fungrasp.task.use import UseOutcomes
 
 PALM_JOINTS = (0, 1, 5, 9, 13)
-"""Human joints around the palm: wrist and the four knuckles."""
+"""Human joints around the palm: wrist and four knuckles."""
 
 
 def use_json(use: UseOutcomes, task: np.ndarray) -> dict[str, Any]:
-    """Rates over the grasps that were held and whose task has a motion: all, and by task.
+    """Return rates over held grasps whose task has a motion: in total and by task.
 
     Args:
         use: N outcomes.
-        task: what each grasp is for, shape [N] str.
+        task: task of each grasp, shape [N] str.
     """
     tested = use.motion != ""
     names = np.unique(task[tested]).tolist()
