@@ -1,4 +1,4 @@
-"""Policies: from observations to actions, ten times per second."""
+"""Policies, which map observations to actions ten times per second."""
 
 from fungrasp.policies.open_loop import OpenLoopPolicy
 from fungrasp.policies.registry import default_policy, make_policy, policy_source

@@ -9,7 +9,7 @@ from fungrasp.task import Action, GraspPlan, Observation
 
 
 def plan_step(plan: GraspPlan, observation: Observation) -> np.ndarray:
-    """Control steps since the plan began, shape [W] int."""
+    """Return the number of control steps since the plan began, shape [W] int."""
     return np.rint(observation.time / plan.control_period).astype(int)
 
 

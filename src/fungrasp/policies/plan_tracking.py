@@ -1,4 +1,4 @@
-"""Between a residual network and a robot: follows plans, makes the network's inputs, applies its actions."""
+"""Plan tracking: inputs of a residual network from observations and plans, and actions for the robot."""
 
 from __future__ import annotations
 
@@ -32,36 +32,36 @@ from fungrasp.task import Action, GraspPlan, LiftProtocol, Observation
 from fungrasp.task.features import MeasuredState, PlanTarget, robot_features
 
 ANCHOR_SHARE = 0.2
-"""Share of the way that a plan's origin goes towards the tracked object at each control step. A share s lets
-sqrt(s / (2 - s)) of the tracker's jitter through, a third; after the 14 steps and more that plans take until
-the fingers close, less than 5 % of an object's move is left."""
+"""Fraction of the remaining distance that a plan's origin moves towards the tracked object at each control
+step. A fraction s passes sqrt(s / (2 - s)) of the tracker's jitter, here a third. After the 14 or more steps
+until the fingers close, less than 5 % of an object's displacement remains."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingState:
-    """All that a network's inputs and the reward are made of, at one control step."""
+    """Quantities for the network's inputs and the reward at one control step."""
 
     now: MeasuredState
     """Measured state at this step."""
     before: MeasuredState
-    """Measured state at the step before."""
+    """Measured state at the previous step."""
     target: PlanTarget
-    """What the plan asks for."""
+    """Targets of the plan."""
     action: Array
-    """The last action, smoothed, shape [W, A]."""
+    """Last action, smoothed, shape [W, A]."""
 
     def robot_features(self) -> dict[str, Array]:
-        """What a network gets of what a robot knows, by name (``task.features``)."""
+        """Return the network's inputs from robot sensors, by name (``task.features``)."""
         return robot_features(self.now, self.before, self.target, self.action)
 
 
 class PlanTracker:
-    """Follows plans for W robots, each from its own beginning.
+    """Tracks plans for W robots, each from its own start.
 
-    Until the fingers close, the plan goes where the object goes, smoothly, as trackers jitter; from then on
-    it stays where it was. It turns with it about the vertical alone: what has rolled or tipped is grasped
-    from where the plan came, not from where that has turned to, which may be below the table. An object that
-    sinks in the hand as it is lifted is pressed harder and lifted higher (``SlipResponse``).
+    Until the fingers close, the plan follows the object, smoothed against the tracker's jitter; then it stays
+    in place. It turns with the object only about the vertical: an object that has rolled or tipped is grasped
+    from the planned side, because the rotated grasp may be below the table. An object that sinks in the hand
+    during the lift is squeezed harder and lifted higher (``SlipResponse``).
     """
 
     def __init__(
@@ -75,11 +75,11 @@ class PlanTracker:
     ):
         """
         Args:
-            objects: by name, those of the plans.
-            plans: to choose from, N of them.
+            objects: object models of the plans, by name.
+            plans: N plans to choose from.
             count: W, number of robots.
-            settings: of the actions; the defaults if None.
-            on: an array of the library and the device of observations and actions; NumPy's if None.
+            settings: defaults if None.
+            on: array whose library and device are used; NumPy if None.
         """
         self.settings, on = settings or ResidualSettings(), np.zeros(1) if on is None else on
         self._keypoints = _keypoints(hand, count, on)
@@ -92,25 +92,25 @@ class PlanTracker:
         self.plans = plans if self.settings.base == "plan" else without_motion(plans)
         self._target_surface = self._bank.query(self._object, plans.keypoints)
         self.size = WRIST_ACTIONS + len(hand.actuators)
-        """Numbers in an action."""
+        """Size of an action."""
         self.rows = rows_like(on, np.zeros(count, dtype=int))
-        """The plan that each robot follows, shape [W]."""
+        """Index of each robot's plan, shape [W]."""
         self.action = rows_like(on, np.zeros((count, self.size)))
-        """The last action, smoothed, shape [W, A]."""
+        """Last action, smoothed, shape [W, A]."""
         self._anchor = rows_like(on, np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1)))
         self._reaction = SlipResponse(count, on)
         self._goal: tuple[Array, Array] | None = None
-        """Palm goal and servo targets of this control step, made when first asked for."""
+        """Palm goal and servo targets of this control step, computed on first use."""
         self._now: MeasuredState | None = None
         self._before: MeasuredState | None = None
 
     def begin(self, ids: np.ndarray, rows: np.ndarray, observation: Observation) -> None:
-        """Follow other plans in some worlds.
+        """Switch to other plans in some worlds.
 
         Args:
             ids: worlds, shape [I].
-            rows: of the plans, shape [I].
-            observation: of all W worlds.
+            rows: indices of the plans, shape [I].
+            observation: W rows.
         """
         ids, rows = (moved_to(self.rows, given) for given in (ids, rows))
         self.rows[ids] = rows
@@ -128,7 +128,7 @@ class PlanTracker:
                 getattr(kept, field.name)[ids] = getattr(fresh, field.name)[ids]
 
     def update(self, observation: Observation) -> None:
-        """See what has become of the worlds, once in each control step. observation: of all W worlds."""
+        """Update with the observation of a new control step. observation: of all W worlds."""
         self._read(observation)
         self._before, self._now = self._now, self._measure(observation)
         opened = array_namespace(self._step).astype(self._step < self._closing, self._anchor.dtype)
@@ -139,7 +139,7 @@ class PlanTracker:
         self._reaction.update(lifting, palm, risen, observation.object_pose_age)
 
     def state(self) -> TrackingState:
-        """The worlds as they were last seen, by ``begin`` or ``update``."""
+        """Return the state at the last ``begin`` or ``update``."""
         if self._now is None or self._before is None:
             raise RuntimeError("begin comes before state")
         goal, fingers = self._planned()
@@ -156,7 +156,7 @@ class PlanTracker:
         return TrackingState(self._now, self._before, target, self.action)
 
     def act(self, action: Array) -> Action:
-        """What the robots are asked for. action: of the network, shape [W, A]."""
+        """Return the robots' action. action: network output, shape [W, A]."""
         self.action = smoothed(action, self.action, self.settings)
         goal, fingers = add_residual(*self._base(), self.action, self.settings)
         if self.settings.base == "plan":
@@ -166,8 +166,7 @@ class PlanTracker:
         return Action(goal, fingers, self._step >= self._lift)
 
     def planned_action(self) -> Array:
-        """The network's action after which the robots would follow the planned motions, as far as actions in
-        [-1, 1] can, shape [W, A]."""
+        """Return the network action that best follows the planned motions, within [-1, 1], shape [W, A]."""
         s, (goal, fingers) = self.settings, self._motions.at(self._step, self.rows)
         base_goal, base_fingers = self._base()
         away = relative(base_goal, compose(self._anchor, goal))
@@ -177,14 +176,14 @@ class PlanTracker:
         return clip(smooth, -1.0, 1.0)
 
     def _base(self) -> tuple[Array, Array]:
-        """What the action changes: palm goal, world frame, shape [W, 7], and servo targets [rad], shape
+        """Return the base of the action: palm goal, world frame, shape [W, 7], and servo targets [rad], shape
         [W, U]."""
         if self.settings.base == "plan" or self._now is None:
             return self._planned()
         return self._planned()[0], self._now.joints
 
     def _planned(self) -> tuple[Array, Array]:
-        """Planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this
+        """Return planned palm goal, world frame, shape [W, 7], and servo targets [rad], shape [W, U], of this
         step."""
         if self._goal is None:
             goal, fingers = self.plans.at(self._step, self.rows)
@@ -192,8 +191,8 @@ class PlanTracker:
         return self._goal
 
     def _origin(self, seen: MeasuredState) -> Array:
-        """Where the objects' frames are for the plans, world frame, shape [W, 7]: their centers of mass where
-        they are seen, turned about the vertical as they are seen, and otherwise as they were planned for."""
+        """Return object frames for the plans, world frame, shape [W, 7]: the center of mass and the rotation
+        about the vertical are tracked, the remaining rotation is the planned one."""
         pose = seen.object_pose
         if self.settings.base != "plan":
             return pose
@@ -203,12 +202,12 @@ class PlanTracker:
         return array_namespace(place).concat([place, turned], axis=1)
 
     def _center_height(self, pose: Array) -> Array:
-        """Heights of the objects' centers of mass [m], shape [W]. pose: world frame, shape [W, 7]."""
+        """Return heights of the objects' centers of mass [m], shape [W]. pose: world frame, shape [W, 7]."""
         return pose[:, 2] + rotate(pose[:, 3:], self._aims["center"])[:, 2]
 
     def _choose(self) -> None:
-        """What stays the same during an episode: fields of ``PlanTarget``, first steps of closing and
-        lift."""
+        """Select quantities that are constant during an episode: fields of ``PlanTarget``, first steps of
+        closing and lift."""
         plans, rows = self.plans, self.rows
         distance, normal = self._target_surface
         self._aims = {
@@ -234,7 +233,7 @@ class PlanTracker:
         palm, obj = observation.palm_pose, observation.object_pose
         keypoints = self._keypoints(observation.joint_positions)
         palm_turn, object_turn = rotation_matrix(stack(palm[:, 3:], obj[:, 3:]))
-        # Rows are points: p_world = R p, so P_world = P R^T, and back by P R.
+        # Rows are points: p_world = R p, so P_world = P R^T, and P = P_world R.
         in_world = keypoints @ palm_turn.mT + palm[:, None, :3]
         in_object = (in_world - obj[:, None, :3]) @ object_turn
         distance, normal = self._bank.query(self._object[self.rows], in_object)
@@ -251,8 +250,8 @@ class PlanTracker:
 
 
 def _keypoints(hand: Hand, count: int, on: Array) -> Callable[[Array], Array]:
-    """What makes key points [m], palm frame, shape [W, K, 3], of joints [rad], shape [W, U]: of few hands by
-    MuJoCo, which has one after the other, on a device of all at once."""
+    """Return a function from joints [rad], shape [W, U], to key points [m], palm frame, shape [W, K, 3]: with
+    MuJoCo on the CPU, batched on a device."""
     kinematics = HandKinematics(hand, count)
     points = kinematics.body_points(hand.keypoint_names)
     if not is_numpy(on):
@@ -266,10 +265,10 @@ def _keypoints(hand: Hand, count: int, on: Array) -> Callable[[Array], Array]:
 
 
 def without_motion(plans: GraspPlan) -> GraspPlan:
-    """Plans that ask for the grasp at every step, until the lift and beyond it; they close and lift as late.
+    """Replace planned motions by the constant grasp; the steps of closing and lift are kept.
 
-    From the closing on, the goal stays where it is: a goal that follows the object until the lift leads the
-    hand after an object that it pushes, by 35 mm in the median.
+    From the closing on, the goal does not move: if it followed the object until the lift, the hand would
+    chase an object that it pushes, by 35 mm in the median.
     """
     return replace(
         plans,
@@ -281,13 +280,13 @@ def without_motion(plans: GraspPlan) -> GraspPlan:
 
 
 def turned_upright(before: Array, now: Array) -> Array:
-    """Rotations turned about the vertical alone, as far as others are: of the turn between the two the part
-    about the vertical ("swing and twist"). before, now: quaternions, shape [W, 4]."""
+    """Rotate ``before`` about the vertical by the twist of the rotation from ``before`` to ``now``
+    (swing-twist decomposition). before, now: quaternions, shape [W, 4]."""
     xp = array_namespace(before)
     turn = quaternion_multiply(now, quaternion_conjugate(before))
     about = xp.concat([turn[:, :1], xp.zeros_like(turn[:, 1:3]), turn[:, 3:]], axis=1)
     length = xp.sqrt(xp.sum(about * about, axis=1))[:, None]
-    # Half a turn about a horizontal axis has no such part.
+    # The twist is undefined for half a turn about a horizontal axis.
     none = xp.zeros_like(about)
     none[:, 0] = 1.0
     about = xp.where(length > 1e-6, about / xp.where(length > 1e-6, length, 1.0), none)
@@ -295,8 +294,8 @@ def turned_upright(before: Array, now: Array) -> Array:
 
 
 def moved_towards(pose: Array, goal: Array, share: Array) -> Array:
-    """Poses on the straight way to others, turned about a fixed axis. pose, goal: shape [W, 7]; share: of the
-    way, shape [W, 1]."""
+    """Interpolate poses: straight translation, rotation about a fixed axis. pose, goal: shape [W, 7]; share:
+    fraction, shape [W, 1]."""
     xp = array_namespace(pose)
     turn = share * rotation_vector(relative(pose, goal)[:, 3:])
     step = xp.concat([xp.zeros_like(turn), quaternion_from_rotation_vector(turn)], axis=1)
@@ -305,13 +304,13 @@ def moved_towards(pose: Array, goal: Array, share: Array) -> Array:
 
 
 def link_directions_of(hand: Hand, keypoints: Array) -> Array:
-    """Vectors along the links of each finger, from key points; zero where a finger has fewer.
+    """Return vectors along the links of each finger; zero for missing links.
 
     Args:
-        keypoints: [m], shape [W, K, 3].
+        keypoints: key points [m], shape [W, K, 3].
 
     Returns:
-        [m], shape [W, F, 3, 3].
+        Vectors [m], shape [W, F, 3, 3].
     """
     shape = len(keypoints), len(hand.fingers), 3, 3
     result = array_namespace(keypoints).zeros(shape, dtype=keypoints.dtype, device=keypoints.device)

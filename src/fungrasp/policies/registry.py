@@ -1,4 +1,4 @@
-"""Policies by name; their planners are made by ``fungrasp.planning.make_planner``."""
+"""Policies by name. ``fungrasp.planning.make_planner`` makes their planners."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fungrasp.task import Policy, PrivilegedPolicy
 REFERENCE = "reference"
 """Policy that plays one planned motion open loop, without network or rollouts."""
 PLAN = "plan"
-"""Policy that plays the best of many plans open loop, selected by rollouts. Without a network, it works for
+"""Policy that plays the best of many plans open loop, selected by rollouts. It needs no network and works for
 any hand."""
 KINDS = ("teacher", "student")
 """Short names of the built-in policies ``<hand>-<kind>-free``."""
@@ -26,12 +26,12 @@ MADE_BY = {
     "teacher": "train one (fungrasp train)",
     "student": "train a teacher, distill it (fungrasp train, fungrasp distill)",
 }
-"""Command that makes each kind."""
+"""How to make a policy of each kind."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolicySource:
-    """What a policy's name stands for."""
+    """Network and planner type of a policy."""
 
     network: Path | None
     """File of the network; None for open-loop policies."""
@@ -40,7 +40,7 @@ class PolicySource:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the network's file, "" for none.
+        """SHA-256 of the network's file, "" without a network.
 
         Raises:
             FungraspError: the file can't be read.
@@ -49,14 +49,14 @@ class PolicySource:
 
 
 def policy_source(name: str, hand: str) -> PolicySource:
-    """What a policy's name stands for.
+    """Resolve the name of a policy.
 
     Args:
         name: "reference", "plan", one of ``KINDS``, a built-in policy, or a file.
         hand: name of the hand.
 
     Raises:
-        FungraspError: unknown policy, or an unreadable file.
+        FungraspError: the policy is unknown, or its file is unreadable.
     """
     if name in (REFERENCE, PLAN):
         return PolicySource(None, name == PLAN)
@@ -84,19 +84,19 @@ def _find(name: str, hand: str) -> Path:
 
 
 def default_policy(hand: str) -> str:
-    """The built-in student of a hand, or "plan" if there is none. hand: its name."""
+    """Return the name of a hand's built-in student, or "plan" if there is none. hand: name of the hand."""
     name = f"{hand}-student-free"
     return name if name in list_policies() else PLAN
 
 
 def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy | PrivilegedPolicy:
-    """A policy by name.
+    """Make a policy by name.
 
     Args:
-        name: as for ``policy_source``.
+        name: see ``policy_source``.
 
     Raises:
-        FungraspError: unknown policy, or a policy for another hand.
+        FungraspError: the policy is unknown or for another hand.
     """
     path = policy_source(name, hand.name).network
     return OpenLoopPolicy() if path is None else residual_policy(load_policy(path), hand, objects)

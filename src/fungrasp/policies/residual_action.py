@@ -9,11 +9,12 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import Array, array_namespace, clip, compose, quaternion_from_rotation_vector
 
 WRIST_ACTIONS = 6
-"""Three along the palm's axes, three about them; then one for each finger servo."""
+"""Number of wrist actions: translation along the palm's axes, then rotation about them. One action per finger
+servo follows."""
 
 
 Base = Literal["plan", "guided"]
-"""What an action changes."""
+"""What an action corrects."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,14 @@ class ResidualSettings:
     fingers: float = 0.3
     """Change of each servo target for an action of 1 [rad]."""
     smoothing: float = 0.5
-    """Smoothing: share of the previous action in the next."""
+    """Weight of the previous action in the next one."""
 
     def shrunk(self, factor: float) -> ResidualSettings:
-        """The same actions, meaning smaller departures from the plan; without a planned motion, the same
-        settings. factor: above 0, at most 1.
+        """Scale the actions' corrections of the plan. Without a planned motion, the settings are unchanged.
+        factor: above 0, at most 1.
 
         Raises:
-            FungraspError: the factor is another.
+            FungraspError: the factor is out of range.
         """
         if not 0 < factor <= 1:
             raise FungraspError(f"departures can be shrunk by a factor above 0 and at most 1, not {factor}")
@@ -50,19 +51,19 @@ class ResidualSettings:
 
 
 def smoothed(action: Array, previous: Array, settings: ResidualSettings) -> Array:
-    """Actions cut to [-1, 1] and smoothed. action: a policy's, shape [W, A]; previous: smoothed."""
+    """Clip actions to [-1, 1] and smooth them. action: shape [W, A]; previous: last smoothed action."""
     return settings.smoothing * previous + (1.0 - settings.smoothing) * clip(action, -1.0, 1.0)
 
 
 def add_residual(
     palm_goal_world: Array, servo_targets: Array, action: Array, settings: ResidualSettings
 ) -> tuple[Array, Array]:
-    """Palm goals [W, 7] and servo targets [W, U] with a residual.
+    """Add a residual to palm goals, shape [W, 7], and servo targets, shape [W, U].
 
     Args:
-        palm_goal_world: what the action changes, world frame, shape [W, 7].
-        servo_targets: likewise [rad], shape [W, U].
-        action: smoothed, shape [W, 6 + U].
+        palm_goal_world: base of the palm goals, world frame, shape [W, 7].
+        servo_targets: base of the servo targets [rad], shape [W, U].
+        action: smoothed action, shape [W, 6 + U].
     """
     xp = array_namespace(action)
     turn = quaternion_from_rotation_vector(settings.rotation * action[:, 3:WRIST_ACTIONS])

@@ -20,7 +20,7 @@ ACTION_PARTS: Mapping[Base, tuple[str, str, str]] = {
     "plan": ("position", "rotation", "fingers"),
     "guided": ("position_from_grasp", "rotation_from_grasp", "fingers_step"),
 }
-"""Parts of a residual action, with the scales of ``ResidualSettings``, by what it changes."""
+"""Names of the parts of a residual action, with the scales of ``ResidualSettings``, by base."""
 
 
 class _ResidualNetwork:
@@ -29,7 +29,7 @@ class _ResidualNetwork:
     def __init__(self, network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]):
         """
         Raises:
-            FungraspError: the network was made for another hand or other actions.
+            FungraspError: the network is for another hand or other actions.
         """
         check_card(network.card, hand)
         self.network, self._hand, self._objects = network, hand, objects
@@ -40,7 +40,7 @@ class _ResidualNetwork:
         """See ``Policy.reset``.
 
         Raises:
-            FungraspError: the network was made for other observations or another rate.
+            FungraspError: the network is for other observations or another rate.
         """
         everyone = np.arange(len(observation))
         self._tracker = PlanTracker(self._hand, self._objects, plan, len(everyone), self._settings)
@@ -52,28 +52,28 @@ class _ResidualNetwork:
         self._memory = self.network.initial_state(len(everyone))
 
     def _seen(self) -> dict[str, np.ndarray]:
-        """What the network gets of what the robot has."""
+        """Return the network's inputs from robot sensors."""
         features = self._tracker.state().robot_features()
         return network_parts(features, self.network.card.layout_name, encoder=self._remembers)
 
     def _act(self, observation: Observation, contacts: Mapping[str, np.ndarray]) -> Action:
         self._tracker.update(observation)
         seen = network_input({**self._seen(), **contacts})
-        # A finished or diverged world may hold anything; its action is not used.
+        # Finished or diverged worlds may contain NaN; their actions are not used.
         finite = np.where(np.isfinite(seen), seen, np.float32(0.0))
         action, self.outputs, self._memory = self.network(finite, self._memory)
         return self._tracker.act(action)
 
 
 class StudentPolicy(_ResidualNetwork):
-    """A policy that uses only robot sensors. ``outputs`` has the other outputs of the network at the last
-    step: inferred contacts and forces."""
+    """A policy that uses only robot sensors. ``outputs`` has the network's other outputs at the last step:
+    estimated contacts and forces."""
 
     outputs: Mapping[str, np.ndarray]
 
     @property
     def estimates_contacts(self) -> bool:
-        """Whether the network says which links touch, and how hard."""
+        """Whether the network estimates contacts and forces."""
         return {"contacts", "forces"} <= set(self.network.outputs)
 
     def act(self, observation: Observation) -> Action:
@@ -93,20 +93,20 @@ class TeacherPolicy(_ResidualNetwork):
 def residual_policy(
     network: PolicyNetwork, hand: Hand, objects: Mapping[str, ObjectModel]
 ) -> StudentPolicy | TeacherPolicy:
-    """A learned policy, a teacher if its network takes contacts. Arguments: as for both.
+    """Make a learned policy: a teacher if its network has privileged inputs, else a student.
 
     Raises:
-        FungraspError: the network was made for another hand or other actions.
+        FungraspError: the network is for another hand or other actions.
     """
     kind = TeacherPolicy if network.card.privileged else StudentPolicy
     return kind(network, hand, objects)
 
 
 def check_card(card: PolicyCard, hand: Hand) -> None:
-    """What can be checked before anything is planned for a policy.
+    """Check a policy as far as possible before planning.
 
     Raises:
-        FungraspError: it was made for another hand or other actions.
+        FungraspError: the policy is for another hand or other actions.
     """
     own = tuple((part.name, part.size) for part in card.observation)
     contacts = tuple((part.name, part.size) for part in card.privileged)
@@ -115,10 +115,10 @@ def check_card(card: PolicyCard, hand: Hand) -> None:
 
 
 def residual_settings(card: PolicyCard) -> ResidualSettings:
-    """Those that a policy was trained with.
+    """Return the settings that a policy was trained with.
 
     Raises:
-        FungraspError: its action has other parts.
+        FungraspError: the policy has other actions.
     """
     scales = {part.name: part.scale for part in card.action}
     for base, names in ACTION_PARTS.items():

@@ -1,4 +1,4 @@
-"""The card of a policy file: what the policy is for, how it is run, where it comes from."""
+"""The card of a policy file: purpose, interface, and provenance of a policy."""
 
 from __future__ import annotations
 
@@ -20,111 +20,110 @@ KINDS = ("teacher", "student", "predictor")
 
 
 class Part(NamedTuple):
-    """A run of numbers in a flat vector."""
+    """A named block of numbers in a flat vector."""
 
     name: str
-    """What the numbers are, "joint_positions"."""
+    """Name of the quantity, for example "joint_positions"."""
     size: int
-    """How many numbers."""
+    """Number of values."""
 
 
 class ActionPart(NamedTuple):
-    """A run of numbers in the flat action."""
+    """A named block of numbers in the flat action."""
 
     name: str
-    """What the numbers move, "fingers"."""
+    """What the numbers move, for example "fingers"."""
     size: int
-    """How many numbers."""
+    """Number of values."""
     scale: float
-    """What an action of 1 means, in the unit of the part (m, rad)."""
+    """Effect of an action of 1, in the unit of the part (m, rad)."""
 
 
 class TrainingData(NamedTuple):
-    """Grasps that a policy was trained on."""
+    """Set of grasps used for training."""
 
     name: str
     """Name of the data set."""
     terms: str
-    """Under what terms they may be used."""
+    """Terms of use."""
     count: int
-    """How many grasps."""
+    """Number of grasps."""
 
 
 class Budget(NamedTuple):
-    """What training took."""
+    """Cost of training."""
 
     steps: int
     """Control steps of all worlds together."""
     seconds: float
-    """How long training took [s]."""
+    """Duration of training [s]."""
     machine: str
-    """The machine it ran on, in words."""
+    """Description of the machine."""
 
 
 @dataclass(frozen=True)
 class PolicyCard:
-    """What a policy is for, how it is to be run, and where it comes from.
+    """Purpose, interface and provenance of a policy.
 
-    The graph's input is one flat vector, the parts of ``observation`` and after them those of ``privileged``;
-    the normalisation of both is inside the graph.
+    The graph's input is a flat vector of the parts of ``observation``, then those of ``privileged``; both are
+    normalized inside the graph.
     """
 
     name: str
-    """Name of the policy; that of its file if it comes with the package."""
+    """Name of the policy; for built-in policies, the name of the file."""
     kind: str
-    """One of ``KINDS``: a teacher sees what only a simulation knows, a student what a robot has;
-    predictors of older versions judged plans."""
+    """One of ``KINDS``. A teacher gets privileged observations, a student only sensor data. Predictors of
+    older versions rated plans."""
     hand: str
-    """Name of the hand that it moves."""
+    """Name of the hand."""
     hand_digest: str
-    """``hand_digest`` of the hand that it was trained for."""
+    """``hand_digest`` of the hand used in training."""
     joint_names: tuple[str, ...]
     """Names of the independent joints, in the order of servos and of the action."""
     gains: Mapping[str, tuple[float, float]]
     """Servo stiffness [N m/rad] and damping [N m s/rad], by joint."""
     rate_hz: float
-    """How often it acts [Hz]."""
+    """Control rate [Hz]."""
     observation: tuple[Part, ...]
-    """What it sees, in the order of the graph's input."""
+    """Parts of the observation, in the order of the graph's input."""
     action: tuple[ActionPart, ...]
-    """What it does, in the order of the graph's output."""
+    """Parts of the action, in the order of the graph's output."""
     budget: Budget
-    """What training took."""
+    """Cost of training."""
     privileged: tuple[Part, ...] = ()
-    """What it sees that only a simulation knows; nothing for a student."""
+    """Parts of the privileged observation; empty for a student."""
     layout_name: LayoutName = "full"
-    """Name of the layout of what it sees (``fungrasp.task.features``)."""
+    """Name of the observation layout (``fungrasp.task.features``)."""
     plans: str = ""
-    """``SEARCH``, or the name of a success predictor in older files, if it follows the best of many plans,
-    which rollouts choose; "" if the grasp's own."""
+    """``SEARCH``, or in older files the name of a success predictor, if the policy follows the best of many
+    plans, selected by rollouts; "" if it follows one plan per grasp."""
     action_smoothing: float = 0.0
     """Weight of the previous smoothed action in the next one, in [0, 1); the new action has the rest."""
     normalisation: str = "mean and standard deviation are inside the graph"
-    """How observations are to be normalized before they are given to the graph, in words."""
+    """How to normalize observations before passing them to the graph, in words."""
     training_data: tuple[TrainingData, ...] = ()
-    """Sets of grasps that it has learned from."""
+    """Sets of grasps used for training."""
     git_revision: str = ""
-    """The commit that trained it; empty if unknown."""
+    """Commit used for training; empty if unknown."""
     seed: int = 0
-    """Seed of its training."""
+    """Random seed of training."""
     measured: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers and nested tables of numbers, by what was measured; a share of successes is called
-    "success"."""
+    """Numbers and nested tables of numbers, by measurement; success rates are called "success"."""
     licence: str = ""
-    """Under what terms the file may be used, "Apache-2.0"."""
+    """License of the file, for example "Apache-2.0"."""
     limits: tuple[str, ...] = ()
-    """Sentences: where it fails, what it was not made for."""
+    """Known limits of the policy, as sentences."""
     created: str = ""
     """Date or time, ISO 8601."""
     format_version: int = FORMAT_VERSION
     """Version of the card's format."""
     sha256: str = ""
-    """Digest of the file with these 64 digits taken as zeros; given by saving and loading."""
+    """Digest of the file with these 64 digits set to zeros; set when saving and loading."""
 
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a value is impossible.
+            FungraspError: a value is invalid.
         """
         if self.kind not in KINDS:
             raise FungraspError(f"a policy is a {' or a '.join(KINDS)}, not '{self.kind}'")
@@ -153,12 +152,12 @@ class PolicyCard:
 
     @property
     def inputs(self) -> tuple[Part, ...]:
-        """Parts of the flat vector that the graph takes."""
+        """Parts of the graph's flat input."""
         return self.observation + self.privileged
 
     @property
     def input_size(self) -> int:
-        """Length of that vector, O."""
+        """Length of the graph's input, O."""
         return sum(part.size for part in self.inputs)
 
     @property
@@ -167,7 +166,7 @@ class PolicyCard:
         return sum(part.size for part in self.action)
 
     def to_json(self) -> dict[str, Any]:
-        """The card as plain lists, tables, numbers and text."""
+        """Return the card as JSON values."""
         values: dict[str, Any] = {}
         for name, value in asdict(self).items():
             if isinstance(value, Budget):
@@ -181,10 +180,10 @@ class PolicyCard:
 
 
 def card_text(card: PolicyCard) -> str:
-    """The card as JSON, ``sha256`` first.
+    """Return the card as JSON text, ``sha256`` first.
 
     Raises:
-        FungraspError: the card holds something that JSON can't, NaN included.
+        FungraspError: the card has a value that JSON cannot represent, such as NaN.
     """
     values = card.to_json()
     try:
@@ -194,10 +193,10 @@ def card_text(card: PolicyCard) -> str:
 
 
 def card_from_text(text: str | bytes) -> PolicyCard:
-    """A card from JSON. Fields that this version doesn't know are left out.
+    """Parse a card from JSON text. Unknown fields are ignored.
 
     Raises:
-        FungraspError: the text is no card, or one of a later format.
+        FungraspError: the text is not a card or has a different format version.
     """
     values = parse_json(text, "its policy card")
     if not isinstance(values, dict):
@@ -218,7 +217,7 @@ def card_from_text(text: str | bytes) -> PolicyCard:
 
 
 def _value(name: str, kind: Any, value: Any) -> Any:
-    """A value of the type ``kind`` from JSON; ``name`` is for the message."""
+    """Convert a JSON value to the type ``kind``; ``name`` is for error messages."""
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:
         return value

@@ -1,9 +1,9 @@
-"""Policies as files: one ONNX file with a card inside, which is checked before anything is run.
+"""Policy files: an ONNX file that contains a card and is checked before anything is run.
 
 The card is the metadata entry ``fungrasp`` of the ONNX model: JSON that begins with the SHA-256 of the whole
-file, those 64 digits taken as zeros. The digest is checked before any parser sees the file: a file that was
-cut off or changed is refused, whatever was changed. Reading needs ONNX Runtime but neither torch nor the
-package ``onnx``, which only writing needs.
+file, computed with zeros in place of its 64 digits. The digest is checked before any parser reads the file,
+so a truncated or modified file is always rejected. Reading needs ONNX Runtime but neither torch nor the
+package ``onnx``, which is only needed for writing.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from onnx import ModelProto
 
 FOLDER = Path(__file__).parent / "weights"
-"""Policies that come with the package, ``<name>.onnx``."""
+"""Folder of the built-in policies, ``<name>.onnx``."""
 SUFFIX = ".onnx"
 KEY = "fungrasp"
 DIGITS = 64
 HEAD = '{"sha256": "'
-"""What the card begins with."""
+"""First characters of the card."""
 
 OBSERVATION, ACTION = "observation", "action"
 STATE, NEXT_STATE = "state_", "next_state_"
-"""An input that starts with the one is followed, at the next step, by the output that starts with the
-other."""
+"""Prefixes of the graph's states: input ``state_<x>`` gets the output ``next_state_<x>`` of the previous
+step."""
 TYPES: Mapping[str, Any] = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -51,31 +51,30 @@ TYPES: Mapping[str, Any] = {
     "tensor(int32)": np.int32,
     "tensor(bool)": np.bool_,
 }
-"""Types of a state's numbers."""
+"""Number types of states."""
 NAMED = 5
-"""Most worlds to name in an error."""
+"""Largest number of worlds listed in an error message."""
 
 State = dict[str, np.ndarray]
-"""What a policy remembers, by name; the first axis of each array is the world, shape [W, ...]."""
+"""Memory of a policy, by name; the first axis of each array is the world, shape [W, ...]."""
 
 Layout = Sequence[tuple[str, int]] | Mapping[str, int]
 """Names and sizes of the parts of a flat vector, in order."""
 
 
 def save_policy(path: str | Path, model: bytes | ModelProto, card: PolicyCard) -> PolicyCard:
-    """Write a policy file, whole or not at all, after trying that it can be loaded.
+    """Write a policy file atomically, after checking that it can be loaded.
 
     Args:
         path: ends in ``.onnx``.
-        model: an ONNX model (see ``PolicyNetwork`` for its inputs and outputs), with all weights inside.
-        card: what it is; its ``sha256`` is replaced.
+        model: an ONNX model (see ``PolicyNetwork`` for its inputs and outputs) with all weights inside.
+        card: its card; ``sha256`` is replaced.
 
     Returns:
         The card with its ``sha256``.
 
     Raises:
-        FungraspError: the model or card is wrong, or the file can't be written; an older file is left as it
-            was.
+        FungraspError: the model or card is invalid, or the file can't be written; an existing file is kept.
     """
     path = Path(path)
     if path.suffix != SUFFIX:
@@ -92,14 +91,14 @@ def save_policy(path: str | Path, model: bytes | ModelProto, card: PolicyCard) -
 
 @guarded("policy")
 def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
-    """A policy, ready to run.
+    """Load a policy.
 
     Args:
-        path_or_name: a file, or the name of a policy that comes with the package.
+        path_or_name: a file, or the name of a built-in policy.
 
     Raises:
-        FungraspError: no such policy; it is damaged, changed, no policy or of another format; ONNX Runtime
-            refuses it (operators that it does not have, weights in another file) or is missing.
+        FungraspError: there is no such policy; the file is damaged, changed, not a policy or of another
+            format; ONNX Runtime is missing or rejects it (unknown operators, external weights).
     """
     path = _path(path_or_name)
     data = _read(path)
@@ -111,10 +110,11 @@ def load_policy(path_or_name: str | Path, threads: int = 1) -> PolicyNetwork:
 
 @guarded("policy")
 def read_card(path_or_name: str | Path) -> PolicyCard:
-    """The card of a policy; the file is checked for damage, and not run.
+    """Read the card of a policy. The file is checked for damage but not run.
 
     Raises:
-        FungraspError: no such policy; it is damaged, changed, no policy or of another format.
+        FungraspError: there is no such policy; the file is damaged, changed, not a policy or of another
+            format.
     """
     path = _path(path_or_name)
     data = _read(path)
@@ -125,15 +125,15 @@ def read_card(path_or_name: str | Path) -> PolicyCard:
 
 
 def list_policies() -> dict[str, Path]:
-    """Files of the policies that come with the package, by name."""
+    """Return the files of the built-in policies, by name."""
     return {path.stem: path for path in sorted(FOLDER.glob(f"*{SUFFIX}"))}
 
 
 def find_policy(name: str) -> Path:
-    """File of a policy that comes with the package.
+    """Return the file of a built-in policy.
 
     Raises:
-        UnknownNameError: there is none of this name.
+        UnknownNameError: there is no policy of this name.
     """
     policies = list_policies()
     if name not in policies:
@@ -142,15 +142,14 @@ def find_policy(name: str) -> Path:
 
 
 def servo_gains(hand: Hand) -> dict[str, tuple[float, float]]:
-    """Stiffness [N m/rad] and damping [N m s/rad] of each servo, by joint, in their order."""
+    """Return stiffness [N m/rad] and damping [N m s/rad] of each servo, by joint, in order."""
     return {joint: (servo.kp, servo.kd) for joint, servo in hand.actuators.items()}
 
 
 def hand_digest(hand: Hand) -> str:
-    """SHA-256 of what a hand's TOML and model file say, in hexadecimal.
+    """Return the SHA-256 of a hand's TOML and model file, in hexadecimal.
 
-    Comments, spaces and line ends don't count, nor do the hand's title and sources. Mesh files that a model
-    names are not looked into.
+    Comments, whitespace, title and sources of the hand are ignored. Mesh files of the model are not read.
 
     Raises:
         FungraspError: a file can't be read.
@@ -173,15 +172,15 @@ def check_fits(
     privileged_layout: Layout,
     rate: float,
 ) -> None:
-    """Refuse a policy that was made for something else.
+    """Check that a policy fits hand, observations and control rate.
 
     Args:
-        observation_layout: parts of the observation that it would get, in order.
-        privileged_layout: those of the privileged observation; not looked at for a student.
-        rate: how often it would act [Hz].
+        observation_layout: parts of the observation, in order.
+        privileged_layout: parts of the privileged observation; ignored for a student.
+        rate: control rate [Hz].
 
     Raises:
-        FungraspError: they differ; the message says in what.
+        FungraspError: the policy does not fit; the message lists the differences.
     """
     found = _hand_differences(card, hand)
     found += _layout_differences("observation", card.observation, observation_layout)
@@ -241,10 +240,10 @@ def _read(path: Path) -> bytes:
 
 
 def _sealed(model: bytes | ModelProto, text: str) -> bytes:
-    """An ONNX file with this text as its only card, whose digits are those of the file's digest.
+    """Return an ONNX file with this text as its only card, and insert the file's digest.
 
     Raises:
-        FungraspError: the package ``onnx`` is missing, or the bytes are no ONNX model.
+        FungraspError: the package ``onnx`` is missing, or the data are not an ONNX model.
     """
     try:
         import onnx
@@ -270,7 +269,7 @@ def _network(data: bytes, threads: int) -> PolicyNetwork:
 
 
 def _card(data: bytes) -> PolicyCard:
-    """The card in a file's bytes, once its digest is found right."""
+    """Return the card in a file's content, after checking the digest."""
     at = _digest_offset(data)
     said, found = data[at : at + DIGITS].decode("ascii", errors="replace"), _digest(data, at)
     if said != found:
@@ -278,11 +277,11 @@ def _card(data: bytes) -> PolicyCard:
             f"damaged or changed since it was saved: its SHA-256 is {found[:12]}..., "
             f"its card says {said[:12]}..."
         )
-    # What is run is arithmetic alone: no loops, functions or foreign operators.
+    # Only arithmetic is allowed: no loops, functions or foreign operators.
     check_operators(data)
     text = data[at - len(HEAD) :].decode(errors="surrogateescape")
     try:
-        # The card ends where its JSON does; what follows in the file is none of it.
+        # The card ends with its JSON value; the rest of the file follows.
         text = text[: json.JSONDecoder().raw_decode(text)[1]]
     except RecursionError as error:
         raise FungraspError("its policy card is nested too deeply") from error
@@ -292,7 +291,6 @@ def _card(data: bytes) -> PolicyCard:
 
 
 def _digest_offset(data: bytes) -> int:
-    """Where the digest's digits are."""
     head = HEAD.encode()
     if data.count(head) > 1:
         raise FungraspError("it has several policy cards")
@@ -310,16 +308,16 @@ def _digest(data: bytes, at: int) -> str:
 
 
 class PolicyNetwork:
-    """A policy's graph with its card. It keeps nothing between calls: its memory is handed in and out."""
+    """A policy's graph with its card. It is stateless: memory is passed in and returned."""
 
     def __init__(self, model: bytes, card: PolicyCard, threads: int = 1):
         """
         Args:
-            model: an ONNX file. Inputs ``observation`` [W, O] and any ``state_<x>`` [W, ...]; outputs
-                ``action`` [W, A], a ``next_state_<x>`` for each state, and any others. W must be left open.
+            model: an ONNX file with inputs ``observation`` [W, O] and any ``state_<x>`` [W, ...], outputs
+                ``action`` [W, A], a ``next_state_<x>`` for each state, and any others. W must be dynamic.
 
         Raises:
-            FungraspError: ONNX Runtime is missing or refuses the graph, or the graph is not as the card says.
+            FungraspError: ONNX Runtime is missing or rejects the graph, or the graph does not match the card.
         """
         self.card = card
         self._size = card.input_size
@@ -349,29 +347,29 @@ class PolicyNetwork:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of what the graph says besides the action and the next state."""
+        """Names of the graph's outputs besides the action and the next state."""
         return tuple(name for name in self._outputs if name != ACTION and not name.startswith(NEXT_STATE))
 
     def initial_state(self, worlds: int) -> State:
-        """What it remembers at the start of an episode: zeros, shape [worlds, ...] each. A policy without
-        memory has an empty one."""
+        """Return the memory at the start of an episode: zeros, shape [worlds, ...] each; empty for a policy
+        without memory."""
         return {name: np.zeros((worlds, *shape), kind) for name, (kind, shape) in self._states.items()}
 
     def __call__(
         self, observation: np.ndarray, state: Mapping[str, np.ndarray] | None = None
     ) -> tuple[np.ndarray, dict[str, np.ndarray], State]:
-        """One step in W worlds.
+        """Run one step in W worlds.
 
         Args:
-            observation: the card's ``inputs`` in a row, not normalized, shape [W, O].
-            state: from ``initial_state`` or the step before; only a policy without memory needs none.
+            observation: concatenated ``inputs`` of the card, not normalized, shape [W, O].
+            state: from ``initial_state`` or the previous step; may be None for a policy without memory.
 
         Returns:
-            The action, shape [W, A], as the graph gives it, neither scaled nor smoothed; the graph's other
-            outputs by name ("contacts", "forces", ...), each [W, ...]; the state for the next step.
+            The action, shape [W, A], neither scaled nor smoothed; the graph's other outputs by name
+            ("contacts", "forces", ...), shape [W, ...] each; the state for the next step.
 
         Raises:
-            FungraspError: a wrong shape or state, a number that is NaN or infinite (in or out), or the graph
+            FungraspError: a shape or state is wrong, an input or the action is NaN or infinite, or the graph
                 can't be computed.
         """
         observation = self._checked(observation)
@@ -404,7 +402,7 @@ class PolicyNetwork:
         return f"policy '{self.card.name}'"
 
     def _checked(self, observation: np.ndarray) -> np.ndarray:
-        """The array in single precision, after a check of its shape and that it is finite."""
+        """Return the array in single precision, after checking that its shape is right and it is finite."""
         given = np.asarray(observation)
         if given.ndim != 2 or given.shape[1] != self._size:
             layout = ", ".join(f"{part.name} {part.size}" for part in self.card.inputs)
@@ -436,12 +434,12 @@ class PolicyNetwork:
 
 
 def onnx_runtime() -> ModuleType:
-    """The package ``onnxruntime``, its telemetry off.
+    """Return the package ``onnxruntime`` with telemetry off.
 
     Raises:
         FungraspError: it is not installed.
     """
-    # The library reads it once, when it is loaded.
+    # The library reads this variable once, when it is loaded.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     try:
         import onnxruntime
@@ -464,7 +462,7 @@ def _session(model: bytes, threads: int) -> Any:
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    # Weights must lie in the file itself: others would be looked for in a folder that can't exist.
+    # Weights must be inside the file: external weights would be searched in a folder that can't exist.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     try:
         return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
