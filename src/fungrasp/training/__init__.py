@@ -2,5 +2,5 @@
 
 import os
 
-# rsl-rl's runner imports a package that looks for the program git, and fails where there is none.
+# rsl-rl's runner imports GitPython, which raises an error if git is not installed.
 os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")

@@ -1,5 +1,5 @@
-"""Distillation: a student imitates its teacher on episodes that it plays itself; from the teacher's folder to
-the student's, with any number of interruptions."""
+"""Distillation: a student imitates its teacher on episodes that the student plays. Interrupted distillations
+continue."""
 
 from __future__ import annotations
 
@@ -54,69 +54,70 @@ CHECKPOINT_ROUNDS = 10
 """Rounds between two checkpoints."""
 
 LARGEST_GRADIENT = 1.0
-"""Norm to which gradients of all weights together are cut."""
+"""Largest norm of the gradient of all weights; larger ones are scaled down."""
 
 ROUNDS = "rounds"
-"""Folder beside the checkpoint with the episodes that are learned from."""
+"""Folder of the replayed episodes, beside the checkpoint."""
 
 TRAINED_BY = ("seed", "variety", "environment", "ppo")
-"""Fields of a teacher's spec that a student needs."""
+"""Fields of a teacher's ``TrainSpec`` that a student needs."""
 
 
 @dataclass(frozen=True)
 class DistillProgress:
-    """Where a distillation stands."""
+    """Progress of a distillation."""
 
     steps: int
     """Control steps so far."""
     seconds: float
-    """Time that the training has taken so far [s]."""
+    """Duration of the training so far [s]."""
     success: float
-    """Share of the last episodes that succeeded, 0 to 1."""
+    """Success rate of the last episodes, 0 to 1."""
     imitation: float
-    """Loss L_act: squared difference from the teacher's actions."""
+    """Loss L_act: mean squared difference from the teacher's actions."""
     reconstruction: float
-    """Loss L_re of the inferred contacts."""
+    """Loss L_re of the estimated contacts."""
 
 
 @dataclass(frozen=True, eq=False)
 class TeacherRun:
-    """A teacher's training, as found in its folder."""
+    """A teacher's training, read from its folder."""
 
     folder: RunFolder
     """The training's folder."""
     hand: Hand
     """The robot hand."""
     spec: TrainSpec
-    """How the teacher was trained: ``TRAINED_BY``."""
+    """Settings of the teacher's training; only the fields ``TRAINED_BY`` are read."""
     objects: Mapping[str, ObjectModel]
     """Objects of the plans, by name."""
     library: PlanLibrary
-    """Plans that it was trained on."""
+    """Training plans."""
     data: tuple[TrainingData, ...]
-    """What it was trained on."""
+    """Training data."""
     licence: str
-    """Licence of the teacher's policy."""
+    """License of the teacher's policy."""
     plans: str
-    """``SEARCH`` if students follow the best of many plans; "" if the grasps' own."""
+    """``SEARCH`` if students follow the best of many plans; "" if they follow one plan per grasp."""
     shrink: float
-    """Factor on its corrections, and on those of its students."""
+    """Factor on the corrections of the teacher and its students."""
 
     def environment(self, seed: int, history: bool, threads: int = 0) -> TrainingEnvironment:
-        """Worlds like those that it was trained in. history: whether observations hold a student's."""
+        """Return an environment like that of the training. history: whether observations include a student's
+        history."""
         given = self.spec.environment
         settings = replace(given, history=history, residual=given.residual.shrunk(self.shrink))
         return TrainingEnvironment(self.library, self.objects, self.hand, settings, seed, threads)
 
 
 def read_teacher(folder: Path, objects: Path | None = None) -> TeacherRun:
-    """The training in a folder.
+    """Read the training of a teacher.
 
     Args:
-        objects: folder of meshes; where they were when it was trained if None.
+        objects: folder of meshes; the folder used in training if None.
 
     Raises:
-        FungraspError: no training is there, its plans are lost, or its hand or objects have changed.
+        FungraspError: the folder has no training, its plans are missing, or its hand or objects have changed.
     """
     run = RunFolder(folder)
     config = run.read_config()
@@ -158,14 +159,14 @@ def train_student(
     *,
     progress: Callable[[DistillProgress], None] = lambda p: None,
 ) -> Path:
-    """Distill a student, or go on distilling it.
+    """Distill a student, or continue a distillation.
 
     Returns:
         The student's file, ``student.onnx`` in the folder.
 
     Raises:
-        FungraspError: no such teacher, a folder of another training, a damaged checkpoint, or a file that
-            can't be written.
+        FungraspError: the teacher is missing or sees no contacts, the folder is of another training, a
+            checkpoint is damaged, or a file can't be written.
     """
     spec, folder = spec or StudentSpec(), Path(folder)
     steps, seed = int(spec.steps), spec.seed
@@ -187,7 +188,7 @@ def train_student(
     environment = teacher.environment(seed, history=True, threads=spec.threads)
     trainer = Trainer(environment, teacher.spec.ppo, seed)
     trainer.load(teacher.folder.checkpoint)
-    # The teacher's checkpoint holds its random numbers, too; the sensors draw from the same generator.
+    # The teacher's checkpoint also restores random states, including the generator of the sensors.
     environment.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
     with SummaryWriter(str(folder)) as events:
 
@@ -247,7 +248,7 @@ class Distillation:
         self.student.eval()
         self._optimizer = torch.optim.Adam(self.student.parameters(), lr=s.learning_rate)
         self._round = s.steps * environment.settings.worlds
-        """Control steps of a round."""
+        """Control steps per round."""
         self._wanted = max(1, round(steps / self._round))
         lowest = 0.1 * s.learning_rate
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimizer, self._wanted, lowest)
@@ -255,7 +256,7 @@ class Distillation:
         self._recent: deque[bool] = deque(maxlen=1000)
         self._rounds = 0
         self.seconds = 0.0
-        """Time of the rounds so far [s]."""
+        """Duration of the rounds so far [s]."""
 
     @property
     def steps(self) -> int:
@@ -264,17 +265,17 @@ class Distillation:
 
     @property
     def success(self) -> float:
-        """Share of the last episodes that succeeded; 0 before any has ended."""
+        """Success rate of the last episodes; 0 before the first has ended."""
         return float(np.mean(self._recent)) if self._recent else 0.0
 
     def learn(self, checkpoint: Path, progress: Callable[[DistillProgress], None]) -> None:
-        """Learn to the end.
+        """Learn until the end.
 
         Args:
-            checkpoint: where the state is kept, written atomically; if it is there, the training goes on.
+            checkpoint: file of the state, written atomically; if it exists, the training continues.
 
         Raises:
-            FungraspError: the checkpoint is damaged or of another training, or can't be written.
+            FungraspError: the checkpoint is damaged, of another training, or can't be written.
         """
         s, folder = self._settings, checkpoint.with_name(ROUNDS)
         if checkpoint.exists():
@@ -295,12 +296,13 @@ class Distillation:
                 self._save(checkpoint)
                 for path in sorted(folder.glob("*.pt"))[: -s.kept_rounds]:
                     path.unlink(missing_ok=True)
-                # As a distillation that goes on from here does: it ends as one that was never interrupted.
+                # Restart as a continued distillation does, so that interruptions do not change the result.
                 self._environment.restart()
         shutil.rmtree(folder, ignore_errors=True)
 
     def _played(self) -> tuple[TensorDict, torch.Tensor]:
-        """A round's episodes, shape [S W], and whether a world's episode was new, shape [S, W] bool."""
+        """Play a round. Return its steps, shape [S W], and whether each episode was new, shape [S, W]
+        bool."""
         environment, s = self._environment, self._settings
         actor = self._teacher if self._rounds < s.teacher_rounds else self.student
         begun = [torch.zeros(environment.settings.worlds, dtype=torch.bool)]
@@ -317,11 +319,11 @@ class Distillation:
         return batch, torch.stack(begun[:-1])
 
     def _parts(self) -> dict[str, Any]:
-        """What a checkpoint holds the state of, by name."""
+        """Return the parts whose states are in a checkpoint, by name."""
         return {"student": self.student, "optimizer": self._optimizer, "schedule": self._schedule}
 
     def _save(self, path: Path) -> None:
-        """Keep everything but the episodes that are learned from (see ``write_round``)."""
+        """Save everything except the replayed episodes (see ``write_round``)."""
         state = {name: part.state_dict() for name, part in self._parts().items()}
         state |= {"rounds": self._rounds, "seconds": self.seconds, "recent": torch.tensor(list(self._recent))}
         write_checkpoint(path, state | environment_state(self._environment))
@@ -341,14 +343,15 @@ class Distillation:
 
 
 def write_round(path: Path, batch: TensorDict, begun: torch.Tensor) -> None:
-    """Keep the episodes of a round in a file, so that an interrupted distillation goes on with them. Of the
-    histories, which are ten times as large as the rest, it holds what they can be made from again.
+    """Write the episodes of a round to a file, so that an interrupted distillation can continue. Histories,
+    which are ten times as large as the rest, are reduced to the data needed to rebuild them.
 
     Args:
-        batch: of S control steps of W worlds, shape [S W].
-        begun: whether a world's episode was new, shape [S, W] bool.
+        batch: S control steps of W worlds, shape [S W].
+        begun: whether each episode was new, shape [S, W] bool.
 
     Raises:
+        FungraspError: the file can't be written.
         FungraspError: the file can't be written.
     """
     parts = {name: batch[name] for name in ("robot", "privileged", "action")}
@@ -359,7 +362,7 @@ def write_round(path: Path, batch: TensorDict, begun: torch.Tensor) -> None:
 
 
 def read_rounds(folder: Path, numbers: range) -> list[TensorDict]:
-    """The rounds that are there.
+    """Read the existing rounds.
 
     Raises:
         FungraspError: a file is damaged.
@@ -374,7 +377,7 @@ def read_rounds(folder: Path, numbers: range) -> list[TensorDict]:
         for last, new in zip(state.pop("seen")[1:], state.pop("begun")[1:], strict=True):
             window = torch.where(new[:, None, None], 0.0, windows[-1])
             windows.append(torch.cat([window[:, 1:], last[:, None]], dim=1))
-        # Files of before have steps and worlds apart.
+        # Files of earlier versions have separate axes for steps and worlds.
         groups = {name: values.reshape(-1, values.shape[-1]) for name, values in state.items()}
         groups["history"] = torch.stack(windows).flatten(2).flatten(0, 1)
         found.append(TensorDict(groups, batch_size=[len(groups["robot"])]))
@@ -393,7 +396,7 @@ def _lost(folder: Path) -> PlanLibrary:
 
 
 def _objects(digests: Mapping[str, str], place: Path | None, folder: Path) -> dict[str, ObjectModel]:
-    """Objects by name, if they still are what they were."""
+    """Load objects by name, and check that they have not changed."""
     # The mass is set in each episode.
     things = {name: load_object(name, 1.0, place) for name in digests}
     for name, obj in things.items():

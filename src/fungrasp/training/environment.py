@@ -1,4 +1,4 @@
-"""Many worlds in which a policy learns: episodes that begin anew, each with another plan."""
+"""Parallel training worlds, in which episodes restart with new plans."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ from fungrasp.training.training_sets import PlanLibrary
 _log = logging.getLogger(__name__)
 
 HISTORY = 10
-"""Control steps that the encoder looks back on, the present one included."""
+"""Control steps in the encoder's window, including the current one."""
 
 Layout = tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkInputs:
-    """What the networks get, W worlds, in single precision."""
+    """Network inputs in W worlds, single precision."""
 
     robot: Array
-    """What a robot has, shape [W, O]."""
+    """Inputs from robot sensors, shape [W, O]."""
     privileged: Array
-    """Contacts that only a simulation knows, shape [W, P]."""
+    """True contacts, shape [W, P]."""
     value: Array
-    """What only the value network gets besides, shape [W, C]."""
+    """Additional inputs of the value network, shape [W, C]."""
     history: Array | None = None
-    """What a student's encoder sees, if kept, shape [W, HISTORY, H]."""
+    """Inputs of a student's encoder, shape [W, HISTORY, H]; None without history."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,11 @@ class Step:
     reward: Array
     """Weighted sum of the reward terms, shape [W]."""
     done: Array
-    """Episodes that ended, shape [W] bool."""
+    """Whether each episode ended, shape [W] bool."""
     success: Array
-    """Whether an episode that ended succeeded, shape [W] bool."""
+    """Whether an episode ended with success, shape [W] bool."""
     diverged: Array
-    """Episodes whose physics broke down, shape [W] bool."""
+    """Whether the simulation diverged, shape [W] bool."""
     terms: dict[str, Array]
     """Mean of each reward term over the worlds, by name."""
 
@@ -73,28 +73,29 @@ class EndedEpisodes:
     """The I episodes that ended in a step; NumPy arrays."""
 
     worlds: np.ndarray
-    """Where, shape [I] int."""
+    """Worlds of the episodes, shape [I] int."""
     success: np.ndarray
-    """Whether they succeeded, shape [I] bool."""
+    """Whether each episode succeeded, shape [I] bool."""
 
 
 class History:
-    """The last observations of W worlds, zeros before an episode's first."""
+    """The last observations of W worlds; zeros before an episode's first observation."""
 
     def __init__(self, worlds: int, size: int, on: Array):
         """
         Args:
-            size: H, numbers of a control step.
-            on: an array of the library and the device of what is seen.
+            size: H, number of values per control step.
+            on: array whose library and device are used.
         """
         xp = array_namespace(on)
         self.window = xp.zeros((worlds, HISTORY, size), dtype=xp.float32, device=on.device)
 
     def push(self, seen: Array, begun: np.ndarray) -> Array:
-        """The windows with one more control step, shape [W, HISTORY, H].
+        """Add a control step and return the windows, shape [W, HISTORY, H].
 
         Args:
-            seen: what the encoder gets of it, shape [W, H].
+            seen: encoder inputs of the step, shape [W, H].
+            begun: worlds whose episodes begin.
         """
         self.window[moved_to(self.window, begun)] = 0.0
         self.window = array_namespace(seen).concat([self.window[:, 1:], seen[:, None]], axis=1)
@@ -102,31 +103,31 @@ class History:
 
 
 class DeviceJitter:
-    """Jitter of sensors whose worlds are torch tensors (``fungrasp.task.sensors.Jitter``), from torch's
-    generator of the device, whose state is part of checkpoints."""
+    """Sensor noise for torch tensors (``fungrasp.task.sensors.Jitter``), from torch's generator of the
+    device, whose state is part of checkpoints."""
 
     def __init__(self, on: Array, seed: int):
-        """on: a tensor of the device and the number type."""
+        """on: tensor whose device and dtype are used."""
         import torch
 
         torch.manual_seed(seed)
         self._on = on
 
     def normal(self, *, size: tuple[int, int]) -> Array:
-        """Standard normal numbers."""
+        """Draw standard normal numbers."""
         return self._on.new_empty(size).normal_()
 
     def random(self, count: int, /) -> Array:
-        """Numbers from 0 to 1."""
+        """Draw numbers from 0 to 1."""
         return self._on.new_empty(count).uniform_()
 
 
 class TrainingEnvironment:
-    """W worlds in which one episode follows another.
+    """W worlds with successive episodes.
 
-    All that a control step is made of is on the device of the worlds: NumPy arrays, or torch tensors that
-    share memory with the physics. Episodes begin on the processor, which has to be told where one ended: that
-    is what comes from the device once in each ``step``.
+    All quantities of a control step are on the device of the worlds: NumPy arrays, or torch tensors that
+    share memory with the physics. Episodes begin on the CPU, so the flags of ended episodes are copied from
+    the device once per ``step``.
     """
 
     def __init__(
@@ -141,8 +142,8 @@ class TrainingEnvironment:
     ):
         """
         Args:
-            library: of plans of ``hand``.
-            physics: device and buffers of the worlds; their timestep is that of the settings.
+            library: plans of ``hand``.
+            physics: device and buffers of the worlds; the timestep is that of ``settings``.
         """
         s = self.settings = settings or EnvironmentSettings()
         self.library, self.hand = library, hand
@@ -153,47 +154,47 @@ class TrainingEnvironment:
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         engine = make_engine(scene, s.worlds, threads, tensors=True)
         self.on: Array = engine.object_pose
-        """An array of the library and the device that actions, observations and rewards are on."""
+        """Array with the library and device of actions, observations and rewards."""
         jitter = self.rng if is_numpy(self.on) else DeviceJitter(self.on, seed)
         self.episodes = LiftEnvironment(
             scene, s.worlds, s.randomization, self.protocol, jitter, engine=engine
         )
         self.tracker = PlanTracker(hand, objects, library.plans, s.worlds, s.residual, self.on)
         self._rows = np.zeros(s.worlds, dtype=int)
-        """The plan that each world follows, shape [W]."""
+        """Index of each world's plan, shape [W]."""
         distance = None if s.residual.base == "plan" else self.protocol.start_distance
         self.reward = LiftReward(hand, self.protocol.control_period, s.lift_goal, distance)
         self.success_of_group = np.full(int(library.group.max()) + 1, 0.5)
         """Running success rate of each grasp, shape [G]."""
         self.steps = 0
-        """Control steps of the training so far, of all worlds; they move the starts (``settings.widen``)."""
+        """Control steps of the training so far, of all worlds; used by ``settings.widen``."""
         self.processes = 1
-        """How many learn together, each in as many worlds of its own."""
+        """Number of training processes, each with its own worlds."""
         self.diverged = 0
-        """Episodes whose physics broke down so far."""
+        """Number of diverged episodes so far."""
         everyone = np.arange(s.worlds)
         self.ended = EndedEpisodes(everyone[:0], everyone[:0] > 0)
-        """What ended in the last step."""
+        """Episodes that ended in the last step."""
         self.begin(everyone)
         features, contacts, more = self._parts()
         self.layout = layout(network_parts(features, s.layout, encoder=False))
         self.privileged_layout, self.value_layout = layout(contacts), layout(more)
         self.encoder_layout = layout(encoder_parts(features, s.layout))
-        """Of what a student's encoder gets of a control step."""
+        """Layout of the encoder inputs of one control step."""
         self.student_layout = layout(network_parts(features, s.layout, encoder=True))
-        """Of what a student with an encoder gets."""
+        """Layout of the inputs of a student with an encoder."""
         encoded = sum(n for _, n in self.encoder_layout)
         self._history = History(s.worlds, encoded, self.on) if s.history else None
         self.observations = self._observe(everyone)
 
     @property
     def actions(self) -> int:
-        """Numbers in an action."""
+        """Size of an action."""
         return self.tracker.size
 
     def step(self, action: Array) -> Step:
-        """One control period in all worlds; where an episode ends, the next one begins, and ``observations``
-        are of its beginning. action: shape [W, A]."""
+        """Advance all worlds by one control period. Ended episodes restart, and ``observations`` are those of
+        the new ones. action: shape [W, A]."""
         step = self.advance(action)
         ended = self.end(step).worlds
         self.begin(ended)
@@ -201,8 +202,8 @@ class TrainingEnvironment:
         return step
 
     def advance(self, action: Array) -> Step:
-        """One control period in all worlds, no more: what has to ``end`` does so next, and ``begin``
-        anew; ``observations`` stay as they are. Nothing waits for the device. action: shape [W, A]."""
+        """Advance all worlds by one control period without ending episodes or updating ``observations``; call
+        ``end`` and ``begin`` next. This does not synchronize with the device. action: shape [W, A]."""
         episodes, tracker, s = self.episodes, self.tracker, self.settings
         self.steps += s.worlds * self.processes
         task, before = episodes.task, tracker.action
@@ -222,7 +223,7 @@ class TrainingEnvironment:
         return Step(reward, done, success, diverged, {name: _mean(v) for name, v in terms.items()})
 
     def end(self, step: Step) -> EndedEpisodes:
-        """Episodes that ended in a step, kept as ``ended``; what is begun depends on their success."""
+        """Return the episodes that ended in a step, store them as ``ended``, and update success rates."""
         flags = array_namespace(step.done).stack([step.done, step.success, step.diverged])
         done, success, diverged = np.asarray(flags if is_numpy(flags) else flags.cpu())
         self._report(np.flatnonzero(diverged))
@@ -232,34 +233,32 @@ class TrainingEnvironment:
         return self.ended
 
     def begin(self, ids: np.ndarray) -> None:
-        """New episodes in some worlds. ids: shape [I]; nothing happens if there is none."""
+        """Begin new episodes in some worlds. ids: shape [I]; may be empty."""
         if len(ids):
             self.tracker.begin(ids, self._begin(ids), self.episodes.observe())
             self._privileged = self.episodes.privileged()
 
     def named_observations(self, privileged: bool) -> dict[str, Array]:
-        """What the networks get of the worlds as they are now, without a history: by name of each part, of
-        shape [W, number] float32. privileged: the contacts, too."""
+        """Return the current network inputs without history, by name, each of shape [W, number] float32.
+        privileged: whether to include contacts."""
         features, contacts, _ = self._parts()
         parts = network_parts(features, self.settings.layout, encoder=False)
         parts |= contacts if privileged else {}
         return {name: limited(part) for name, part in parts.items()}
 
     def reseed(self, seed: int) -> None:
-        """Draw everything that is random here from another seed, as after construction; ``begin`` comes
-        next."""
+        """Reset the random state as in the constructor, with another seed; call ``begin`` next."""
         self.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
         self.success_of_group[:] = 0.5
 
     def restart(self) -> None:
-        """Begin new episodes in all worlds: what follows depends on the random numbers, the success rates and
-        the actions alone, so that it can be repeated from a checkpoint."""
+        """Begin new episodes in all worlds. The following steps then depend only on random state, success
+        rates and actions, so that they can be reproduced from a checkpoint."""
         everyone = np.arange(self.settings.worlds)
         self.begin(everyone)
         self.observations = self._observe(everyone)
 
     def _report(self, diverged: np.ndarray) -> None:
-        """Count and name worlds whose physics broke down."""
         self.diverged += len(diverged)
         rows = self._rows[diverged]
         for row, name in zip(rows.tolist(), self.library.plans.object_name[rows].tolist(), strict=True):
@@ -267,9 +266,9 @@ class TrainingEnvironment:
             _log.warning("physics broke down: object '%s', grasp %d, plan %d", name, grasp, row)
 
     def _begin(self, ids: np.ndarray) -> np.ndarray:
-        """New episodes in some worlds; the plans they follow, shape [I]."""
+        """Begin new episodes in some worlds, and return the indices of their plans, shape [I]."""
         s, plans, rng = self.settings, self.library.plans, self.rng
-        # Plans that sometimes hold teach most.
+        # Plans that hold only sometimes are the most informative.
         rate = self.success_of_group[self.library.group]
         chance = rate * (1 - rate) + 0.05
         rows = rng.choice(len(plans), size=len(ids), p=chance / chance.sum())
@@ -284,7 +283,7 @@ class TrainingEnvironment:
 
     @property
     def _widened(self) -> float:
-        """Share of the starts near the grasp that have given way by now."""
+        """Fraction of the starts near the grasp that are replaced by starts from the beginning."""
         if self.settings.widen is None:
             return 0.0
         first, last = self.settings.widen
@@ -309,14 +308,14 @@ class TrainingEnvironment:
 
 
 def _mean(values: Array) -> Array:
-    """Of the numbers that are finite."""
+    """Return the mean of the finite values."""
     xp = array_namespace(values)
     known = xp.isfinite(values)
     return xp.sum(xp.where(known, values, 0.0)) / xp.sum(xp.astype(known, values.dtype))
 
 
 def columns(layout: Layout, names: tuple[str, ...]) -> np.ndarray:
-    """Where some parts lie in a flat observation."""
+    """Return the columns of some parts in a flat observation."""
     starts = dict(
         zip([name for name, _ in layout], np.cumsum([0, *(n for _, n in layout)])[:-1], strict=True)
     )

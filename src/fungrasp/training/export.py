@@ -1,4 +1,4 @@
-"""Networks as policy files."""
+"""Export of networks to policy files."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from fungrasp.training.networks import StudentGraph, StudentModel
 OPSET = 18
 
 IN_SIMULATION = "Trained in simulation only."
-"""What the card of every policy says about its limits."""
+"""Limit stated in the card of every policy."""
 
 HALVED_FROM = 256
-"""Matrices of at least so many numbers are stored in half precision. Biases and what observations are
-normalized by stay as they are: they decide more and take no room."""
+"""Smallest size of matrices that are stored in half precision. Biases and normalization stay in single
+precision: they are small and matter more."""
 
 
 class Normalized(torch.nn.Module):
-    """A policy without memory for inference: normalizes what it sees, and gives the mean action."""
+    """A feed-forward policy for inference: normalizes observations and returns the mean action."""
 
     def __init__(self, actor: MLPModel):
         super().__init__()
@@ -46,10 +46,10 @@ class Normalized(torch.nn.Module):
 
 
 def graph(module: torch.nn.Module, inputs: dict[str, torch.Tensor], outputs: tuple[str, ...]) -> bytes:
-    """A module as an ONNX file, the first axis of everything left open.
+    """Export a module to ONNX, with a dynamic first axis of all inputs and outputs.
 
     Args:
-        inputs: examples by name, in the order of the module's arguments.
+        inputs: example inputs by name, in the order of the module's arguments.
     """
     module.eval().cpu()
     buffer = io.BytesIO()
@@ -69,10 +69,8 @@ def graph(module: torch.nn.Module, inputs: dict[str, torch.Tensor], outputs: tup
 
 
 def halved(model: bytes) -> bytes:
-    """An ONNX model whose large weights are stored in half precision, which halves the file; it still
-    computes in single precision.
-
-    Where a weight is beyond the range of half precision, it stays as it is.
+    """Store large weights of an ONNX model in half precision, which halves the file; computation stays in
+    single precision. Weights outside the range of half precision are not converted.
     """
     import onnx
     from onnx import helper, numpy_helper
@@ -88,7 +86,7 @@ def halved(model: bytes) -> bytes:
         single, half = weight.name, f"{weight.name}_half"
         network.graph.initializer[number].CopyFrom(numpy_helper.from_array(values.astype(np.float16), half))
         casts.append(helper.make_node("Cast", [half], [single], to=onnx.TensorProto.FLOAT))
-    # A node comes after those whose outputs it takes.
+    # A node must follow the nodes whose outputs it uses.
     nodes = [*casts, *network.graph.node]
     del network.graph.node[:]
     network.graph.node.extend(nodes)
@@ -105,11 +103,11 @@ def make_card(
     budget: Budget,
     **more: Any,
 ) -> PolicyCard:
-    """A card with what the hand and the training say.
+    """Make a card from the hand and the training.
 
     Args:
         kind: "teacher" or "student".
-        privileged: layout of the privileged observation; empty but for a teacher.
+        privileged: layout of the privileged observation; empty for a student.
     """
     gains = servo_gains(hand)
     sizes = (3, WRIST_ACTIONS - 3, len(gains))
@@ -135,7 +133,7 @@ def make_card(
 
 
 def policy_graph(actor: MLPModel, card: PolicyCard) -> bytes:
-    """A policy as an ONNX model. A student's state is the window of what its encoder looks back on."""
+    """Export a policy to ONNX. The state of a student is its encoder's window."""
     inputs = {"observation": torch.zeros(2, card.input_size)}
     if not isinstance(actor, StudentModel):
         return graph(Normalized(actor), inputs, ("action",))
@@ -145,9 +143,9 @@ def policy_graph(actor: MLPModel, card: PolicyCard) -> bytes:
 
 
 def export_policy(actor: MLPModel, path: Path, card: PolicyCard) -> None:
-    """Write the file of a trained policy.
+    """Write the policy file of a trained network.
 
     Raises:
-        FungraspError: it can't be written.
+        FungraspError: the file can't be written.
     """
     save_policy(path, policy_graph(actor, card), card)

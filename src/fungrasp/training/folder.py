@@ -1,7 +1,7 @@
-"""A training as a folder: settings, progress, and checkpoints, all that a training needs to go on.
+"""The folder of a training: settings, progress, and checkpoints, from which a training can continue.
 
-A checkpoint begins with a line that names the format, then the SHA-256 of the rest, then what ``torch.save``
-gives; a file that was cut off or changed is found before it is read. Reading never runs code of the file.
+A checkpoint consists of a line with the format, the SHA-256 of the rest, and the output of ``torch.save``.
+Truncated or modified files are detected before they are parsed. Reading never runs code from the file.
 """
 
 from __future__ import annotations
@@ -27,40 +27,39 @@ from fungrasp.training.environment import TrainingEnvironment
 
 LARGEST_PROGRESS = 1_000_000_000
 LARGEST_CHECKPOINT = 2_000_000_000
-"""Bytes of the largest files that are read."""
+"""Largest sizes of files that are read [bytes]."""
 
 MAGIC = b"fungrasp checkpoint 2\n"
-"""Its number goes up when checkpoints change."""
+"""First line of a checkpoint; its number increases with the format."""
 DIGITS = 64
 """Length of the digest in hexadecimal digits."""
 
 NAMED = 5
-"""Most differences to name in an error."""
+"""Largest number of differences listed in an error message."""
 
 
 class RunFolder:
     """The files of one training.
 
-    ``config.json`` holds ``settings``, which stay as they are for as long as the folder lives, and beside
-    them what may change from one call to the next.
+    ``config.json`` contains ``settings``, which must not change, and values that may change between calls.
     """
 
     def __init__(self, path: Path):
-        """path: of the folder; it need not exist."""
+        """path: path of the folder, which need not exist."""
         self.path = path
         self.config = path / "config.json"
         self.checkpoint = path / "checkpoint.pt"
         self.progress = path / "progress.jsonl"
 
     def claim(self, settings: Mapping[str, Any], **more: Any) -> None:
-        """Write ``config.json``, or go on with the training that is here.
+        """Write ``config.json``, or continue the training in the folder.
 
         Args:
-            settings: of the training; as JSON can hold them.
+            settings: settings of the training, JSON values.
 
         Raises:
-            FungraspError: the folder holds a training with other settings, something else, or can't be
-                written to.
+            FungraspError: the folder has a training with other settings or a checkpoint without settings, or
+                can't be written to.
         """
         wanted = json.loads(json.dumps(settings, allow_nan=False))
         if self.config.is_file():
@@ -78,10 +77,10 @@ class RunFolder:
             part.write_text(json.dumps(more | {"made_by": made_by, "settings": wanted}, indent=1) + "\n")
 
     def read_config(self) -> dict[str, Any]:
-        """What ``claim`` wrote.
+        """Read the file written by ``claim``.
 
         Raises:
-            FungraspError: there is none, or it is damaged.
+            FungraspError: the file is missing or damaged.
         """
         if not self.config.is_file():
             raise FungraspError(f"{self.path} is not the folder of a training: it has no {self.config.name}")
@@ -91,7 +90,7 @@ class RunFolder:
         raise FungraspError(f"{self.config} is damaged, or not of a training")
 
     def forget_progress_after(self, steps: int) -> None:
-        """Drop lines of progress that an interrupted training made after its last checkpoint.
+        """Remove lines of progress that an interrupted training wrote after its last checkpoint.
 
         Raises:
             FungraspError: the file can't be written.
@@ -108,7 +107,7 @@ class RunFolder:
             part.write_text("".join(kept))
 
     def add_progress(self, numbers: Mapping[str, Any]) -> None:
-        """One more line of progress.
+        """Append a line of progress.
 
         Raises:
             FungraspError: the file can't be written.
@@ -121,7 +120,7 @@ class RunFolder:
 
 
 def _differences(there: Any, here: Any, name: str = "") -> Iterator[str]:
-    """In words, one for each value that is not the same."""
+    """Describe each difference in words."""
     if isinstance(there, dict) and isinstance(here, dict):
         for key in dict.fromkeys([*there, *here]):
             yield from _differences(there.get(key), here.get(key), f"{name}.{key}".strip("."))
@@ -135,8 +134,7 @@ def _short(value: Any) -> str:
 
 
 def write_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
-    """Keep a state: tensors, numbers, text and tables of these. An older file is there until the new one is
-    whole.
+    """Write a state of tensors, numbers, text and nested dictionaries atomically.
 
     Raises:
         FungraspError: the file can't be written.
@@ -151,10 +149,10 @@ def write_checkpoint(path: Path, state: Mapping[str, Any]) -> None:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """What ``write_checkpoint`` kept.
+    """Read a state written by ``write_checkpoint``.
 
     Raises:
-        FungraspError: no such file, no checkpoint of this version, or one that is damaged.
+        FungraspError: the file is missing, damaged, or not a checkpoint of this version.
     """
     data = read_bytes(path, "checkpoint", LARGEST_CHECKPOINT)
     if not data.startswith(MAGIC):
@@ -176,7 +174,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
-    """What tells an environment from others, and what it has learned and drawn so far."""
+    """Return identifying data, success rates and random state of an environment."""
     device = torch.as_tensor(environment.observations.robot).device
     return {
         "hand": environment.hand.name,
@@ -192,10 +190,10 @@ def environment_state(environment: TrainingEnvironment) -> dict[str, Any]:
 
 
 def check_environment(path: Path, state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
-    """Refuse a checkpoint from another kind of environment.
+    """Check that a checkpoint fits an environment.
 
     Raises:
-        FungraspError: it is of another hand or of other observations.
+        FungraspError: the checkpoint is for another hand or other observations.
     """
     hand = environment.hand.name
     if state.get("hand") != hand:
@@ -210,7 +208,7 @@ def check_environment(path: Path, state: Mapping[str, Any], environment: Trainin
 
 
 def restore_environment(state: Mapping[str, Any], environment: TrainingEnvironment) -> None:
-    """Go on with the success rates and random numbers of a checkpoint; episodes begin anew."""
+    """Restore success rates and random state from a checkpoint, and begin new episodes."""
     rates = state["success_of_group"].numpy()
     if rates.shape == environment.success_of_group.shape:
         environment.success_of_group[:] = rates

@@ -1,6 +1,6 @@
-"""The lift test as an environment of Gymnasium, ``fungrasp/Lift-v0`` (extra ``gymnasium``).
+"""The lift test as a Gymnasium environment, ``fungrasp/Lift-v0`` (extra ``gymnasium``).
 
-Importing this module registers it; so does an id that names the module:
+It is registered by importing this module, or by an id with the module's name:
 ``gymnasium.make_vec("fungrasp.training.gymnasium_env:fungrasp/Lift-v0", num_envs=64, hand="allegro")``.
 """
 
@@ -38,7 +38,7 @@ ID = "fungrasp/Lift-v0"
 """Id of the environment."""
 
 Named = dict[str, np.ndarray]
-"""Observations by name of their part."""
+"""Observations, by name of the part."""
 
 
 def lift_worlds(
@@ -52,18 +52,18 @@ def lift_worlds(
     seed: int = 0,
     threads: int = 0,
 ) -> TrainingEnvironment:
-    """The worlds of the environments below; their arguments are these.
+    """Make the worlds of the environments below, which take the same arguments.
 
     Args:
-        grasps: human grasps, which are retargeted, or robot grasps of ``hand``; or a file of them, or
+        grasps: human grasps, which are retargeted, or robot grasps of ``hand``; or a file of grasps, or
             "builtin".
-        objects: of the grasps, or a folder of meshes ``<name>.obj``; built-in objects need none.
-        worlds: what episodes draw their worlds from: "nominal", "moderate", "wide" or "reality".
-        settings: of the episodes, but for the number of worlds, what they are drawn from, and histories,
-            which there are none of.
+        objects: objects of the grasps, or a folder of meshes ``<name>.obj``; None for built-in objects.
+        worlds: randomization of the worlds: "nominal", "moderate", "wide" or "reality".
+        settings: settings of the episodes, except number of worlds, randomization, and history, which is off.
 
     Raises:
-        FungraspError: a file or an object can't be read, grasps of another hand, or an unknown name.
+        FungraspError: a file or an object can't be read, the grasps are of another hand, or a name is
+            unknown.
     """
     hand = as_hand(hand)
     if not isinstance(grasps, HumanGraspSet | RobotGraspSet):
@@ -81,12 +81,12 @@ def lift_worlds(
 
 
 class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
-    """Many worlds of the lift test, each with a grasp of its own, simulated together.
+    """Parallel worlds of the lift test, each with its own grasp.
 
     Actions are residual actions in [-1, 1] (``ResidualSettings``). Observations are a dictionary of the parts
-    of the layout; ``gymnasium.wrappers.vector.FlattenObservation`` makes one array of them. Where an episode
-    ends, the next one begins in the same step; ``infos`` then holds "final_obs" and "success" of the one that
-    ended. All episodes terminate, none is truncated.
+    of the layout; ``gymnasium.wrappers.vector.FlattenObservation`` concatenates them. When an episode ends,
+    the next one begins in the same step, and ``infos`` contains "final_obs" and "success" of the ended one.
+    All episodes terminate; none is truncated.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
@@ -95,8 +95,8 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
         """
         Args:
             num_envs: W, number of worlds.
-            privileged: whether observations hold the contacts and forces that only a simulation knows.
-            arguments: of ``lift_worlds``, but for ``count``.
+            privileged: whether observations include true contacts and forces.
+            arguments: see ``lift_worlds``, without ``count``.
         """
         self.worlds = lift_worlds(num_envs, **arguments)
         self.num_envs, self._privileged = num_envs, privileged
@@ -108,8 +108,7 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Named, dict[str, Any]]:
-        """Begin new episodes in all worlds. seed: of everything random from here on; the first one of a
-        list."""
+        """Begin new episodes in all worlds. seed: new random seed; of a list, the first element is used."""
         seed = seed[0] if isinstance(seed, list) else seed
         super().reset(seed=seed, options=options)
         if seed is not None:
@@ -118,7 +117,7 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
         return _observe(self.worlds, self._privileged), {}
 
     def step(self, actions: np.ndarray) -> tuple[Named, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """One control period of 0.1 s. actions: shape [W, A]."""
+        """Advance by one control period of 0.1 s. actions: shape [W, A]."""
         step = self.worlds.advance(np.asarray(actions, dtype=np.float64))
         ended, infos = self.worlds.end(step).worlds, {}
         if len(ended):
@@ -134,16 +133,16 @@ class LiftVectorEnv(VectorEnv[Named, np.ndarray, np.ndarray]):
 
 
 class LiftEnv(gymnasium.Env[Named, np.ndarray]):
-    """One world of the lift test; see ``LiftVectorEnv``. ``info`` holds "success" where an episode ends."""
+    """One world of the lift test; see ``LiftVectorEnv``. At the end of an episode, ``info`` has "success"."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(self, privileged: bool = False, render_mode: None = None, **arguments: Any):
         """
         Args:
-            privileged: whether observations hold the contacts and forces that only a simulation knows.
-            render_mode: None; ``fungrasp evaluate --record`` and ``fungrasp view`` show episodes.
-            arguments: of ``lift_worlds``, but for ``count``.
+            privileged: whether observations include true contacts and forces.
+            render_mode: None; use ``fungrasp evaluate --record`` and ``fungrasp view`` to see episodes.
+            arguments: see ``lift_worlds``, without ``count``.
         """
         self.render_mode = render_mode
         self.worlds = lift_worlds(1, **arguments)
@@ -154,7 +153,7 @@ class LiftEnv(gymnasium.Env[Named, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Named, dict[str, Any]]:
-        """Begin a new episode. seed: of everything random from here on."""
+        """Begin a new episode. seed: new random seed."""
         super().reset(seed=seed, options=options)
         if seed is not None:
             self.worlds.reseed(seed)
@@ -162,7 +161,7 @@ class LiftEnv(gymnasium.Env[Named, np.ndarray]):
         return self._seen(), {}
 
     def step(self, action: np.ndarray) -> tuple[Named, float, bool, bool, dict[str, Any]]:
-        """One control period of 0.1 s. action: shape [A]."""
+        """Advance by one control period of 0.1 s. action: shape [A]."""
         step = self.worlds.advance(np.asarray(action, dtype=np.float64)[None])
         self.worlds.end(step)
         done = bool(step.done[0])

@@ -1,5 +1,5 @@
-"""Imitation: a network learns to do what another, or a planned motion, would, on episodes that it plays
-itself (DAgger, Ross et al., AISTATS 2011)."""
+"""Imitation of another network or of planned motions, on episodes that the learner plays itself (DAgger, Ross
+et al., AISTATS 2011)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fungrasp.training.networks import StudentModel, played, tensors
 from fungrasp.training.settings import DistillSettings
 
 PLANNED_ROUNDS = 2
-"""Rounds at the beginning in which the planned motions act."""
+"""Rounds at the start in which the planned motions act."""
 
 
 def imitated_round(
@@ -29,12 +29,12 @@ def imitated_round(
     """Play S control steps in W worlds.
 
     Args:
-        noise: standard deviation of the noise on the actions that are played.
-        choose: gives, for observations, what is played and what would have been right, shape [W, A] each.
+        noise: standard deviation of the noise added to played actions.
+        choose: returns, for observations, the actions to play and the target actions, shape [W, A] each.
         done: called after each step.
 
     Returns:
-        what is learned from, shape [S W]: observations, and the right actions as the group "action".
+        training data, shape [S W]: observations, and target actions as the group "action".
     """
     batches = []
     with torch.no_grad():
@@ -54,8 +54,8 @@ def learn_imitation(
     s: DistillSettings,
     largest_gradient: float | None = None,
 ) -> tuple[float, float]:
-    """Learn from the last rounds; gives the mean squared difference of the actions, and the mean loss L_re of
-    what a student's encoder infers."""
+    """Learn from the last rounds. Return the mean squared difference of the actions and the mean loss L_re of
+    a student's encoder."""
     losses = np.zeros(2)
     for _ in range(s.updates):
         part = kept[int(torch.randint(len(kept), ()))]
@@ -75,13 +75,13 @@ def learn_imitation(
 
 
 class MotionImitation:
-    """An actor learns to do what the planned motions would, where its own actions lead: how a policy that
-    follows none begins."""
+    """Trains an actor to imitate planned motions in the states that it reaches itself; for policies that do
+    not follow planned motions."""
 
     def __init__(self, actor: MLPModel, environment: TrainingEnvironment, steps: int):
         """
         Args:
-            environment: whose actions change something else than planned motions.
+            environment: environment whose actions do not correct planned motions.
             steps: control steps of each world in a round.
         """
         self._actor, self._environment, self._steps = actor, environment, steps
@@ -91,10 +91,10 @@ class MotionImitation:
         self._rounds = 0
 
     def round(self) -> tuple[float, float, list[bool]]:
-        """Play and learn once.
+        """Play and learn one round.
 
         Returns:
-            mean reward, mean loss, and whether each episode that ended succeeded.
+            mean reward, mean loss, and whether each ended episode succeeded.
         """
         environment, actor, s = self._environment, self._actor, self._settings
         rewards: list[float] = []
@@ -113,6 +113,6 @@ class MotionImitation:
         self._rounds += 1
         loss = sum(learn_imitation(actor, self._optimizer, self._kept, s))
         with torch.inference_mode():
-            # What is reported of the noise is of the last actions.
+            # Progress reports the noise of the last distribution.
             actor(tensors(environment.observations), stochastic_output=True)
         return float(np.mean(rewards)), loss, ended

@@ -1,4 +1,5 @@
-"""Learning curves: how a policy does on fixed grasps while it learns, as its file would act then."""
+"""Learning curves: performance of a policy on fixed grasps during training, as its exported file would
+act."""
 
 from __future__ import annotations
 
@@ -25,30 +26,30 @@ from fungrasp.training.training_sets import PlanLibrary
 
 CURVE, DRAWING = "curve.csv", "curve.svg"
 GRASPS = 48
-"""Most grasps that a curve is measured on: about 4,000 control steps."""
+"""Largest number of grasps of a curve: about 4,000 control steps."""
 LARGEST = 100_000_000
-"""Bytes of the largest curve that is read."""
+"""Largest size of a curve file that is read [bytes]."""
 
 
 class CurvePoint(NamedTuple):
-    """What a policy reached after some training."""
+    """Performance of a policy at one time of the training."""
 
     steps: int
     """Control steps of the training."""
     seconds: float
-    """Time that they took [s], earlier points of the curve included."""
+    """Duration of the training [s], including earlier points of the curve."""
     success: float
-    """Share of the grasps that succeeded."""
+    """Success rate."""
     held_as_shown: float
-    """Share of the grasps that were held as shown; NaN where a curve is older than this number."""
+    """Share of the grasps held as shown; NaN in files of earlier versions."""
     contact_ratio: float
-    """Share of the target links in contact, mean over the hold; zero where the object was lost before."""
+    """Share of the target links in contact, mean over the hold; zero for objects lost before."""
     slip_mm_s: float
-    """Mean slip of the objects that were held [mm/s]; NaN without any."""
+    """Mean slip of the held objects [mm/s]; NaN if there are none."""
 
 
 class LearningCurve:
-    """The curve of one training, in its folder."""
+    """The learning curve of one training, in its folder."""
 
     def __init__(
         self,
@@ -62,10 +63,10 @@ class LearningCurve:
     ):
         """
         Args:
-            library: with the grasps that it is measured on, the first plan of each; ``GRASPS`` drawn from
-                them if there are more.
-            environment: of the training, which is left alone. The worlds are drawn once from what its worlds
-                are drawn from: all points are measured in the same ones.
+            library: plans; the curve uses the first plan of each grasp, and ``GRASPS`` random grasps if there
+                are more.
+            environment: training environment, which is not changed. Its randomization is sampled once: all
+                points are measured in the same worlds.
         """
         self._path, self._every, self._seed, self._threads = folder / CURVE, every, seed, threads
         self._hand, self._objects = environment.hand, objects
@@ -79,10 +80,10 @@ class LearningCurve:
         timestep = environment.settings.timestep
         self._scene = build_scene(self._hand, sizes, SceneSettings(timestep=timestep))
         self.points: list[CurvePoint] = []
-        """In the order of their steps."""
+        """Points in the order of their steps."""
 
     def resume(self, steps: int) -> None:
-        """Go on from a checkpoint. steps: of the training so far; later points are dropped.
+        """Continue from a checkpoint. steps: steps of the training so far; later points are removed.
 
         Raises:
             FungraspError: the file is damaged or can't be written.
@@ -94,11 +95,11 @@ class LearningCurve:
     def update(
         self, steps: int, seconds: float, network: Callable[[], PolicyNetwork], finished: bool
     ) -> None:
-        """Measure a point if it is time: after the first update of the training, after the last, and in
-        between once in every so many steps.
+        """Measure a point if it is due: after the first and the last update of the training, and otherwise
+        once every ``every`` steps.
 
         Args:
-            network: makes that of the policy as it is by now.
+            network: returns the current policy network.
 
         Raises:
             FungraspError: a file can't be written.
@@ -138,10 +139,10 @@ class LearningCurve:
 
 
 def read_curve(path: Path) -> list[CurvePoint]:
-    """The points of a ``curve.csv``.
+    """Read a ``curve.csv``.
 
     Raises:
-        FungraspError: it can't be read, or is none.
+        FungraspError: the file can't be read or is not a learning curve.
     """
     rows = list(csv.reader(read_bytes(path, "learning curve", LARGEST).decode(errors="replace").splitlines()))
     try:
@@ -153,18 +154,18 @@ def read_curve(path: Path) -> list[CurvePoint]:
 
 
 ACROSS = ((0, 1e-6, "control steps [millions]"), (1, 1 / 60, "time [min]"))
-"""Column, factor and title of what the panels beside each other are over."""
+"""Column, factor and title of the horizontal axis of each panel column."""
 DOWN = (
     (2, "success", (0.0, 1.0)),
     (3, "held as shown", (0.0, 1.0)),
     (4, "contact ratio", (0.0, 1.0)),
     (5, "slip [mm/s]", None),
 )
-"""Column, title and limits of what the panels below each other show."""
+"""Column, title and limits of the vertical axis of each panel row."""
 
 
 def curve_svg(points: np.ndarray) -> str:
-    """Success, share held as shown, contact ratio and slip over control steps and over time.
+    """Plot success, share held as shown, contact ratio and slip over control steps and time.
 
     Args:
         points: columns of ``CurvePoint``, shape [N, 6].

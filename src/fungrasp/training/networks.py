@@ -1,6 +1,5 @@
-"""The networks: actor and value network of a teacher and the noise with which it explores; and the student's,
-in which an LSTM infers the contacts from how the joints move and the teacher's network acts on them (section
-IV.C.1 of the paper)."""
+"""Networks: actor, value network and exploration noise of a teacher; and a student, whose LSTM infers
+contacts from joint motion as inputs of the teacher's network (section IV.C.1 of the paper)."""
 
 from __future__ import annotations
 
@@ -20,8 +19,8 @@ from fungrasp.training.settings import HIDDEN, Sees
 
 
 class ColoredGaussian(GaussianDistribution):
-    """Normal actions whose noise is correlated in time while the worlds are played, as in Eberhard et al.,
-    "Colored Noise in PPO" (AAAI 2024); its probabilities are those of independent noise."""
+    """Gaussian actions with noise that is correlated in time during rollouts (Eberhard et al., "Colored Noise
+    in PPO", AAAI 2024); probabilities are those of independent noise."""
 
     def __init__(
         self,
@@ -36,11 +35,11 @@ class ColoredGaussian(GaussianDistribution):
         self._noise = torch.randn(worlds, output_dim, device=device)
 
     def restart(self) -> None:
-        """Forget the noise so far."""
+        """Draw new noise."""
         self._noise = torch.randn_like(self._noise)
 
     def sample(self) -> torch.Tensor:
-        """Shape [W, A]; independent where the batch is not that of the worlds."""
+        """Draw actions, shape [W, A]; independent if the batch size is not W."""
         if len(self.mean) != len(self._noise):
             return super().sample()
         self._noise = self._correlation * self._noise + self._fresh * torch.randn_like(self._noise)
@@ -48,8 +47,8 @@ class ColoredGaussian(GaussianDistribution):
 
 
 class StudentModel(MLPModel):
-    """An actor for rsl-rl that sees the groups ``robot`` and ``history``; ``privileged`` is what its encoder
-    learns to infer."""
+    """An rsl-rl actor with the observation groups ``robot`` and ``history``; its encoder learns to infer
+    ``privileged``."""
 
     def __init__(
         self,
@@ -66,10 +65,10 @@ class StudentModel(MLPModel):
     ):
         """
         Args:
-            obs_groups: not looked at.
-            layout: of all that it gets (``TrainingEnvironment.student_layout``): the group ``robot``, then
-                what only its encoder needs.
-            encoder: what of it the encoder gets.
+            obs_groups: ignored.
+            layout: layout of all inputs (``TrainingEnvironment.student_layout``): the group ``robot``, then
+                inputs of the encoder only.
+            encoder: layout of the encoder's inputs.
         """
         super().__init__(obs, {obs_set: ["robot", "privileged"]}, obs_set, output_dim, **settings)
         self.robot_size = int(obs["robot"].shape[-1])
@@ -84,35 +83,36 @@ class StudentModel(MLPModel):
         self.head = torch.nn.Linear(units, 2 * self.links)
 
     def infer(self, window: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Contacts as probabilities and scaled forces, [W, L] each. window: shape [W, HISTORY, H]."""
+        """Return contact probabilities and scaled forces, shape [W, L] each. window: shape [W, HISTORY,
+        H]."""
         normaliser = cast(EmpiricalNormalization, self.obs_normalizer)
         mean, std = self._scaling(normaliser.mean, 0.0), self._scaling(normaliser.std, 1.0)
         hidden, _ = self.encoder((window - mean) / (std + normaliser.eps))
-        # Zeros where nothing is estimated: the network then is as large, and knows nothing of the contacts.
+        # Without estimates, use zeros: the network has the same size but no contact information.
         inferred = torch.sigmoid(self.head(hidden[:, -1])) * float(self.estimates)
         contacts, forces = inferred.split(self.links, dim=-1)
         return contacts, forces
 
     def _scaling(self, known: torch.Tensor, other: float) -> torch.Tensor:
-        """Mean or standard deviation of what the encoder gets. Of what the network does not get, none is
-        learned: it is of the order of one."""
+        """Return mean or standard deviation of the encoder's inputs. Inputs of the encoder only have no
+        learned normalization; they are of the order of one."""
         among = self.history_columns < self.robot_size
         return torch.where(among, known[torch.where(among, self.history_columns, 0)], other)
 
     def act(self, robot: torch.Tensor, contacts: torch.Tensor, forces: torch.Tensor) -> torch.Tensor:
-        """The network's input, normalized, with inferred contacts."""
+        """Return the normalized network input with inferred contacts."""
         targets = robot[:, self.target_columns]
         return self.obs_normalizer(torch.cat([robot, contacts, targets - contacts, forces], dim=-1))
 
     def get_latent(
         self, obs: TensorDict, masks: torch.Tensor | None = None, hidden_state: Any = None
     ) -> torch.Tensor:
-        """Input of the network."""
+        """Return the network input."""
         window = obs["history"].unflatten(-1, (HISTORY, -1))
         return self.act(obs["robot"], *self.infer(window))
 
     def reconstruction_loss(self, obs: TensorDict) -> torch.Tensor:
-        """L_re of the paper: squared errors of contacts and of scaled forces."""
+        """Return L_re of the paper: mean squared errors of contacts and scaled forces."""
         contacts, forces = self.infer(obs["history"].unflatten(-1, (HISTORY, -1)))
         true = obs["privileged"]
         return ((contacts - true[:, : self.links]) ** 2).mean() + (
@@ -120,13 +120,13 @@ class StudentModel(MLPModel):
         ).mean()
 
     def take_over(self, teacher: MLPModel) -> None:
-        """Begin with a teacher's network and normalisation."""
+        """Copy a teacher's network and normalization."""
         self.mlp.load_state_dict(teacher.mlp.state_dict())
         self.obs_normalizer.load_state_dict(teacher.obs_normalizer.state_dict())
 
 
 class StudentGraph(torch.nn.Module):
-    """A student for inference: one step, its window explicit."""
+    """A student for inference: one step, with its window as input and output."""
 
     def __init__(self, student: StudentModel):
         super().__init__()
@@ -135,7 +135,7 @@ class StudentGraph(torch.nn.Module):
     def forward(
         self, observation: torch.Tensor, state_history: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Action, contacts, scaled forces and the next window."""
+        """Return action, contacts, scaled forces and the next window."""
         present = observation[:, self.student.history_columns]
         window = torch.cat([state_history[:, 1:], present[:, None]], dim=1)
         contacts, forces = self.student.infer(window)
@@ -146,7 +146,7 @@ class StudentGraph(torch.nn.Module):
 def make_networks(
     environment: TrainingEnvironment, sees: Sees, hidden: tuple[int, ...], noise: float, correlation: float
 ) -> tuple[MLPModel, MLPModel]:
-    """Actor, whose actions hardly change the plan at first, and value network."""
+    """Make an actor, whose initial actions are small, and a value network."""
     observations = tensors(environment.observations)
     groups = {
         "actor": ["robot", "privileged"] if sees == "contacts" else ["robot"],
@@ -186,7 +186,7 @@ def make_networks(
 def make_student(
     environment: TrainingEnvironment, hidden: tuple[int, ...] = HIDDEN, estimates: bool = True
 ) -> StudentModel:
-    """An untrained student for an environment that keeps a history."""
+    """Make an untrained student for an environment with history."""
     observations = tensors(environment.observations)
     return StudentModel(
         observations,
@@ -203,7 +203,7 @@ def make_student(
 
 
 def tensors(observations: NetworkInputs) -> TensorDict:
-    """NetworkInputs as rsl-rl wants them: a group each. Nothing is copied."""
+    """Convert ``NetworkInputs`` to groups for rsl-rl, without copying."""
     groups = {name: torch.as_tensor(getattr(observations, name)) for name in ("robot", "privileged", "value")}
     if observations.history is not None:
         groups["history"] = torch.as_tensor(observations.history).flatten(1)
@@ -211,5 +211,5 @@ def tensors(observations: NetworkInputs) -> TensorDict:
 
 
 def played(environment: TrainingEnvironment, action: torch.Tensor) -> Array:
-    """A network's actions as its worlds take them."""
+    """Convert a network's actions for its worlds."""
     return action.numpy() if is_numpy(environment.on) else action

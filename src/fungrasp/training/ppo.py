@@ -1,4 +1,4 @@
-"""The teacher: PPO, by rsl-rl-lib's runner; with ``torchrun``, several processes that learn together."""
+"""Training of teachers with PPO (rsl-rl-lib); with ``torchrun``, several processes learn together."""
 
 from __future__ import annotations
 
@@ -40,30 +40,30 @@ from fungrasp.training.networks import ColoredGaussian, StudentModel, make_netwo
 from fungrasp.training.settings import PpoSettings
 
 VALUE_UPDATES = 5
-"""Updates after an imitation in which the value network alone learns: the actor would unlearn what it has
-while nothing is known of its returns."""
+"""Updates after an imitation in which only the value network learns. Without them, the actor would lose what
+it has imitated before returns are known."""
 
 NOISE_CORRELATION: Mapping[Base, float] = {"plan": 0.95, "guided": 0.0}
-"""Correlation of the exploration noise from one control step to the next, by what an action changes. Fingers
-that move from where they are add up their noise: at 0.95, with the noise of ``train``'s example without a
-planned motion, by 2 rad in 3 s, at 0 by 0.5 rad."""
+"""Correlation of exploration noise between control steps, by base of the actions. Finger targets relative to
+the measured joints accumulate noise: with the noise of ``train``'s example without a planned motion, by 2 rad
+in 3 s at 0.95, and by 0.5 rad at 0."""
 
 
 class Processes(NamedTuple):
-    """How many there are, and which of them this is."""
+    """Number of processes, and index of this one."""
 
     count: int = 1
-    """All of them."""
+    """Number of processes."""
     number: int = 0
-    """This one's, from 0."""
+    """Index of this process."""
 
     @property
     def first(self) -> bool:
-        """Whether this is the one that writes files and prints."""
+        """Whether this process writes files and prints."""
         return self.number == 0
 
     def wait(self) -> None:
-        """For all others to come here."""
+        """Wait until all processes have called this."""
         if self.count > 1:
             torch.distributed.barrier()
 
@@ -73,10 +73,10 @@ ALONE = Processes()
 
 @contextmanager
 def joined(device: Device) -> Iterator[Processes]:
-    """Connect the processes that were started together, each with a GPU of its own.
+    """Connect the processes that were started together, each with its own GPU.
 
     Raises:
-        FungraspError: they find no connection.
+        FungraspError: the processes cannot connect.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield Processes()
@@ -96,14 +96,14 @@ def joined(device: Device) -> Iterator[Processes]:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training stands."""
+    """Progress of a training."""
 
     steps: int
     """Control steps so far."""
     seconds: float
-    """Time that the training has taken so far [s]."""
+    """Duration of the training so far [s]."""
     success: float
-    """Share of the last episodes that succeeded, exploration noise included."""
+    """Success rate of the last episodes, with exploration noise."""
     reward: float
     """Mean reward per control step."""
     noise: float
@@ -117,7 +117,7 @@ class Progress:
 
 
 class Worlds(VecEnv):
-    """A ``TrainingEnvironment`` as the runner takes it; keeps what progress is told from."""
+    """A ``TrainingEnvironment`` with the runner's interface; collects data for ``Progress``."""
 
     def __init__(self, environment: TrainingEnvironment, reward_scale: float):
         """reward_scale: factor on the reward."""
@@ -125,17 +125,17 @@ class Worlds(VecEnv):
         self.num_envs, self.num_actions = environment.settings.worlds, environment.actions
         self.device, self.cfg = str(self.get_observations().device), {}
         self.recent: deque[bool] = deque(maxlen=1000)
-        """Whether the last episodes succeeded."""
+        """Success of each of the last episodes."""
         self._rewards: list[Array] = []
         self._terms: list[dict[str, Array]] = []
 
     def get_observations(self) -> TensorDict:
-        """Of the worlds as they are now."""
+        """Return the current observations."""
         return tensors(self.environment.observations)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """One control period."""
-        # The runner calls under inference mode, whose tensors nothing else might change in place.
+        """Advance by one control period."""
+        # The runner calls this in inference mode, whose tensors cannot be changed in place elsewhere.
         with torch.inference_mode(False), torch.no_grad():
             step = self.environment.step(played(self.environment, actions.clone()))
         self.recent.extend(self.environment.ended.success.tolist())
@@ -145,7 +145,7 @@ class Worlds(VecEnv):
         return self.get_observations(), reward, torch.as_tensor(step.done), {}
 
     def means(self) -> tuple[float, dict[str, float]]:
-        """Mean reward, and mean of each of its terms, since the last call."""
+        """Return mean reward and mean of each reward term since the last call."""
         reward = float(np.mean([float(reward) for reward in self._rewards]))
         names = self._terms[0]
         terms = {name: float(np.mean([float(t[name]) for t in self._terms])) for name in names}
@@ -155,8 +155,8 @@ class Worlds(VecEnv):
 
 
 class AdaptedPpo(PPO):
-    """PPO whose value network has a learning rate of its own, and whose actor's is adapted after each update
-    to how much the policy changed. Teaches a student's encoder the contacts besides."""
+    """PPO with a separate learning rate of the value network. The actor's learning rate adapts to the change
+    of the policy in each update. For a student, it also trains the encoder."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class AdaptedPpo(PPO):
         settings: PpoSettings,
         processes: Mapping[str, int] | None = None,
     ):
-        """processes: as rsl-rl wants it, of several that learn together."""
+        """processes: multi-GPU configuration of rsl-rl; None for a single process."""
         s = self._settings = settings
         self._environment = environment
         self.steps = 0
@@ -195,8 +195,8 @@ class AdaptedPpo(PPO):
         if self.is_multi_gpu:
             self.broadcast_parameters()
         self.batch = s.steps * worlds * self.gpu_world_size
-        """Control steps of an update, of all processes."""
-        # The actor's steps are small against those the value network needs.
+        """Control steps per update, of all processes."""
+        # The value network needs larger steps than the actor.
         self.optimizer = torch.optim.Adam(
             [
                 {"params": list(actor.parameters()), "lr": s.learning_rate},
@@ -209,18 +209,18 @@ class AdaptedPpo(PPO):
 
     @staticmethod
     def construct_algorithm(obs: TensorDict, env: VecEnv, cfg: dict, device: str) -> AdaptedPpo:
-        """As the runner asks for it."""
+        """Construct the algorithm for the runner."""
         assert isinstance(env, Worlds)
         return AdaptedPpo(env.environment, cfg["settings"], cfg["multi_gpu"])
 
     def compute_returns(self, obs: TensorDict) -> None:
-        """Of the batch; the policy's actions in its last observations are kept, to compare them."""
+        """Compute returns, and store the action distribution at the last observations for ``update``."""
         super().compute_returns(obs)
         self.actor(obs, stochastic_output=True)
         self._before = obs, tuple(p.clone() for p in self.actor.output_distribution_params)
 
     def update(self) -> dict[str, float]:
-        """Learn from the batch; gives losses by name."""
+        """Learn from the batch and return losses by name."""
         report_problems(self._environment.episodes.engine)
         s, group = self._settings, self.optimizer.param_groups[0]
         rate = group["lr"]
@@ -235,7 +235,7 @@ class AdaptedPpo(PPO):
         return losses
 
     def _reconstruct(self, student: StudentModel) -> float:
-        """Teach a student's encoder the contacts of the last batch; gives its last loss."""
+        """Train a student's encoder on the contacts of the last batch, and return the last loss."""
         kept = self.storage.observations.flatten(0, 1)
         loss = torch.zeros(())
         for rows in torch.randperm(len(kept), device=kept.device).split(1024):
@@ -248,10 +248,10 @@ class AdaptedPpo(PPO):
         return float(loss.detach())
 
     def _adapt(self, observations: TensorDict, before: tuple[torch.Tensor, ...]) -> float:
-        """Change the actor's learning rate so that an update changes the policy as much as wanted.
+        """Adapt the actor's learning rate to the target KL divergence.
 
         Returns:
-            How much the last one did.
+            KL divergence of the last update.
         """
         with torch.inference_mode():
             self.actor(observations, stochastic_output=True)
@@ -268,33 +268,33 @@ class AdaptedPpo(PPO):
         return found
 
     def save(self) -> dict[str, Any]:
-        """Networks and optimizers."""
+        """Return the states of networks and optimizers."""
         state = super().save()
         if isinstance(self.actor, StudentModel):
             state["encoder_optimizer_state_dict"] = self._encoder_optimizer.state_dict()
         return state
 
     def load(self, loaded_dict: dict, load_cfg: dict | None, strict: bool) -> bool:
-        """Networks and, without ``load_cfg``, optimizers."""
+        """Load networks and, without ``load_cfg``, optimizers."""
         if load_cfg is None and isinstance(self.actor, StudentModel):
             self._encoder_optimizer.load_state_dict(loaded_dict["encoder_optimizer_state_dict"])
         return super().load(loaded_dict, load_cfg, strict)
 
 
 class _Reports(Logger):
-    """Passes on what the runner has to log after an update, and writes nothing."""
+    """Forwards the runner's log after an update, and writes nothing."""
 
     def __init__(self, report: Callable[[dict[str, float]], None]):
         self._report, self.log_dir, self.writer, self.disable_logs = report, None, None, True
 
     def log(self, **numbers: Any) -> None:
-        """An update's losses."""
+        """Forward an update's losses."""
         self._report(numbers["loss_dict"])
 
 
 class Trainer(OnPolicyRunner):
-    """PPO on a ``TrainingEnvironment``: collects and learns as rsl-rl's runner does; counts control steps,
-    keeps checkpoints of its own, and can begin with an imitation."""
+    """PPO on a ``TrainingEnvironment`` with rsl-rl's runner. It counts control steps, has its own
+    checkpoints, and can begin with an imitation."""
 
     alg: AdaptedPpo
 
@@ -307,7 +307,7 @@ class Trainer(OnPolicyRunner):
     ):
         """
         Args:
-            processes: that learn together, each in an environment of its own.
+            processes: training processes, each with its own environment.
         """
         torch.manual_seed(seed + processes.number)
         self.environment, self._seed, self._processes = environment, seed, processes
@@ -317,12 +317,12 @@ class Trainer(OnPolicyRunner):
         config = {"algorithm": {"class_name": AdaptedPpo}, "settings": s, "num_steps_per_env": s.steps}
         super().__init__(self._worlds, config | {"check_for_nan": False}, None, str(self._worlds.device))
         self.seconds = 0.0
-        """Time of the training so far [s], earlier runs included."""
+        """Duration of the training so far [s], including earlier runs."""
         self._begun = False
-        """Whether its networks come from another training."""
+        """Whether the networks come from another training."""
 
     def _configure_multi_gpu(self) -> None:
-        """The process group is there (``joined``), and parameters are sent once, by the algorithm."""
+        """Use the process group of ``joined``; the algorithm broadcasts parameters once."""
         self.is_distributed, self.gpu_local_rank = False, 0
         self.gpu_world_size, self.gpu_global_rank = self._processes
         several = {"global_rank": self.gpu_global_rank, "world_size": self.gpu_world_size}
@@ -330,17 +330,17 @@ class Trainer(OnPolicyRunner):
 
     @property
     def steps(self) -> int:
-        """Control steps so far, of all processes, earlier runs included."""
+        """Control steps so far, of all processes, including earlier runs."""
         return self.alg.steps
 
     @property
     def actor(self) -> MLPModel:
-        """The policy's network."""
+        """The policy network."""
         return self.alg.get_policy()
 
     @property
     def success(self) -> float:
-        """Share of the last episodes that succeeded; 0 before any has ended."""
+        """Success rate of the last episodes; 0 before the first has ended."""
         return float(np.mean(self._worlds.recent)) if self._worlds.recent else 0.0
 
     def learn_until(
@@ -350,13 +350,13 @@ class Trainer(OnPolicyRunner):
         checkpoint: Path | None = None,
         every: int = 20,
     ) -> None:
-        """Go on until this many control steps have been made in all.
+        """Learn until a total number of control steps.
 
         Args:
-            steps: since the beginning, earlier runs included.
-            checkpoint: where to keep the state, written atomically.
-            every: updates between two checkpoints, at which all episodes begin anew: a training that goes on
-                from one ends as if it had never been interrupted.
+            steps: total number, including earlier runs.
+            checkpoint: file of the state, written atomically.
+            every: updates between two checkpoints. All episodes restart at a checkpoint, so that
+                interruptions do not change the result.
         """
         start, before = perf_counter(), self.seconds
 
@@ -378,7 +378,7 @@ class Trainer(OnPolicyRunner):
                 self.alg.steps += self.alg.batch
                 told({"imitation": loss}, reward, {})
                 if self.steps < self.settings.imitate:
-                    # An imitation that was interrupted begins anew: it takes a few minutes.
+                    # An interrupted imitation starts again: it takes only a few minutes.
                     continue
             else:
                 left = math.ceil((steps - self.steps) / self.alg.batch)
@@ -398,8 +398,8 @@ class Trainer(OnPolicyRunner):
         self._restart_noise()
 
     def _begin_random_numbers(self) -> None:
-        """Random numbers of this process's own, the same whether or not it was interrupted; the success of
-        the grasps is the first one's, whose checkpoints all go on from."""
+        """Seed this process's random numbers from its index and the number of steps, and use the success
+        rates of the first process, which are in the checkpoint."""
         rng, rates = self.environment.rng, self.environment.success_of_group
         own = np.random.default_rng([self._seed, self._processes.number, self.steps])
         rng.bit_generator.state = own.bit_generator.state
@@ -414,7 +414,7 @@ class Trainer(OnPolicyRunner):
             noise.restart()
 
     def _warm_up(self) -> None:
-        """Play the plans without a residual, to learn the normalization of observations."""
+        """Play the plans without residuals, to initialize the normalization of observations."""
         still = array_namespace(self.environment.tracker.action).zeros_like(self.environment.tracker.action)
         for _ in range(self.settings.warm_up):
             self.environment.step(still)
@@ -423,21 +423,21 @@ class Trainer(OnPolicyRunner):
             self.alg.critic.update_normalization(observations)
 
     def save(self, path: Path) -> None:  # type: ignore[override]
-        """Keep everything needed to go on.
+        """Save everything needed to continue.
 
         Raises:
-            FungraspError: the file can't be written; an older one is left as it was.
+            FungraspError: the file can't be written; an existing file is kept.
         """
         state = self.alg.save() | environment_state(self.environment)
         counted = {"steps": self.steps, "seconds": self.seconds}
         write_checkpoint(path, state | counted | {"recent": torch.tensor(list(self._worlds.recent))})
 
     def begin_from(self, path: Path) -> None:
-        """Take the networks of another training's checkpoint, and nothing else: noise begins as set.
+        """Load only the networks of another training's checkpoint; the noise stays at its initial value.
 
         Raises:
-            FungraspError: it can't be read, is damaged, or belongs to another hand, other observations or
-                other networks.
+            FungraspError: the checkpoint can't be read, is damaged, or is for another hand, other
+                observations or other networks.
         """
         state = read_checkpoint(path)
         check_environment(path, state, self.environment)
@@ -450,11 +450,11 @@ class Trainer(OnPolicyRunner):
             noise.load_state_dict(wanted)
 
     def load(self, path: Path) -> None:  # type: ignore[override]
-        """Go on from a checkpoint.
+        """Continue from a checkpoint.
 
         Raises:
-            FungraspError: it can't be read, is damaged, or belongs to another hand, other observations or
-                other networks.
+            FungraspError: the checkpoint can't be read, is damaged, or is for another hand, other
+                observations or other networks.
         """
         state = read_checkpoint(path)
         check_environment(path, state, self.environment)
@@ -470,7 +470,7 @@ class Trainer(OnPolicyRunner):
 
 @contextmanager
 def _fitting(path: Path) -> Iterator[None]:
-    """Say in words that a checkpoint is of other networks."""
+    """Raise ``FungraspError`` if a checkpoint is for other networks."""
     try:
         yield
     except (RuntimeError, ValueError, KeyError) as error:

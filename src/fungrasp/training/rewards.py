@@ -1,4 +1,4 @@
-"""The reward's terms (``fungrasp.task.reward``) of what a tracker sees."""
+"""Reward terms (``fungrasp.task.reward``) from the state of a plan tracker."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from fungrasp.task import reward
 from fungrasp.task.policy import Privileged
 
 TIP_WEIGHT, THUMB_TIP_WEIGHT = 4.0, 6.0
-"""Weights of fingertips among the key points; the others count 1 (the published set-up)."""
+"""Weights of fingertips among the key points; the other weights are 1 (as published)."""
 
 
 class LiftReward:
-    """Terms for W worlds of a hand."""
+    """Reward terms in W worlds."""
 
     def __init__(self, hand: Hand, period: float, goal_height: float, start_distance: float | None = None):
         """
         Args:
-            goal_height: at which the object is lifted [m].
-            start_distance: of the wrist from the object's center at an episode's beginning [m]; None where a
-                planned motion brings it to the object.
+            goal_height: height of the full lift reward [m].
+            start_distance: initial distance of the wrist from the object's center [m]; None if a planned
+                motion leads to the object.
         """
         self._hand, self._period, self._goal = hand, period, goal_height
         self._start_distance = start_distance
@@ -44,10 +44,10 @@ class LiftReward:
         self._link_ends = np.array(ends)
 
     def terms(self, state: TrackingState, privileged: Privileged, previous_action: Array) -> dict[str, Array]:
-        """Terms of the reward by name, each of shape [W]; "shown" counts where an episode ends in success.
+        """Return reward terms by name, shape [W] each; "shown" counts only at a successful end.
 
         Args:
-            previous_action: the one before the state's, shape [W, A].
+            previous_action: action before the state's, shape [W, A].
         """
         now, target, p = state.now, state.target, privileged
         object_in_palm = compose(invert(now.palm_pose), now.object_pose)
@@ -78,7 +78,8 @@ class LiftReward:
         return terms
 
     def _relative_motion(self, state: TrackingState) -> tuple[Array, Array]:
-        """Velocity of the object in the palm's frame [m/s], [rad/s], shape [W, 3] each."""
+        """Return velocity [m/s] and angular velocity [rad/s] of the object in the palm frame, shape [W, 3]
+        each."""
         now = compose(invert(state.now.palm_pose), state.now.object_pose)
         before = compose(invert(state.before.palm_pose), state.before.object_pose)
         turn = compose(invert(before), now)

@@ -54,7 +54,7 @@ class EnvironmentSettings:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a value is impossible.
+            FungraspError: a value is invalid.
         """
         if self.worlds < 1:
             raise FungraspError(f"a training needs at least one world, not {self.worlds}")
@@ -140,7 +140,7 @@ class CurveSettings:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a value is impossible.
+            FungraspError: a value is invalid.
         """
         if not 0 <= self.every < 1e15 or not 0 <= self.held_out < 1 or self.seed < 0:
             raise FungraspError(
@@ -195,12 +195,13 @@ class TrainSpec:
     seed: int = 0
     """Seed of all random numbers."""
     threads: int = 0
-    """Threads of the simulation; 0 means all processors. Results are the same for any number."""
+    """Threads of the simulation; 0 for all processors. Results do not depend on it."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
-    """Where to simulate: an NVIDIA GPU, the GPU code on the CPU (slow), or the CPU.
+    """Device of the simulation: an NVIDIA GPU, the GPU code on the CPU (slow), or the CPU.
     Default: a GPU if one is found and the extra "gpu" is installed."""
     buffers: tuple[int, int] | None = None
-    """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: found by a probe."""
+    """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: found by a
+    probe."""
     licence: str = ""
     """License of the policy, for its card."""
     curve: CurveSettings = field(default_factory=CurveSettings)
@@ -215,7 +216,7 @@ class TrainSpec:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: invalid value, or imitation with corrections of planned motions.
+            FungraspError: a value is invalid, or corrections of planned motions are combined with imitation.
         """
         check_numbers(self.steps, self.seed, self.threads)
         if self.ppo.imitate and self.environment.residual.base == "plan":
@@ -241,7 +242,7 @@ class StudentSpec:
     seed: int = 0
     """Seed of all random numbers."""
     threads: int = 0
-    """Threads of the simulation; 0 means all processors."""
+    """Threads of the simulation; 0 for all processors."""
     settings: DistillSettings = field(default_factory=DistillSettings)
     """Settings of the learning."""
 
@@ -250,10 +251,10 @@ class StudentSpec:
 
 
 def check_numbers(steps: float, seed: int, threads: int) -> None:
-    """Complain about impossible ones.
+    """Check numbers that several commands share.
 
     Raises:
-        FungraspError: one is.
+        FungraspError: a number is out of range.
     """
     if not 1 <= steps < 1e15:
         raise FungraspError(f"--steps must be at least 1, not {steps:g}")

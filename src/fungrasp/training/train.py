@@ -37,7 +37,7 @@ HELD_OUT_PLANS = "held-out-plans.npz"
 POLICY = "policy.onnx"
 
 EXPLORING = "in training, exploring"
-"""Name of what a policy's card says of the last episodes of its training."""
+"""Key in a policy's card for the last episodes of its training."""
 
 PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "hand_dynamics_sha256")
 """Settings that the plans depend on."""
@@ -57,8 +57,8 @@ def train(
 
     Args:
         sets: at least one set of grasps of ``hand``.
-        hand: the robot hand, its name, or the path of its TOML file.
-        spec: settings; the defaults if None. To continue a training, pass the same settings.
+        hand: robot hand, its name, or the path of its TOML file.
+        spec: settings; defaults if None. To continue a training, pass the same settings.
         planning: called with the number of finished plans.
         progress: called after each update.
 
@@ -66,8 +66,8 @@ def train(
         The policy file, ``policy.onnx`` in the folder, for ``evaluate`` and ``deploy``.
 
     Raises:
-        FungraspError: no usable grasp, a folder of another training, a damaged checkpoint, a missing package,
-            or a file that can't be written.
+        FungraspError: no grasp is usable, the folder is of another training, a checkpoint is damaged, a
+            package is missing, or a file can't be written.
     """
     spec, hand = spec or TrainSpec(), as_hand(hand)
     # An actor that sees the history needs an environment that keeps it.
@@ -96,7 +96,6 @@ def _train(
     planning: Callable[[int], None],
     progress: Callable[[Progress], None],
 ) -> None:
-    """``train`` in one of some processes."""
     run, plan_file = RunFolder(folder), spec.plan_file or folder / PLANS
     objects = joined_objects(sets)
     curve = spec.curve
@@ -113,7 +112,7 @@ def _train(
     if hand.dynamics_path is not None:
         planned_from["hand_dynamics_sha256"] = digest(hand.dynamics_path.read_bytes())
     if not processes.first:
-        # The first one plans, the others read.
+        # The first process plans; the others read its plans.
         processes.wait()
     run.claim(
         planned_from
@@ -191,10 +190,10 @@ def _train(
 
 
 def checkpoint_digest(folder: Path) -> str:
-    """SHA-256 of the checkpoint of a training.
+    """Return the SHA-256 of a training's checkpoint.
 
     Raises:
-        FungraspError: there is none.
+        FungraspError: there is no checkpoint.
     """
     try:
         return hashlib.sha256(RunFolder(folder).checkpoint.read_bytes()).hexdigest()
@@ -203,7 +202,7 @@ def checkpoint_digest(folder: Path) -> str:
 
 
 def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], spec: TrainSpec) -> PolicyCard:
-    """What a trained policy's file should say about it."""
+    """Return the card of a trained policy."""
     environment = trainer.environment
     teacher = trainer.settings.sees == "contacts"
     return make_card(
@@ -224,7 +223,7 @@ def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], s
 
 
 def flat(progress: Progress) -> dict[str, float]:
-    """Its numbers by name, those of a table as ``table/name``."""
+    """Flatten progress to numbers by name, nested ones as ``table/name``."""
     numbers: dict[str, float] = {}
     for name, value in asdict(progress).items():
         if isinstance(value, dict):

@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 BUILTIN_TERMS = "Apache-2.0, part of fungrasp"
 """Terms of the built-in grasps."""
 LARGEST_LIBRARY = 1 << 33
-"""Bytes of the largest file of plans that is read, of up to tens of thousands of grasps."""
+"""Largest size of a file of plans that is read [bytes], enough for tens of thousands of grasps."""
 
 
 CHUNK = 256
@@ -52,7 +52,7 @@ class TrainingSet:
     """Folder of the objects' meshes; None for built-in objects."""
 
     def about(self) -> dict[str, Any]:
-        """Data that identifies the set."""
+        """Return data that identifies the set."""
         names = np.unique(self.grasps.object_name).tolist()
         return {
             "name": self.name,
@@ -73,14 +73,15 @@ def load_training_sets(
     terms: tuple[str, ...] = (),
     threads: int = 0,
 ) -> list[TrainingSet]:
-    """Grasps of a hand from files; human grasps are retargeted.
+    """Load grasps of a hand from files; human grasps are retargeted.
 
     Args:
-        names: of files, or "builtin".
-        terms: one for each name, or none.
+        names: files, or "builtin".
+        terms: license terms, one per name or none.
 
     Raises:
-        FungraspError: a file or an object can't be read, grasps of another hand, or an unknown method.
+        FungraspError: a file or an object can't be read, grasps are of another hand, or the method is
+            unknown.
     """
     method = method_name(method)
     if not names or len(set(names)) < len(names):
@@ -108,10 +109,10 @@ def load_training_sets(
 
 
 def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
-    """The objects of several sets, by name.
+    """Return the objects of several sets, by name.
 
     Raises:
-        FungraspError: no set, or two different objects of the same name.
+        FungraspError: there is no set, or two different objects have the same name.
     """
     if not sets:
         raise FungraspError("training needs at least one set of grasps")
@@ -126,13 +127,13 @@ def joined_objects(sets: Sequence[TrainingSet]) -> dict[str, ObjectModel]:
 def split_sets(
     sets: Sequence[TrainingSet], share: float, seed: int
 ) -> tuple[list[TrainingSet], list[TrainingSet]]:
-    """Training sets, and the grasps held out of each.
+    """Split sets into training grasps and held-out grasps.
 
     Args:
-        share: of grasps to hold out of each set, rounded, 0 to below 1.
+        share: share of grasps to hold out of each set, rounded, 0 to below 1.
 
     Raises:
-        FungraspError: a share of a set rounds to none of its grasps, or to all.
+        FungraspError: none or all of a set's grasps would be held out.
     """
     if not share:
         return list(sets), []
@@ -156,7 +157,7 @@ class PlanLibrary:
     plans: GraspPlan
     """The plans, N rows."""
     group: np.ndarray
-    """Row of the grasp that each plan is a copy of, shape [N] int."""
+    """Row of the grasp of each plan, shape [N] int."""
 
 
 def build_plan_library(
@@ -169,7 +170,7 @@ def build_plan_library(
     """Plan variations of grasps.
 
     Raises:
-        FungraspError: no grasp of the set has a finite plan.
+        FungraspError: no grasp of the set has a usable plan.
     """
     copies, seed = spec.variety.copies, spec.seed
     group, attempt = np.repeat(np.arange(len(grasps)), copies), np.tile(np.arange(copies), len(grasps))
@@ -191,7 +192,7 @@ def build_plan_library(
 
 
 def _usable(plans: GraspPlan) -> np.ndarray:
-    """Finite, and the object is on the table."""
+    """Return whether plans are finite and their objects are on the table."""
     finite = np.isfinite(plans.palm_goal_object).all(axis=(1, 2)) & np.isfinite(plans.finger_targets).all(
         axis=(1, 2)
     )
@@ -205,10 +206,10 @@ def planned_sets(
     spec: TrainSpec,
     progress: Callable[[int], None] = lambda done: None,
 ) -> PlanLibrary:
-    """The plans of several sets, each grasp a group of its own.
+    """Plan the grasps of several sets; each grasp is a group.
 
     Raises:
-        FungraspError: a set without any usable grasp; the message names it.
+        FungraspError: a set has no usable grasp; the message names the set.
     """
     parts: list[PlanLibrary] = []
     groups = done = 0
@@ -232,11 +233,10 @@ def planned_sets(
 
 
 def kept_library(path: Path, key: str, plan: Callable[[], PlanLibrary]) -> PlanLibrary:
-    """Training plans from a file. If the file is missing, damaged or from other inputs, they are planned and
-    stored.
+    """Read training plans from a file. If it is missing, damaged or from other inputs, plan and store them.
 
     Args:
-        key: digest of all that the library depends on.
+        key: digest of everything that the library depends on.
 
     Raises:
         FungraspError: planning fails, or the file can't be written.
