@@ -1,4 +1,4 @@
-"""From human grasps to robot grasps (paper IV.A), and baselines."""
+"""Retargeting of human grasps to robot hands (paper IV.A), and baselines."""
 
 from __future__ import annotations
 

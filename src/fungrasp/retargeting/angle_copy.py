@@ -1,4 +1,4 @@
-"""Baseline "angle-copy": the human's joint angles set on the robot, without regard to contact.
+"""Baseline "angle-copy": set the human's joint angles on the robot, ignoring contacts.
 
 "Angle Reset" in the paper.
 """
@@ -25,7 +25,7 @@ from fungrasp.retargeting.contact_optimization import palm_alignment
 from fungrasp.retargeting.settings import RetargetSettings
 
 PARALLEL, PERPENDICULAR = np.cos(np.radians(25.0)), np.cos(np.radians(65.0))
-"""Cosines of the angle to a finger's flexion axis within which a joint flexes, beyond which it spreads."""
+"""Cosines of angles to a finger's flexion axis: joints flex above the first and spread below the second."""
 
 THUMB_ITERATIONS = 20
 """Solver iterations for the joints at the base of the thumb."""
@@ -34,28 +34,28 @@ THUMB_ITERATIONS = 20
 class JointRoles(NamedTuple):
     """Roles of the joints: flexion of a finger link, or spreading of a finger.
 
-    ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm, then
-    its deviation towards the side of the index finger.
+    ``angles = matrix @ joint_positions`` [rad] are the flexions of each finger's links towards the palm and
+    its deviation towards the index finger's side.
     """
 
     matrix: np.ndarray
     """Shape [5, 4, M]: finger in the order of ``FINGERS``; flexion of its three links, deviation."""
     fan: np.ndarray
-    """How far each straight finger points to the side of the index finger [rad], shape [5]."""
+    """Deviation of each straight finger towards the index finger's side [rad], shape [5]."""
     thumb_base: np.ndarray
-    """Independent joints of the thumb without such a role, shape [U] bool."""
+    """Whether an independent joint belongs to the thumb but has no role, shape [U] bool."""
 
 
 def retarget_by_angle_copy(
     points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses in the object's frame [N, 7] and independent joints [N, U].
+    """Return wrist poses in the object's frame, shape [N, 7], and independent joints, shape [N, U].
 
-    The palms are aligned. Each robot joint is set to the human angle whose role it plays (``joint_roles``),
-    clipped to its limits; coupled joints share by least squares. The joints at the base of the thumb have no
-    human counterpart, as thumbs sit differently on each hand: they take the angles at which its first two
-    links point as the human's do. Then the hand is moved so that the mean of its fingertips lies where the
-    human's does. ``settings`` is not used.
+    The palms are aligned. Each robot joint is set to the human angle of its role (``joint_roles``), clipped
+    to its limits; coupled joints are fitted by least squares. The joints at the base of the thumb have no
+    human counterpart, because thumbs are mounted differently on each hand. They are solved so that the
+    directions of the thumb's first two links match. Then the hand is moved so that the means of the
+    fingertips coincide. ``settings`` is not used.
     """
     kinematics = points.kinematics
     roles = joint_roles(kinematics.hand)
@@ -73,16 +73,17 @@ def retarget_by_angle_copy(
 
 
 def copied_angles(points: HandPoints, roles: JointRoles, joints: np.ndarray) -> np.ndarray:
-    """Independent joints nearest to the human's angles, within limits; the thumb's base a quarter closed.
+    """Return independent joints nearest to the human's angles, within limits; the thumb's base is a quarter
+    closed.
 
-    Human fingers deviate from their fanned metacarpals, robot fingers from where they point when straight;
-    the less a finger is bent, the more that difference counts.
+    Human fingers deviate from their fanned metacarpals, robot fingers from their direction when straight.
+    This difference decreases as a finger bends.
 
     Args:
         joints: human joints [m], any frame, shape [N, 21, 3].
 
     Returns:
-        [rad], shape [N, U].
+        Joints [rad], shape [N, U].
     """
     kinematics = points.kinematics
     fingers = straightened(kinematics.hand, joints)
@@ -96,13 +97,13 @@ def copied_angles(points: HandPoints, roles: JointRoles, joints: np.ndarray) -> 
 
 
 def human_fan(hand: Hand, joints: np.ndarray) -> np.ndarray:
-    """How far each metacarpal points to the side of the index finger, as the robot's palm would lie.
+    """Return the deviation of each metacarpal towards the index finger's side, for the robot's palm axes.
 
     Args:
-        joints: [m], shape [N, 21, 3].
+        joints: human joints [m], shape [N, 21, 3].
 
     Returns:
-        [rad], shape [N, 5].
+        Angles [rad], shape [N, 5].
     """
     across = rotate(palm_alignment(hand, joints), hand.index_side)
     bones = joints[:, 1::4] - joints[:, :1]
@@ -111,10 +112,10 @@ def human_fan(hand: Hand, joints: np.ndarray) -> np.ndarray:
 
 
 def straightened(hand: Hand, joints: np.ndarray) -> np.ndarray:
-    """Human joints; those that a shorter robot finger lacks lie on the line from the joint before to the tip.
+    """Move human joints that a shorter robot finger lacks onto the line from the previous joint to the tip.
 
     Args:
-        joints: [m], shape [N, 21, 3].
+        joints: human joints [m], shape [N, 21, 3].
     """
     joints = joints.copy()
     for finger in hand.fingers.values():
@@ -128,8 +129,8 @@ def straightened(hand: Hand, joints: np.ndarray) -> np.ndarray:
 
 
 def joint_roles(hand: Hand) -> JointRoles:
-    """Read off the straight hand: a finger's flexion axis is that of its last joint; joints parallel to it
-    flex the link they move, joints perpendicular to it spread the finger, the others have no role.
+    """Determine joint roles from the straight hand. A finger's flexion axis is that of its last joint. Joints
+    parallel to it flex their link, joints perpendicular to it spread the finger, others have no role.
 
     The thumb's flexion is positive towards the larger end of the range; its first link has no role.
     """
@@ -168,7 +169,8 @@ def joint_roles(hand: Hand) -> JointRoles:
 
 
 def _moved_links(hand: Hand) -> dict[str, dict[int, int]]:
-    """Joints of each finger and the first link that each moves, without joints that move several fingers."""
+    """Return the joints of each finger with the first link that each moves, except joints of several
+    fingers."""
     model = hand.model
     chains = {name: [model.body(link).id for link in finger.links] for name, finger in hand.fingers.items()}
     result: dict[str, dict[int, int]] = {name: {} for name in chains}

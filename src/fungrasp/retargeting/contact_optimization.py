@@ -1,5 +1,5 @@
-"""Our retargeting: initialize by wrist, fingertips and link directions, then optimize contact and collision
-(paper IV.A)."""
+"""Retargeting by contact optimization: initialize from wrist, fingertips and link directions, then optimize
+contacts and collisions (paper IV.A)."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, torque_lim
 from fungrasp.retargeting.settings import RetargetSettings, Start
 
 TOLERATED_SHARE = 0.2
-"""Unresisted share of the load below which a grasp is firm. Six of seven such grasps hold, however small the
+"""Unresisted share of the load below which a grasp is firm. Six of seven such grasps hold, regardless of the
 share."""
 
 INSIDE = 0.002
 """Largest penetration of object or hand in a valid grasp [m]."""
 
 NEAR, TOUCH, ENOUGH = 0.02, 0.005, 2 / 3
-"""A link is as shown if its distance from the person's contact is less than this, and its clearance too [m].
-A grasp is as shown if the thumb and this share of the wanted links are."""
+"""A link is as shown if its distance from the person's contact is below the first value and its clearance
+below the second [m]. A grasp is as shown if the thumb and the third value's share of the target links are."""
 
 ELSEWHERE, SHARE_COST, PLACE_COST = 3.0, 0.5, 20.0
-"""Costs, in unresisted weights, of a grasp that is not as shown, of a wanted link that is not (divided by
-their number), and of one meter between contacts of person and hand."""
+"""Costs, in units of the unresisted share, of a grasp that is not as shown, of the share of target links that
+are not, and of one meter between contacts of person and hand."""
 
 GOOD = 0.5
 """Cost below which a grasp is not solved again."""
@@ -48,7 +48,7 @@ GOOD = 0.5
 def retarget_by_contact_optimization(
     points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses in the object's frame [N, 7] and independent joints [N, U]."""
+    """Return wrist poses in the object's frame, shape [N, 7], and independent joints, shape [N, U]."""
     first: list[Term] = [
         partial(terms.fingertip_position, unit=settings.fingertip_unit),
         partial(terms.link_direction, unit=settings.direction_unit),
@@ -82,11 +82,13 @@ def _touch(
     pose: tuple[np.ndarray, np.ndarray],
     start: Start,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The second and third stage: wrist poses [N, 7] and independent joints [N, U].
+    """Solve the second and third stage. Return wrist poses, shape [N, 7], and independent joints, shape [N,
+    U].
 
     Args:
         points, problem: N grasps.
-        start: wrist poses [N, 7] and independent joints [N, U] to start from.
+        pose: initial wrist poses, shape [N, 7], and independent joints, shape [N, U].
+        start: units of the cost terms.
     """
     s = settings
     place = partial(terms.contact_position, unit=start.contact_unit)
@@ -119,13 +121,13 @@ def _cost(
     solution: tuple[np.ndarray, np.ndarray],
     least: np.ndarray,
 ) -> np.ndarray:
-    """Cost to compare solutions, shape [N]: first, whether they are as shown; then the unresisted share of
+    """Return the cost of solutions, shape [N]: mainly whether they are as shown; then the unresisted share of
     the load, at least ``TOLERATED_SHARE``, and the distance of contacts from the person's.
 
     Args:
         points, problem: N grasps.
-        solution: wrist poses [N, 7] and independent joints [N, U].
-        least: costs that count, shape [N]; of what is as high by its places alone the cost is infinite.
+        solution: wrist poses, shape [N, 7], and independent joints, shape [N, U].
+        least: lowest costs so far, shape [N]. If contacts alone cost as much, the result is infinite.
     """
     match, hand = points.match, points.kinematics.hand
     contacts = contacts_of_links(points.dense, problem, *solution, TOUCH)
@@ -145,7 +147,7 @@ def _cost(
     cost += NO_GRIP * inside
     unresisted = unresisted_share(contacts, problem, torque_limits(hand), TOLERATED_SHARE, least - cost)
     cost += np.maximum(unresisted, TOLERATED_SHARE)
-    # The terms know nothing of fingers that go into the palm.
+    # The terms do not include collisions of fingers with the palm.
     better = np.flatnonzero(cost < least)
     depth = self_collision_depth(hand.model, hand.all_joints(solution[1][better]))
     cost[better] += ELSEWHERE * (depth > INSIDE)
@@ -155,23 +157,23 @@ def _cost(
 def moved(
     points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, start: Start
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses [N, 7] turned about the mean fingertips and shifted, and independent joints [N, U].
+    """Turn wrist poses about the mean fingertips and shift them; return them, shape [N, 7], and the joints.
 
     Args:
-        points: kinematics made for N hands.
-        wrist_pose, independent: to start from but for the differences, shape [N, 7] and [N, U].
+        points: kinematics for N hands.
+        wrist_pose, independent: poses and joints before, shape [N, 7] and [N, U].
     """
     hand = points.kinematics.hand
     axes = np.stack([hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)])
     turn, shift = np.array(start.turn), np.array(start.shift)
     if hand.side == "left":
-        # In a mirror the axis across changes its sign, and all turns theirs.
+        # Mirroring flips the axis across the palm and the sense of rotations.
         axes[2], turn = -axes[2], -turn
     points.kinematics.update(wrist_pose, independent)
     tips = points.kinematics.points(points.keypoints)[:, points.match.far[points.match.is_last]]
     center = inverse_transform_points(wrist_pose, tips.mean(axis=1, keepdims=True))[:, 0]
     rotation = np.tile(quaternion_from_rotation_vector(turn @ axes), (len(center), 1))
-    # The center stays where it is: center = rotation center + position, in the palm's frame before.
+    # The center stays in place: center = rotation center + position, in the initial palm frame.
     position = center - rotate(rotation, center)
     wrist = compose(wrist_pose, np.concatenate([position, rotation], axis=1))
     wrist[:, :3] += rotate(wrist[:, 3:], shift @ axes)
@@ -179,7 +181,7 @@ def moved(
 
 
 def initial_pose(points: HandPoints, problem: RetargetingProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Palms aligned by the directions wrist to middle finger and palm normal, fingers a quarter closed."""
+    """Return poses with aligned palms and mean fingertips, and fingers a quarter closed."""
     kinematics = points.kinematics
     rotation = palm_alignment(kinematics.hand, problem.joints)
     quarter = partly_closed(HandKinematics(kinematics.hand, 5), 0.25)
@@ -193,7 +195,7 @@ def initial_pose(points: HandPoints, problem: RetargetingProblem) -> tuple[np.nd
 
 
 def palm_alignment(hand: Hand, joints: np.ndarray) -> np.ndarray:
-    """Rotation that lays the robot's palm along the human's, wxyz, shape [N, 4].
+    """Return the rotation that aligns the robot's palm with the human's, wxyz, shape [N, 4].
 
     Args:
         joints: human joints of the same side [m], any frame, shape [N, 21, 3].
@@ -206,7 +208,7 @@ def palm_alignment(hand: Hand, joints: np.ndarray) -> np.ndarray:
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     if hand.side == "left":
         normal = -normal
-    # Columns of both matrices are the same three axes of the palm, so that human = rotation @ robot.
+    # Both matrices have the same three palm axes as columns, so that human = rotation @ robot.
     human = np.stack([fingers, normal, np.cross(fingers, normal)], axis=-1)
     robot = np.stack(
         [hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)], axis=-1

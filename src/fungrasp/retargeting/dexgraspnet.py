@@ -1,19 +1,21 @@
-"""Baseline "dexgraspnet": the grasp energy of DexGraspNet, started from the human contacts.
+"""Baseline "dexgraspnet": the grasp energy of DexGraspNet, initialized from the human contacts.
 
 Wang et al., "DexGraspNet: a large-scale robotic dexterous grasp dataset for general objects based on
 simulation", 2023, with their weights:
 
     E = E_fc + w_dis E_dis + w_pen E_pen + w_spen E_spen + w_joints E_joints
 
-It knows neither the table nor the human posture. What differs from the original:
+It ignores the table and the human posture. Differences from the original:
 
-- Contacts are sought on the robot links whose human counterparts touch, instead of at random points of the
-  hand, and E_fc counts as if they were four, the number for which the weights were made.
-- The start is the human's wrist pose instead of a random one around the object. As that leaves nothing to
-  explore, the energy is minimized by Levenberg-Marquardt, which gets as low as annealed random steps do.
+- Contacts are on the robot links whose human counterparts touch, instead of at random points of the hand.
+E_fc
+  is scaled to four contacts, the number for which the weights were chosen.
+- The start is the human's wrist pose instead of a random pose around the object. As this leaves nothing to
+  explore, the energy is minimized by Levenberg-Marquardt, which reaches the same energy as annealed random
+  steps.
 - Penetrations are those of the spheres that cover our hands; absolute values are smoothed within
   ``SMOOTHING_LENGTH``.
-- Joints are held within their limits, so that E_joints is zero.
+- Joints are kept within their limits, so that E_joints is zero.
 """
 
 from __future__ import annotations
@@ -63,9 +65,9 @@ self_penetration_energy: Term = partial(
 def retarget_by_dexgraspnet(
     points: HandPoints, problem: RetargetingProblem, settings: RetargetSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist poses in the object's frame [N, 7] and independent joints [N, U].
+    """Return wrist poses in the object's frame, shape [N, 7], and independent joints, shape [N, U].
 
-    ``settings`` is not used: the weights are the original's.
+    ``settings`` is not used; the weights are the original ones.
     """
     wrist_pose, independent = initial_pose(points, problem)
     energy: list[Term] = [
@@ -78,13 +80,13 @@ def retarget_by_dexgraspnet(
 
 
 def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.006) -> Residual:
-    """E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2, without friction (Liu et al. 2021).
+    """Return E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2, without friction (Liu et al. 2021).
 
-    x_i [m] are the contact points of the n links that should touch (``contact_spheres``), object frame; c_i
-    the object's inward unit normals there, times ``ORIGINAL_CONTACTS`` / n.
+    x_i [m] are the contact points of the n target links (``contact_spheres``), object frame; c_i are the
+    object's inward unit normals there, times ``ORIGINAL_CONTACTS`` / n.
 
     Args:
-        reach: half width of the difference that gives the normals' derivative [m].
+        reach: half width of the finite difference for the derivative of the normals [m].
     """
     spheres, wanted = contact_spheres(state)
     bank, grid = state.problem.bank, state.problem.grid
@@ -104,7 +106,7 @@ def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.
     torque_d = cross(np.swapaxes(place_d, 2, 3), -normal[:, :, None]) - cross(
         place[:, :, None], np.swapaxes(normal_d, 2, 3)
     )
-    # E_fc is a square and the objective half of one: hence the root of two below.
+    # E_fc is a square, and the objective is half of one: hence the factor sqrt(2) below.
     share = wanted * ORIGINAL_CONTACTS / np.maximum(wanted.sum(axis=1, keepdims=True), 1)
     wrench = np.sum(share[..., None] * np.concatenate([-normal, torque], axis=-1), axis=1)
     wrench_d = np.sum(
@@ -114,7 +116,7 @@ def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.
 
 
 def contact_distance_energy(state: HandState[RetargetingProblem]) -> Residual:
-    """w_dis E_dis = w_dis sum_i |d(x_i)|, d the signed distance of the contact points from the object."""
+    """Return w_dis E_dis = w_dis sum_i |d(x_i)|, d the signed distance of contact points from the object."""
     spheres, wanted = contact_spheres(state)
     distance = np.take_along_axis(state.clearance, spheres, axis=1)
     normal = np.take_along_axis(state.normals, spheres[..., None], axis=1)
@@ -123,10 +125,10 @@ def contact_distance_energy(state: HandState[RetargetingProblem]) -> Residual:
 
 
 def contact_spheres(state: HandState[RetargetingProblem]) -> tuple[np.ndarray, np.ndarray]:
-    """The sphere of each link that is nearest to the object.
+    """Return the sphere of each link nearest to the object.
 
     Returns:
-        Ball indices and whether that link should touch, shape [N, Q] each, for the Q links that have spheres.
+        Sphere indices and whether the link should touch, shape [N, Q] each, for the Q links with spheres.
     """
     members = state.points.link_members
     links = [link for link in range(len(members)) if len(members[link])]
@@ -135,8 +137,8 @@ def contact_spheres(state: HandState[RetargetingProblem]) -> tuple[np.ndarray, n
 
 
 def smooth_absolute(lengths: Residual, weight: float) -> Residual:
-    """Residuals whose halved squares are weight (sqrt(r^2 + SMOOTHING_LENGTH^2) - SMOOTHING_LENGTH): about
-    weight |r|.
+    """Return residuals whose halved squares are weight (sqrt(r^2 + SMOOTHING_LENGTH^2) - SMOOTHING_LENGTH),
+    about weight |r|.
 
     Args:
         lengths: r [m] and its Jacobian.

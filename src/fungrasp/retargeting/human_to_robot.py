@@ -37,13 +37,13 @@ SOLVERS: dict[str, Solver] = {
 }
 
 GRASPS_PER_PART = 128
-"""Grasps in one part, which is one file and one cluster job: some seconds of work."""
+"""Grasps per part, which is one file and one cluster job: some seconds of work."""
 
 BATCH = 8
 """Parts solved together in one process, to keep all threads busy."""
 
 CHUNK = 64
-"""Grasps that one thread solves at once."""
+"""Grasps that one thread solves together."""
 
 
 @overload
@@ -89,12 +89,12 @@ def retarget(
     Args:
         human: N human grasps, a single one, or the result of ``perceive``.
         objects: models by name, or a folder of meshes. None: the objects of the grasps, or built-in objects.
-        hand: the robot hand, its name, or the path of its TOML file.
+        hand: robot hand, its name, or the path of its TOML file.
         method: one of ``settings.METHODS``.
-        settings: weights and iterations; the defaults if None.
-        threads: 0 means all processors. The result is the same for any number.
-        store: keeps finished parts so that an interrupted run can continue. The caller removes it.
-        ray: run on a cluster. The result is the same.
+        settings: weights and iterations; defaults if None.
+        threads: 0 for all processors. Results do not depend on it.
+        store: keeps finished parts, so that an interrupted run can continue; the caller removes it.
+        ray: cluster to run on. The result is the same.
         progress: called with the finished share, 0 to 1. True or False: a progress bar or none. None: a bar
             in terminals and notebooks.
 
@@ -103,8 +103,8 @@ def retarget(
         human grasp.
 
     Raises:
-        FungraspError: unknown hand or method, no grasps, a missing object, or a left-hand grasp for a right
-            hand or the reverse.
+        FungraspError: hand or method is unknown, there are no grasps, an object is missing, or hand and
+            grasps are of different sides.
     """
     single = isinstance(human, HumanGrasp)
     human = as_human_grasps(human)
@@ -143,40 +143,40 @@ class Retargeting(Job[range]):
     human: HumanGraspSet
     """N human grasps."""
     objects: Mapping[str, ObjectModel]
-    """By name."""
+    """Objects by name."""
     hand: Hand
-    """The robot hand."""
+    """Robot hand."""
     spec: RetargetSpec
-    """How."""
+    """Method and settings."""
     threads: int = 0
-    """0 means all processors."""
+    """Number of threads, 0 for all processors."""
 
     def parts(self) -> list[range]:
-        """So many grasps at most."""
+        """Return ranges of at most ``GRASPS_PER_PART`` grasps."""
         count = len(self.human)
         return [range(i, min(i + GRASPS_PER_PART, count)) for i in range(0, count, GRASPS_PER_PART)]
 
     def key(self, part: range) -> str:
-        """Digest of grasps, objects, hand and method."""
+        """Return a digest of grasps, objects, hand and method."""
         some = self.human.select(np.array(part))
         objects = {name: self.objects[name] for name in np.unique(some.object_name).tolist()}
         return part_key("retarget", some, objects, self.hand, self.spec.method, self.spec.settings)
 
     def size(self, part: range) -> float:
-        """Number of grasps."""
+        """Return the number of grasps."""
         return len(part)
 
     def together(self, missing: list[range]) -> list[list[range]]:
-        """``BATCH`` parts."""
+        """Group ``BATCH`` parts."""
         return [missing[i : i + BATCH] for i in range(0, len(missing), BATCH)]
 
     def on_one_processor(self) -> Self:
-        """With one thread."""
+        """Return the job with one thread."""
         return replace(self, threads=1)
 
     def run(self, parts: Sequence[range], progress: Callable[[float], None]) -> list[Arrays]:
-        """Wrist pose (world frame), joints, key points and contacts of each part's grasps, by the names of
-        ``RobotGraspSet``."""
+        """Return wrist pose (world frame), joints, key points and contacts of each part's grasps, by the
+        names of ``RobotGraspSet``."""
         human = self.human.select(np.concatenate([np.array(part) for part in parts]))
         solve, settings = SOLVERS[self.spec.method], self.spec.settings
         shared = HandPoints(HandKinematics(self.hand, min(CHUNK, len(human))))
@@ -215,7 +215,7 @@ class Retargeting(Job[range]):
 def _check(human: HumanGraspSet, hand: Hand) -> None:
     """
     Raises:
-        FungraspError: there are no grasps, or grasps of the other hand.
+        FungraspError: there are no grasps, or some are of the other side.
     """
     if not len(human):
         raise FungraspError("there are no grasps to retarget: the set is empty")

@@ -1,4 +1,4 @@
-"""A robot hand that follows a moving human hand frame by frame, free or around one object."""
+"""A robot hand that follows a moving human hand frame by frame, free or near one object."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 from fungrasp.retargeting.contact_optimization import initial_pose
 
 NO_OBJECT = SignedDistanceBank([SignedDistanceGrid(np.zeros(3), 1.0, np.ones((2, 2, 2), dtype=np.float32))])
-"""Placeholder object for a free hand; no cost term uses it."""
+"""Placeholder object of a free hand; no cost term uses it."""
 
 
 @dataclass(frozen=True)
@@ -99,23 +99,23 @@ class FollowedPose(NamedTuple):
     wrist_pose: np.ndarray
     """Pose of the palm body, world frame, shape [7]."""
     joint_positions: np.ndarray
-    """Every joint of the hand's model [rad], shape [M]."""
+    """Positions of all joints of the hand's model [rad], shape [M]."""
 
 
 class OneEuroFilter:
-    """Smooths moving points: strongly while they are still, little while they move.
+    """Smooths moving points: strongly at rest, little in motion.
 
-    A first-order low-pass with the cutoff frequency f = cutoff + |v| / (2 pi lag), v the smoothed velocity
+    A first-order low-pass filter with cutoff frequency f = cutoff + |v| / (2 pi lag), v the smoothed velocity
     (Casiez, Roussel and Vogel, "1 Euro Filter", CHI 2012): a point at speed |v| lags by |v| / (2 pi f) < lag.
     """
 
     def __init__(self, rate: float, cutoff: float, lag: float):
-        """Args: as in ``RetargeterSettings``."""
+        """Args: see ``RetargeterSettings``."""
         self._rate, self._cutoff, self._lag = rate, cutoff, lag
         self._seen: np.ndarray | None = None
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """The next frame's points, smoothed [m]. points: shape [P, 3]."""
+        """Return the smoothed points of the next frame [m]. points: shape [P, 3]."""
         if self._seen is None:
             self._smooth, self._velocity = points, np.zeros_like(points)
         else:
@@ -128,7 +128,7 @@ class OneEuroFilter:
         return self._smooth
 
     def _share(self, frequency: float | np.ndarray) -> Any:
-        """How much of a change passes in one frame."""
+        """Return the fraction of a change that passes in one frame."""
         turn = 2 * np.pi * frequency / self._rate
         return turn / (1 + turn)
 
@@ -153,13 +153,13 @@ class Retargeter:
     ):
         """
         Args:
-            hand: the robot hand, or its name.
+            hand: robot hand, or its name.
             model: the object; None for a free hand.
-            settings: weights and iterations; the defaults if None.
+            settings: weights and iterations; defaults if None.
             order: joint order of the input of ``follow``: "mediapipe", "openpose", "mano" and others.
 
         Raises:
-            FungraspError: unknown hand or order.
+            FungraspError: hand or order is unknown.
         """
         self.hand = as_hand(hand)
         """The robot hand. Results follow its ``joint_names``."""
@@ -182,7 +182,7 @@ class Retargeter:
         return (lambda points: points) if s.rate is None else OneEuroFilter(s.rate, s.cutoff, s.lag)
 
     def follow(self, hand_joints: np.ndarray, object_pose: np.ndarray | None = None) -> FollowedPose:
-        """The robot hand at the next frame.
+        """Return the robot hand at the next frame.
 
         Args:
             hand_joints: human joints of the robot hand's side [m], world frame, shape [21, 3]. For a free
@@ -190,8 +190,8 @@ class Retargeter:
             object_pose: world frame, shape [7]; the table is the plane z = 0. None for a free hand.
 
         Raises:
-            FungraspError: wrong shape, values that are not finite, a pose without an object, or an object
-                without a pose.
+            FungraspError: a shape is wrong, a value is not finite, or a pose is given without an object or
+                missing with one.
         """
         if (object_pose is None) != (self._scene is None):
             raise FungraspError("object_pose is given where the retargeter has an object, and only there")
@@ -203,7 +203,7 @@ class Retargeter:
                 raise FungraspError(f"{name} must be finite numbers of shape {shape}")
         world = np.asarray(hand_joints, dtype=float)[self._order]
         if object_pose is None:
-            # What moves with the person's palm does not hold a free hand back.
+            # In the palm frame, motions of a free hand as a whole are not limited.
             world = self._smooth(world)
             pose = _palm_frame(world)
             joints = transform_points(invert(pose), world)[None]
@@ -249,12 +249,12 @@ class Retargeter:
     def _bounded(
         self, last: tuple[np.ndarray, np.ndarray], found: tuple[np.ndarray, np.ndarray], motion: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The allowed part of the change from the previous frame. A better posture far away is reached over
-        several frames.
+        """Return the allowed part of the change since the previous frame. A much better posture is reached
+        over several frames.
 
         Args:
-            last, found: wrist pose [1, 7] and independent joints [1, U].
-            motion: of the person since the last frame, in the object's frame [m].
+            last, found: wrist pose, shape [1, 7], and independent joints, shape [1, U].
+            motion: human motion since the last frame, object frame [m].
         """
         s, (pose, joints) = self._settings, last
         turn = rotation_vector(quaternion_multiply(found[0][:, 3:], quaternion_conjugate(pose[:, 3:])))
@@ -286,7 +286,7 @@ class Retargeter:
         return objective
 
     def _targets(self, problem: RetargetingProblem) -> np.ndarray:
-        """Targets of the links' far key points [m], shape [1, S, 3]."""
+        """Return targets of the links' far key points [m], shape [1, S, 3]."""
         s, human = self._settings, self._points.match.human_far
         if self._scene is None:
             return problem.joints[:, human]
@@ -294,19 +294,20 @@ class Retargeter:
         touching = surface + self._points.far_radius[:, None] * normals
         distance = np.sum((joints - surface) * normals, axis=-1, keepdims=True)
         share = np.clip((s.far - distance) / (s.far - s.near), 0.0, 1.0)
-        # Without a corner at either end, so that a hand that approaches is not jerked.
+        # Smooth at both ends, to avoid jerks when a hand approaches.
         share = share * share * (3 - 2 * share)
         return joints + share * (touching - joints)
 
 
 def _palm_frame(joints: np.ndarray) -> np.ndarray:
-    """A frame that moves with the palm: its origin at the wrist, an axis to the middle finger, one across.
+    """Return a frame that moves with the palm: origin at the wrist, one axis to the middle finger, one
+    across.
 
     Args:
         joints: human joints, shape [21, 3].
 
     Returns:
-        In the frame of the joints, shape [7].
+        Pose in the frame of the joints, shape [7].
     """
     fingers, across = joints[5] - joints[0], joints[1] - joints[13]
     x = fingers / np.linalg.norm(fingers)

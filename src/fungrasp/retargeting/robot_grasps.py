@@ -1,4 +1,4 @@
-"""Input of functions on robot grasps: human grasps are retargeted first."""
+"""Conversion of grasp arguments to robot grasps; human grasps are retargeted."""
 
 from __future__ import annotations
 
@@ -17,28 +17,29 @@ class RobotGrasps(NamedTuple):
     """Robot grasps with objects and hand."""
 
     robot: RobotGraspSet
-    """N grasps."""
+    """N robot grasps."""
     objects: dict[str, ObjectModel]
-    """Their objects by name."""
+    """Objects of the grasps, by name."""
     hand: Hand
-    """Their hand."""
+    """Hand of the grasps."""
     human: HumanGraspSet | None
-    """The human grasps, if they were retargeted here."""
+    """Human grasps, if they were retargeted here."""
 
 
 def as_robot_grasps(
     grasps: AnyGrasps, objects: Objects = None, hand: Hand | str | Path | None = None, threads: int = 0
 ) -> RobotGrasps:
-    """Robot grasps from robot or human grasps.
+    """Convert robot or human grasps to robot grasps.
 
     Args:
         grasps: robot grasps, or human grasps, which are retargeted with the defaults of ``retarget``.
-        objects: as for ``retarget``.
-        hand: for human grasps; allegro if None. For robot grasps, it must be their own.
-        threads: 0 means all processors.
+        objects: see ``retarget``.
+        hand: hand for human grasps; allegro if None. For robot grasps, it must be their own.
+        threads: 0 for all processors.
 
     Raises:
-        FungraspError: not grasps, a missing object, an unknown hand, or grasps of another hand.
+        FungraspError: the argument is not grasps, an object is missing, the hand is unknown, or the grasps
+            are of another hand.
     """
     found = as_grasp_set(grasps)
     known = resolve_objects(found, objects)

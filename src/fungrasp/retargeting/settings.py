@@ -22,7 +22,7 @@ class Start:
     contact_unit: float = 0.002
     """Distance between contact points of robot and human [m]."""
     closure_unit: float = 0.03
-    """Unbalanced part of contact forces with a sum of one [-]."""
+    """Unbalanced part of contact forces that sum to one [-]."""
 
 
 STARTS = (
@@ -31,7 +31,7 @@ STARTS = (
     Start((0.07, 0.03, -0.21), (0.0, -0.024, -0.014), 0.002, 0.03),
     Start((0.24, 0.0, 0.23), (0.017, -0.008, 0.002), 0.002, 0.1),
 )
-"""Four of 69 starts: each in turn reduced the cost most, over the grasps of five hands."""
+"""Four of 69 starts, selected greedily by the reduction of the cost over the grasps of five hands."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class RetargetSettings:
     self_unit: float = 0.0005
     """Self-penetration of the hand [m]."""
     closure_friction: float = 0.2
-    """Friction coefficient in the force balance; well below the nominal one [-]."""
+    """Friction coefficient in the force balance, well below the nominal one [-]."""
     posture_unit: float = 0.4
     """Difference between unit vectors along a link, third stage [-]."""
     iterations: tuple[int, int, int] = (6, 5, 12)
@@ -68,7 +68,7 @@ def method_name(name: str) -> str:
     """Check the name of a retargeting method.
 
     Raises:
-        FungraspError: unknown method.
+        FungraspError: the method is unknown.
     """
     if name not in METHODS:
         raise UnknownNameError("retargeting method", name, METHODS)
@@ -77,7 +77,7 @@ def method_name(name: str) -> str:
 
 @dataclass(frozen=True)
 class RetargetSpec:
-    """How human grasps are retargeted."""
+    """Settings of retargeting: hand, method and weights."""
 
     hand: str = "allegro"
     """Name of the robot hand, or the path of its TOML file."""
@@ -89,6 +89,6 @@ class RetargetSpec:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: unknown method.
+            FungraspError: the method is unknown.
         """
         object.__setattr__(self, "method", method_name(self.method))
