@@ -22,33 +22,33 @@ from fungrasp.objects.object_model import settled_up
 from fungrasp.synthesis.grasp_specification import WHOLE, GraspSpecification, Vector3
 
 WIDEST_WRAP, WIDEST_SPAN = 0.085, 0.10
-"""A hand reaches around objects, and spans objects between thumb and fingers, that are no wider [m]."""
+"""Largest widths of objects that a hand can wrap, and span between thumb and fingers [m]."""
 
 THIN = 0.016
-"""A part is thin where balls inside it have no larger radius [m]."""
+"""Largest radius of balls inside a thin part [m]."""
 
 SHORTEST_PART = 0.03
-"""Length of the shortest thin part that is held [m]."""
+"""Length of the shortest thin part to hold [m]."""
 
 BAR = 0.06
-"""A thin part at least so long is held in the fist, a shorter one by fewer fingers [m]."""
+"""Shortest length of a thin part that is held in the fist; shorter ones are held by fewer fingers [m]."""
 
 HIGH = 0.04
-"""Clearance above the table at which a fist fits around a lying part [m]."""
+"""Clearance above the table for a fist around a lying part [m]."""
 
 SAMPLES, JOIN = 3000, 0.008
-"""Surface samples, and how far apart those of one part are at most [m]."""
+"""Number of surface samples, and largest distance of neighboring samples of a part [m]."""
 
 
 def automatic_specifications(
     model: ObjectModel, up: Sequence[float] = (0.0, 0.0, 1.0)
 ) -> list[GraspSpecification]:
-    """About a dozen specifications, likely ones first.
+    """Return about a dozen specifications, likely ones first.
 
     Args:
-        model: the object. Its named parts, if it has any, are held; else thin parts that are found.
-        up: unit vector, object frame: the object rests on the stable face with which this direction points
-            up most nearly.
+        model: the object. Its named parts are held, if it has any; otherwise thin parts are detected.
+        up: unit vector, object frame. The object rests on the stable face for which this direction is most
+            nearly up.
     """
     settled = settled_up(model, np.array(up, dtype=float))
     points = np.asarray(trimesh.sample.sample_surface(model.mesh, SAMPLES, seed=0)[0])
@@ -65,11 +65,11 @@ def automatic_specifications(
 
 
 def parts_from_boxes(model: ObjectModel, path: str | Path) -> ObjectModel:
-    """The object with the named parts of a JSON file: ``{"handle": [[x, y, z], [x, y, z]]}``, the lower and
-    upper corner of a box in the object's frame [m] that holds the middle of each of the part's faces.
+    """Add the named parts of a JSON file to an object: ``{"handle": [[x, y, z], [x, y, z]]}`` are the lower
+    and upper corner of a box, object frame [m]; a part has the faces whose centers are in its box.
 
     Raises:
-        FungraspError: invalid file, or a box without faces.
+        FungraspError: the file is invalid, or a box has no faces.
     """
     boxes = read_json(path, "file of parts")
     if not isinstance(boxes, Mapping) or not boxes:
@@ -88,7 +88,7 @@ def parts_from_boxes(model: ObjectModel, path: str | Path) -> ObjectModel:
 
 
 def _whole(name: str, points: np.ndarray, up: np.ndarray) -> list[GraspSpecification]:
-    """From the sides, and from above."""
+    """Specify grasps of the whole object from the sides and from above."""
     long, short = _horizontal_axes(points, up)
     length, width = (float(np.ptp(points @ axis)) for axis in (long, short))
     middle, height = _center(points), float(np.ptp(points @ up))
@@ -111,7 +111,7 @@ def _whole(name: str, points: np.ndarray, up: np.ndarray) -> list[GraspSpecifica
     if length <= WIDEST_SPAN and height <= WIDEST_SPAN:
         add("lift", "cover", top, -up, long)
     if width > WIDEST_SPAN:
-        # Too wide to span: pinch what may be a wall or an edge, from above.
+        # Too wide to span: pinch a possible wall or edge from above.
         for outward in (long, -long, short, -short):
             edge = top + outward * float(((points - middle) @ outward).max())
             add("lift", "pinch", edge - 0.01 * up, -up, outward)
@@ -124,7 +124,7 @@ def _whole(name: str, points: np.ndarray, up: np.ndarray) -> list[GraspSpecifica
 def _part(
     name: str, part: str, cluster: np.ndarray, points: np.ndarray, up: np.ndarray
 ) -> list[GraspSpecification]:
-    """Along the longest axis of a part: upright parts from outside, others from above."""
+    """Specify grasps of a part: upright parts from outside, others from above, across the longest axis."""
     middle, whole = _center(cluster), _center(points)
     axis = np.linalg.svd(cluster - middle, full_matrices=False)[2][0]
     length = float(np.ptp(cluster @ axis))
@@ -152,19 +152,20 @@ def _part(
 
 
 def _thin_clusters(model: ObjectModel, points: np.ndarray, up: np.ndarray, most: int = 3) -> list[np.ndarray]:
-    """Surface samples of the largest thin parts, [m], shape [P, 3] each.
+    """Return surface samples of the largest thin parts [m], shape [P, 3] each.
 
-    Thin is what stands out from all that a ball of radius ``THIN`` reaches inside the object, its horizontal
-    sections filled.
+    A part is thin if it is outside of everything that a ball of radius ``THIN`` reaches inside the object,
+    whose horizontal sections are filled.
     """
     grid = model.signed_distance
-    # A mug is as thick as it looks from the side.
+    # Filling makes a mug count as solid.
     sections = np.moveaxis(grid.values < 0, int(np.argmax(np.abs(up))), 0)
     filled = np.stack([np.asarray(ndimage.binary_fill_holes(section)) for section in sections])
     core = _distance(filled) * grid.spacing > THIN
     if core.any():
         reached = _distance(~core) * grid.spacing <= THIN
-        # Edges and corners of a thick body lie within (sqrt(3) - 1) radii of what the ball reaches.
+        # Edges and corners of a thick body are within (sqrt(3) - 1) radii of the region that the ball
+        # reaches.
         filled &= _distance(~reached) * grid.spacing > 0.75 * THIN
     filled = np.moveaxis(np.asarray(ndimage.binary_dilation(filled)), 0, int(np.argmax(np.abs(up))))
     cells = np.round((points - grid.origin) / grid.spacing).astype(int)
@@ -179,13 +180,13 @@ def _thin_clusters(model: ObjectModel, points: np.ndarray, up: np.ndarray, most:
 
 
 def _distance(inside: np.ndarray) -> np.ndarray:
-    """Distance of each cell to the nearest that is not inside, in cells."""
+    """Return the distance of each cell to the nearest one outside, in cells."""
     transformed: Any = ndimage.distance_transform_edt(inside)
     return transformed
 
 
 def _horizontal_axes(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal unit vectors along which points reach furthest and least, at right angles."""
+    """Return the horizontal unit vectors of largest and smallest extent, at right angles."""
     flat = points - _center(points)
     flat = flat - np.outer(flat @ up, up)
     first = np.linalg.svd(flat, full_matrices=False)[2][0]

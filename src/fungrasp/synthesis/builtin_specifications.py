@@ -1,7 +1,7 @@
-"""How people hold the built-in objects: the specifications from which the built-in grasps are made.
+"""Specifications of the built-in grasps: how people hold the built-in objects.
 
-Directions are in the objects' frames, z up as they stand on the table. Overhand, with the palm down, the
-thumb is on the side of +x when the fingers point to -y. Upright objects are held from the side, thumb up.
+Directions are in the objects' frames, with z up as they stand on the table. In overhand grasps (palm down),
+the thumb is on the +x side if the fingers point to -y. Upright objects are held from the side, thumb up.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _around(spec: Spec, *degrees: float, about: tuple[float, float] = (0, 0)) ->
 
 
 def _along(spec: Spec, *places: float, axis: int = 0) -> list[Spec]:
-    """The same specification with other coordinates of ``at`` along an axis."""
+    """Repeat a specification with other coordinates of ``at`` along an axis."""
     result = []
     for place in places:
         at = list(spec.at)
@@ -235,4 +235,4 @@ def _desk() -> list[Spec]:
 
 
 BUILTIN_SPECIFICATIONS: tuple[Spec, ...] = (*_drinking(), *_kitchen(), *_containers(), *_tools(), *_desk())
-"""The specifications that ``fungrasp grasps make`` solves."""
+"""Specifications solved by ``fungrasp grasps make``."""

@@ -1,4 +1,4 @@
-"""Candidates for human grasps: checks (penetration, contact, anatomy) and selection."""
+"""Candidates of human grasps: checks (penetration, contact, anatomy) and selection."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from fungrasp.synthesis.human_hand_terms import HumanPoints, part_samples
 HAND = "human"
 
 FINE_SPACING = 0.004
-"""Largest gap between the collision spheres with which candidates are checked [m]."""
+"""Largest gap between the collision spheres used to check candidates [m]."""
 
 
 @dataclass(frozen=True)
 class GraspCandidates:
-    """N solved grasps, several per specification, and what the checks measured."""
+    """N solved grasps, several per specification, and the results of the checks."""
 
     specification: np.ndarray
-    """Index of the specification that each candidate solves, shape [N]."""
+    """Index of each candidate's specification, shape [N]."""
     joints: np.ndarray
     """Human joints [m], object frame, shape [N, 21, 3]."""
     contacts: np.ndarray
-    """Links nearer than ``CONTACT_DISTANCE`` to the specified parts, shape [N, 16] bool."""
+    """Links closer than ``CONTACT_DISTANCE`` to the specified parts, shape [N, 16] bool."""
     cost: np.ndarray
     """Objective of the solver, shape [N]."""
     object_penetration: np.ndarray
@@ -46,17 +46,17 @@ class GraspCandidates:
     table_penetration: np.ndarray
     """Largest depth of the hand below the table top [m], shape [N]."""
     self_penetration: np.ndarray
-    """Largest depth of the hand in itself [m], shape [N]."""
+    """Largest self-penetration of the hand [m], shape [N]."""
     part_distance: np.ndarray
     """Largest distance of a link from the part that it must touch [m], shape [N]."""
     anatomical: np.ndarray
-    """Whether all joints are within people's range of motion, shape [N] bool."""
+    """Whether all joints are within the human range of motion, shape [N] bool."""
 
     def good(self, max_penetration: float, max_cost: float) -> np.ndarray:
-        """Which pass all checks, shape [N] bool.
+        """Return whether candidates pass all checks, shape [N] bool.
 
         Args:
-            max_penetration: of the object, and of the hand by itself [m].
+            max_penetration: largest penetration of the object, and self-penetration [m].
         """
         return (
             (self.object_penetration <= max_penetration)
@@ -69,10 +69,11 @@ class GraspCandidates:
 
 
 def join_candidates(batches: Sequence[GraspCandidates], counts: Sequence[int]) -> GraspCandidates:
-    """The candidates of several batches of specifications.
+    """Join the candidates of several batches of specifications.
 
     Args:
         batches: at least one.
+        counts: number of specifications in each batch.
     """
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     parts = [
@@ -91,12 +92,12 @@ def check_candidates(
     objects: Mapping[str, ObjectModel],
     solution: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> GraspCandidates:
-    """Measure N candidates on the hand's whole collision geometry.
+    """Check N candidates with the hand's whole collision geometry.
 
     Args:
-        specs: the specification of each candidate, length N.
+        specs: specification of each candidate, length N.
         owner: index of each candidate's specification, shape [N].
-        solution: wrist poses, joints and costs of the candidates, as ``minimize`` returns them.
+        solution: wrist poses, joints and costs of the candidates, as returned by ``minimize``.
     """
     hand, (pose, independent, cost) = load_hand(HAND), solution
     points = HumanPoints(HandKinematics(hand, len(specs)), spacing=FINE_SPACING)
@@ -126,8 +127,8 @@ def check_candidates(
 
 
 def _anatomical(joints: np.ndarray) -> np.ndarray:
-    """Whether all joints are within people's range of motion, shape [N] bool. joints: [m], shape [N, 21,
-    3]."""
+    """Return whether all joints are within the human range of motion, shape [N] bool. joints: [m], shape
+    [N, 21, 3]."""
     flexion, deviation = joint_bends(joints)
     within = (flexion >= FLEXION_RANGE[..., 0] - JOINT_RANGE_SLACK) & (
         flexion <= FLEXION_RANGE[..., 1] + JOINT_RANGE_SLACK
@@ -137,7 +138,7 @@ def _anatomical(joints: np.ndarray) -> np.ndarray:
 
 
 def _link_gaps(points: HumanPoints, spheres: np.ndarray, tree: KDTree) -> np.ndarray:
-    """Distance of each link's surface from a part [m], shape [16]. spheres: shape [P, 3]."""
+    """Return the distance of each link's surface from a part [m], shape [16]. spheres: shape [P, 3]."""
     gap = tree.query(spheres)[0] - points.spheres.radius
     return np.array([gap[members].min() for members in points.link_members])
 
@@ -150,16 +151,16 @@ def choose_grasps(
     max_cost: float,
     min_difference: float,
 ) -> HumanGraspSet:
-    """The cheapest good candidate of each specification that differs from those chosen before it; a
-    specification without one is left out.
+    """Choose the cheapest good candidate of each specification that differs from those chosen before.
+    Specifications without one are skipped.
 
     Args:
         specs: in the order of the grasps.
-        max_penetration, max_cost: of good ones, as ``GraspCandidates.good`` takes them.
-        min_difference: grasps of one object whose joints are nearer on average are the same grasp [m].
+        max_penetration, max_cost: see ``GraspCandidates.good``.
+        min_difference: smallest mean joint distance between grasps of one object [m].
 
     Raises:
-        FungraspError: there is none.
+        FungraspError: no candidate is good.
     """
     good = candidates.good(max_penetration, max_cost)
     rows = _best(candidates, specs, good, min_difference)
@@ -182,8 +183,8 @@ def choose_grasps(
 def _best(
     candidates: GraspCandidates, specs: Sequence[GraspSpecification], good: np.ndarray, min_difference: float
 ) -> list[int]:
-    """Row of the cheapest good candidate of each specification, if any, that differs from those chosen
-    before."""
+    """Return the row of the cheapest good candidate of each specification, if any, that differs from those
+    chosen before."""
     order = np.lexsort((candidates.cost, candidates.specification))
     order = order[good[order]]
     first = np.searchsorted(candidates.specification[order], np.arange(len(specs) + 1))

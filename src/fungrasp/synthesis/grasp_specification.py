@@ -15,7 +15,7 @@ from fungrasp.objects import ObjectModel
 Vector3 = tuple[float, float, float]
 
 WHOLE = "whole"
-"""The part of every object with all of its surface."""
+"""Name of the part with an object's whole surface."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,16 @@ class GraspKind:
     """Joints before closing [rad], length 21: mcp, spread, pip, dip of index, middle, ring and pinky; five of
     the thumb."""
     closed: tuple[float, ...]
-    """Joints [rad] where closing would end without an object; each finger stops when it touches."""
+    """Joints at the end of closing without an object [rad]; each finger stops when it touches."""
     center: Vector3
-    """Place of the held point between the open fingers [m], palm frame: x out of the palm, y to the thumb's
-    side, z to the fingers."""
+    """Position of the held point between the open fingers [m], palm frame: x out of the palm, y to the
+    thumb's side, z to the fingers."""
     contacts: tuple[str, ...]
     """Human links that must touch the object."""
     palm: bool = False
     """Whether the hand approaches until its palm touches."""
     radial: tuple[str, ...] = ()
-    """Links that touch with their side towards the thumb instead of the pad."""
+    """Links that touch with the side towards the thumb instead of the pad."""
 
     def __post_init__(self) -> None:
         for angles in (self.open, self.closed):
@@ -62,7 +62,7 @@ class GraspSpecification:
     kind: str
     """One of ``GRASP_KINDS``."""
     at: Vector3
-    """The place that is held [m]: a point inside the part, or between the fingers."""
+    """Held point [m]: a point inside the part, or between the fingers."""
     palm: Vector3
     """Direction out of the palm, towards the object."""
     fingers: Vector3
@@ -70,7 +70,7 @@ class GraspSpecification:
     contacts: tuple[str, ...] = ()
     """Human links that must touch. Default: those of the kind."""
     parts: Mapping[str, str] = field(default_factory=dict)
-    """Other parts that some fingers, or some links, must touch instead: ``{"index": "trigger"}``."""
+    """Other parts for some fingers or links to touch: ``{"index": "trigger"}``."""
     places: Mapping[str, Vector3] = field(default_factory=dict)
     """Surface points for some links to touch [m]: ``{"thumb_distal": (0.05, 0.0, 0.03)}``."""
     up: Vector3 = (0.0, 0.0, 1.0)
@@ -100,13 +100,14 @@ class GraspSpecification:
 
     @property
     def part_of_link(self) -> dict[str, str]:
-        """The part that each of ``links`` must touch."""
+        """Part that each of ``links`` must touch."""
         return {
             link: self.parts.get(link, self.parts.get(link.split("_")[0], self.part)) for link in self.links
         }
 
     def rest_pose(self, model: ObjectModel) -> np.ndarray:
-        """The object on the table with ``up`` up and its origin above the world's, world frame, shape [7]."""
+        """Return the pose on the table with ``up`` up and the origin above the world's, world frame, shape
+        [7]."""
         up = np.array(self.up, float) / np.linalg.norm(self.up)
         axis = np.array([up[1], -up[0], 0.0])
         sine = np.linalg.norm(axis)
@@ -119,15 +120,15 @@ class GraspSpecification:
 
     @property
     def all_parts(self) -> frozenset[str]:
-        """Every part that the hand holds."""
+        """All parts that the hand must touch."""
         return frozenset((self.part, *self.parts.values()))
 
     def turned(self, angle: float, about: Sequence[float] = (0.0, 0.0)) -> GraspSpecification:
-        """The same grasp elsewhere around an object that is symmetrical about a line along its z.
+        """Rotate the specification about an object's axis of symmetry, parallel to z.
 
         Args:
             angle: [rad], from x towards y.
-            about: where the line meets the plane z = 0 [m].
+            about: intersection of the axis with the plane z = 0 [m].
         """
         c, s = np.cos(angle), np.sin(angle)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -155,7 +156,7 @@ def _joints(
     thumb: Sequence[float],
     spread: Sequence[float] = (0, 0, 0, 0),
 ) -> tuple[float, ...]:
-    """21 angles from (mcp, pip, dip) of one or four fingers, five of the thumb, and the fingers' spreads."""
+    """Return 21 angles from (mcp, pip, dip) of one or four fingers, five of the thumb, and spreads."""
     four = list(fingers) * (4 // len(fingers))
     rows = [(mcp, side, pip, dip) for (mcp, pip, dip), side in zip(four, spread, strict=True)]
     return (*(angle for row in rows for angle in row), *thumb)

@@ -1,6 +1,6 @@
-"""Terms of the objective for a human hand that is to hold named parts of an object.
+"""Objective terms for a human hand that holds named parts of an object.
 
-Like those of ``fungrasp.optimization.terms``: residuals, shape [N, R], and their Jacobian, shape [N, R, D].
+As in ``fungrasp.optimization.terms``: residuals, shape [N, R], and their Jacobian, shape [N, R, D].
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from fungrasp.optimization.terms import Residual
 from fungrasp.synthesis.grasp_specification import GRASP_KINDS, WHOLE, GraspSpecification
 
 PAD = 0.4
-"""A finger's pad is a sphere that touches its capsule from inside: distance of its center from the axis, over
-the radius of the capsule."""
+"""Offset of a finger pad's center from the axis of its capsule, as a fraction of the capsule's radius. The
+pad is a sphere that touches the capsule from inside."""
 
 SAMPLE_GAP = 0.003
 """Largest edge of the triangles whose corners and centers sample a part's surface [m]."""
 
 SAMPLE_CELL = 0.001
-"""Edge of the cubes of which each holds one sample at most [m]."""
+"""Edge of cubes that contain at most one sample each [m]."""
 
 
 class HumanPoints(HandPoints):
-    """``HandPoints`` of the human hand, with finger pads, thumb sides and pairs of spheres that include the
-    palm."""
+    """``HandPoints`` of the human hand with finger pads, sides towards the thumb, and self-collision pairs
+    that include the palm."""
 
     def __init__(self, kinematics: HandKinematics, spacing: float = 0.018):
         super().__init__(kinematics, spacing)
@@ -48,7 +48,7 @@ class HumanPoints(HandPoints):
 
 
 def _pairs(points: HumanPoints) -> SelfPairs:
-    """Spheres of different fingers, and of fingers and the palm but for the links that grow out of it."""
+    """Pair spheres of different fingers, and of fingers and palm except for links attached to the palm."""
     # finger: -1 for the palm, 0 to 3 for index to pinky, 4 for the thumb; place: 0 to 2 from base to tip.
     link = points.spheres.link
     finger, place = np.where(link > 0, (link - 1) // 3, -1), np.where(link > 0, (link - 1) % 3, -1)
@@ -61,25 +61,25 @@ def _pairs(points: HumanPoints) -> SelfPairs:
 
 @dataclass(frozen=True)
 class PartTargets:
-    """Which link of which hand must touch which part; N hands."""
+    """Parts that the links of N hands must touch."""
 
     trees: tuple[KDTree, ...]
     """Surface samples of the parts."""
     tree: np.ndarray
-    """Which of ``trees`` each link must touch, -1 for none, shape [N, 16]."""
+    """Index in ``trees`` of each link's part, -1 for none, shape [N, 16]."""
     radial: np.ndarray
     """Whether the link touches with its side towards the thumb, shape [N, 16] bool."""
     places: np.ndarray
-    """Where the link should touch [m], NaN for anywhere, object frame, shape [N, 16, 3]."""
+    """Point for the link to touch [m], NaN for any point, object frame, shape [N, 16, 3]."""
 
     @classmethod
     def from_specifications(
         cls, specs: Sequence[GraspSpecification], objects: Mapping[str, ObjectModel]
     ) -> PartTargets:
-        """Targets of N hands, one specification each.
+        """Return the targets of N hands, one specification each.
 
         Raises:
-            FungraspError: an object has no such part.
+            FungraspError: an object lacks a part.
         """
         keys = sorted({(spec.object, part) for spec in specs for part in spec.part_of_link.values()})
         tree = np.full((len(specs), len(HUMAN_LINKS)), -1)
@@ -95,7 +95,8 @@ class PartTargets:
         return cls(tuple(part_samples(objects[name], part) for name, part in keys), tree, radial, places)
 
     def nearest(self, which: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Nearest samples [m], shape [Q, 3]. which: tree indices, shape [Q]; points: [m], shape [Q, 3]."""
+        """Return nearest samples [m], shape [Q, 3]. which: tree indices, shape [Q]; points: [m], shape
+        [Q, 3]."""
         result = np.empty_like(points)
         for index, tree in enumerate(self.trees):
             rows = which == index
@@ -106,7 +107,7 @@ class PartTargets:
 
 @lru_cache(maxsize=256)
 def part_samples(model: ObjectModel, part: str) -> KDTree:
-    """Points about 2 mm apart on the faces of a part.
+    """Return points about 2 mm apart on the faces of a part.
 
     Raises:
         UnknownNameError: the object has no such part.
@@ -116,13 +117,13 @@ def part_samples(model: ObjectModel, part: str) -> KDTree:
     chosen = model.faces if part == WHOLE else model.faces[model.parts[part]]
     corners, faces = trimesh.remesh.subdivide_to_size(model.vertices, chosen, SAMPLE_GAP, max_iter=30)[:2]
     points = np.concatenate([corners[np.unique(faces)], corners[faces].mean(axis=1)])
-    # Long thin triangles give points by the hundred on a millimeter, which only take time.
+    # Long thin triangles have hundreds of samples per millimeter, which only take time.
     first = np.unique(np.floor(points / SAMPLE_CELL).astype(np.int64), axis=0, return_index=True)[1]
     return KDTree(points[np.sort(first)])
 
 
 def _touching_points(state: HandState[CollisionScene], targets: PartTargets) -> np.ndarray:
-    """The points that should touch, in place of the spheres' centers [m], shape [N, P, 3]."""
+    """Return the touching points (pads or sides) of all spheres [m], shape [N, P, 3]."""
     points = state.points
     assert isinstance(points, HumanPoints)
     pads, sides = points.kinematics.points(points.pads), points.kinematics.points(points.sides)
@@ -130,16 +131,15 @@ def _touching_points(state: HandState[CollisionScene], targets: PartTargets) -> 
 
 
 def part_gap(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.002) -> Residual:
-    """max(0, |x - s| - r) / unit for each link that must touch: x and r its pad nearest to the part, s the
-    part's point nearest to it.
+    """Return max(0, |x - s| - r) / unit for each target link, with x and r its pad nearest to the part, and s
+    the sample of the part nearest to the pad.
 
     Args:
         unit: [m].
     """
     pads = _touching_points(state, targets)
     link, radius = state.points.spheres.link, (1 - PAD) * state.points.spheres.radius
-    # One query per sphere of each (hand, link) pair with a target; ``query`` is the pair each sphere belongs
-    # to.
+    # One query per sphere of each (hand, link) pair with a target; ``query`` is the pair of each sphere.
     rows, links = np.nonzero(targets.tree >= 0)
     order = np.argsort(link, kind="stable")
     first, count = np.searchsorted(link[order], links), np.bincount(link, minlength=16)[links]
@@ -164,7 +164,7 @@ def part_gap(state: HandState[CollisionScene], targets: PartTargets, unit: float
 
 
 def place_error(state: HandState[CollisionScene], targets: PartTargets, unit: float = 0.008) -> Residual:
-    """(x - p) / unit for links with a place p, x the link's pad that is nearest to it.
+    """Return (x - p) / unit for links with a place p, with x the link's pad nearest to it.
 
     Args:
         unit: [m].
@@ -193,14 +193,14 @@ def natural_posture(
     off_unit: float = 0.25,
     neighbor_unit: float = 0.4,
 ) -> Residual:
-    """Joints near each finger's line from open to closed, and neighboring fingers about equally closed.
+    """Keep joints near each finger's line from open to closed, and neighboring fingers about equally closed.
 
-    For finger f with direction d_f from open to closed: (d_f . (q - open) - half of the distance) /
-    along_unit, the rest of q - open over ``off_unit``, and differences of d_f . q between neighbors over
-    ``neighbor_unit``.
+    For finger f with direction d_f from open to closed, the residuals are: (d_f . (q - open) - half of the
+    distance) / ``along_unit``; the rest of q - open over ``off_unit``; and differences of d_f . q between
+    neighbors over ``neighbor_unit``.
 
     Args:
-        kinds: name of each hand's grasp kind, length N.
+        kinds: grasp kind of each hand, length N.
         along_unit, off_unit, neighbor_unit: [rad].
     """
     names = list(dict.fromkeys(kinds))
@@ -216,7 +216,7 @@ def natural_posture(
 def _posture(
     kind: str, along_unit: float, off_unit: float, neighbor_unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and goal of ``natural_posture`` for one kind of grasp."""
+    """Return matrix and goal of ``natural_posture`` for one kind of grasp."""
     fingers = [slice(4 * finger, 4 * finger + 4) for finger in range(4)] + [slice(16, 21)]
     start = np.array(GRASP_KINDS[kind].open)
     span = np.array(GRASP_KINDS[kind].closed) - GRASP_KINDS[kind].open
@@ -236,14 +236,14 @@ def _posture(
 def _rows_jacobian(
     state: HandState[CollisionScene], rows: np.ndarray, sphere: np.ndarray, position: np.ndarray
 ) -> np.ndarray:
-    """Jacobians of Q single points of hands, shape [Q, 3, D].
+    """Return the Jacobians of Q points of hands, shape [Q, 3, D].
 
     Args:
-        rows: which hand, ascending, shape [Q].
+        rows: hand of each point, ascending, shape [Q].
         sphere: index of the sphere whose body carries the point, shape [Q].
         position: [m], shape [Q, 3].
     """
-    # The kinematics take the same number of points for every hand: spread the Q points over slots per hand.
+    # The kinematics need the same number of points for each hand: distribute the points to slots per hand.
     slot = np.arange(len(rows)) - np.searchsorted(rows, rows)
     count, slots = len(state.wrist_pose), int(slot.max()) + 1
     bodies, positions = np.zeros((count, slots), dtype=int), np.zeros((count, slots, 3))

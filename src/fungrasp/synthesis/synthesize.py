@@ -1,5 +1,5 @@
-"""Human grasps from specifications: the solver of retargeting, applied to the human hand, with contact
-targets on named parts of the object.
+"""Synthesis of human grasps from specifications: the solver of retargeting, applied to the human hand with
+contact targets on named parts of the object.
 
 from fungrasp.synthesis import GraspSpecification, synthesize_grasps
 
@@ -53,7 +53,7 @@ CONTACT_TOLERANCE = 0.001
 """Penetration at which the closing hand stops [m]; the solver removes it."""
 
 FARTHEST, DEEPEST, STEP = 0.15, 0.05, 0.002
-"""The hand comes from ``FARTHEST`` in front of the held place to at most ``DEEPEST`` beyond it, in steps of
+"""The hand approaches from ``FARTHEST`` before the held point to at most ``DEEPEST`` beyond it, in steps of
 ``STEP`` [m]."""
 
 
@@ -79,23 +79,23 @@ class SynthesisSettings:
     table_margin: float = 0.0015
     """Distance to keep from the table [m]."""
     self_unit: float = 0.001
-    """Penetration of the hand by itself that counts as one unit [m]."""
+    """Self-penetration of the hand that counts as one unit [m]."""
     closure_unit: float = 0.06
-    """Unbalanced part of contact forces that sum to one, at which it counts as one unit [-]."""
+    """Unbalanced part of contact forces with a sum of one that counts as one unit [-]."""
     wrist_unit: float = 0.02
     """Distance of the wrist from its start that counts as one unit [m]."""
     wrist_turn_unit: float = 0.3
     """Turn of the wrist from its start that counts as one unit [rad]."""
     first_iterations: int = 20
-    """Solver iterations with units four times as large."""
+    """Solver iterations with units four times as large (twice for places)."""
     second_iterations: int = 40
     """Solver iterations with the units above and force closure."""
     max_penetration: float = 0.002
-    """Deepest allowed penetration of the object, and of the hand by itself [m]."""
+    """Largest penetration of the object, and self-penetration of the hand [m]."""
     max_cost: float = 25.0
     """Largest objective of a grasp that looks natural."""
     min_difference: float = 0.006
-    """Grasps of one object whose joints are nearer than this on average are the same grasp [m]."""
+    """Smallest mean joint distance between grasps of one object [m]."""
 
 
 def synthesize_grasps(
@@ -110,20 +110,20 @@ def synthesize_grasps(
 ) -> HumanGraspSet:
     """Synthesize human grasps of objects at rest on the table. Specifications without a solution are skipped.
 
-    Every grasp has bones of exactly the human hand's lengths, joints within its limits, no more than 2 mm of
-    penetration, nothing below the table, and its links on their parts; no two are alike, whatever their seed.
+    Every grasp has the human hand's bone lengths, joints within limits, at most 2 mm of penetration, nothing
+    below the table, and its links on their parts. No two grasps are alike, whatever their seeds.
 
     Args:
         specs: specifications. Grasps keep their order, all of the first seed before those of the next.
-        seed: of the random starts, or several seeds: each specification is solved with each.
-        settings: the defaults if None.
+        seed: seed of the random starts, or several seeds: each specification is solved with each.
+        settings: defaults if None.
         objects: by name; built-in objects may be missing.
-        store: keeps finished parts so that an interrupted run can continue. The caller removes it.
-        ray: run on a cluster. The result is the same.
+        store: keeps finished parts, so that an interrupted run can continue; the caller removes it.
+        ray: cluster to run on. The result is the same.
         progress: called with the finished share, 0 to 1.
 
     Raises:
-        FungraspError: an unknown object or part, no solution of any specification, or a part can't be
+        FungraspError: an object or part is unknown, no specification has a solution, or a part can't be
             written.
     """
     seeds = (seed,) if isinstance(seed, int) else tuple(seed)
@@ -137,44 +137,44 @@ def synthesize_grasps(
 
 @dataclass(frozen=True)
 class SpecificationBatch:
-    """Specifications that are solved together. Batches do not depend on each other."""
+    """Specifications that are solved together. Batches are independent of each other."""
 
     seed: int
-    """Of the random starts."""
+    """Seed of the random starts."""
     specifications: tuple[GraspSpecification, ...]
-    """``BATCH_SIZE`` of them at most."""
+    """At most ``BATCH_SIZE`` specifications."""
 
 
 @dataclass(frozen=True, eq=False)
 class Synthesis(Job[SpecificationBatch]):
-    """Grasps to be made, and how."""
+    """A synthesis job; its parts are batches of specifications."""
 
     specifications: tuple[GraspSpecification, ...]
-    """What to make."""
+    """Specifications to solve."""
     objects: Mapping[str, ObjectModel]
-    """By name."""
+    """Objects by name."""
     settings: SynthesisSettings
-    """Of the solver, and what a good grasp is."""
+    """Settings of the solver, and criteria of good grasps."""
     seeds: tuple[int, ...]
-    """Each specification is solved with each."""
+    """Seeds; each specification is solved with each."""
 
     def parts(self) -> list[SpecificationBatch]:
-        """All batches of all seeds."""
+        """Return the batches of all seeds."""
         count, specs = len(self.specifications), self.specifications
         batches = [specs[start : start + BATCH_SIZE] for start in range(0, count, BATCH_SIZE)]
         return [SpecificationBatch(seed, batch) for seed in self.seeds for batch in batches]
 
     def key(self, part: SpecificationBatch) -> str:
-        """Digest of all that the candidates depend on."""
+        """Return a digest of everything that the candidates depend on."""
         objects = {spec.object: self.objects[spec.object] for spec in part.specifications}
         return part_key("synthesis", load_hand(HAND), objects, self.settings, part)
 
     def size(self, part: SpecificationBatch) -> float:
-        """Number of specifications."""
+        """Return the number of specifications."""
         return len(part.specifications)
 
     def run(self, parts: Sequence[SpecificationBatch], progress: Callable[[float], None]) -> list[Arrays]:
-        """Fields of the good ones of each part's ``GraspCandidates``."""
+        """Return the fields of each part's good ``GraspCandidates``."""
         s, results = self.settings, []
         for part in parts:
             found = solve_batch(part.specifications, self.objects, part.seed, s)
@@ -186,10 +186,10 @@ class Synthesis(Job[SpecificationBatch]):
 def specified_objects(
     specs: Sequence[GraspSpecification], known: Mapping[str, ObjectModel] | None = None
 ) -> dict[str, ObjectModel]:
-    """The specifications' objects by name, their parts checked.
+    """Return the specifications' objects by name, and check that they have the parts.
 
     Args:
-        known: objects by name; built-in ones that are not in it are found by themselves.
+        known: objects by name; built-in objects may be missing.
 
     Raises:
         FungraspError: an object or part does not exist.
@@ -209,7 +209,7 @@ def solve_batch(
     seed: int,
     settings: SynthesisSettings,
 ) -> GraspCandidates:
-    """Candidates of a few specifications, solved together."""
+    """Solve a few specifications together, and return their candidates."""
     owner = np.repeat(np.arange(len(specs)), settings.starts)
     each = [spec for spec in specs for _ in range(settings.starts)]
     hand = load_hand(HAND)
@@ -232,8 +232,8 @@ def solve_batch(
     table = partial(terms.table_penetration, margin=settings.table_margin)
 
     def objective(factor: float, *more: Term) -> list[Term]:
-        """``more``, and terms whose units of contact and penetration are ``factor`` times as large, of places
-        its root."""
+        """Return the terms. ``factor`` scales the units of contact and penetration; its root those of
+        places."""
         specified = [
             partial(natural_posture, kinds=[spec.kind for spec in each]),
             partial(part_gap, targets=targets, unit=factor * settings.gap_unit),
@@ -263,7 +263,7 @@ def _problem(
     pose: np.ndarray,
     independent: np.ndarray,
 ) -> RetargetingProblem:
-    """The specifications as a retargeting problem: the links that must touch, the human hand at its start."""
+    """Make a retargeting problem: target links of the specifications, human hand at its start."""
     contacts = np.array([[link in spec.links for link in HUMAN_LINKS] for spec in specs])
     joints = HandState(points, scene, pose, independent).keypoints
     nowhere = np.zeros((len(specs), len(points.match.far), 3))
@@ -282,11 +282,12 @@ def _problem(
 def random_offsets(
     specs: Sequence[GraspSpecification], seed: int, starts: int, shift: float, turn: float
 ) -> np.ndarray:
-    """Shift [m] and turn [rad] of the wrist at each start, zero for the first of a specification.
+    """Return shift [m] and turn [rad] of the wrist at each start, zero for the first start of a
+    specification.
 
     Args:
         specs: each gets ``starts`` candidates, in consecutive rows.
-        seed: with the specification itself, all that the offsets depend on.
+        seed: random seed. The offsets depend only on it and the specification.
         shift, turn: standard deviations [m], [rad].
 
     Returns:
@@ -294,7 +295,7 @@ def random_offsets(
     """
     result = []
     for spec in specs:
-        # The class's former name: the built-in grasps were made from these random numbers.
+        # The class's former name: the built-in grasps were made with these random numbers.
         text = repr(spec).replace(type(spec).__name__, "GraspWish", 1)
         random = np.random.default_rng([seed, zlib.crc32(text.encode())])
         offsets = random.normal(size=(starts, 6)) * np.repeat([shift, turn], 3)
@@ -304,18 +305,18 @@ def random_offsets(
 
 
 def specified_wrist_pose(specs: Sequence[GraspSpecification], offsets: np.ndarray) -> np.ndarray:
-    """Wrist pose that puts the center of the grasp kind at the specified place, object frame, shape [N, 7].
+    """Return wrist poses that put the center of the grasp kind at the held point, object frame, shape [N, 7].
 
     Args:
         specs: one per candidate, length N.
-        offsets: as ``random_offsets`` returns them, shape [N, 6].
+        offsets: result of ``random_offsets``, shape [N, 6].
     """
     x = np.array([spec.palm for spec in specs], dtype=float)
     z = np.array([spec.fingers for spec in specs], dtype=float)
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     z -= np.sum(z * x, axis=1, keepdims=True) * x
     z /= np.linalg.norm(z, axis=1, keepdims=True)
-    # Columns are the palm's axes in the object's frame: out of the palm, to the thumb's side, to the fingers.
+    # Columns are the palm's axes in the object frame: out of the palm, to the thumb's side, to the fingers.
     matrix = np.stack([x, np.cross(z, x), z], axis=-1)
     center = np.array([GRASP_KINDS[spec.kind].center for spec in specs])
     place = np.array([spec.at for spec in specs], dtype=float)
@@ -328,9 +329,9 @@ def specified_wrist_pose(specs: Sequence[GraspSpecification], offsets: np.ndarra
 def approach_until_contact(
     points: HumanPoints, scene: CollisionScene, specs: Sequence[GraspSpecification], pose: np.ndarray
 ) -> np.ndarray:
-    """Wrist poses moved along the palm's direction until the palm touches, shape [N, 7].
+    """Move wrist poses along the palm's direction until the palm touches; return them, shape [N, 7].
 
-    For kinds that do not use the palm, only until the held place is between the fingers.
+    For kinds that do not use the palm, stop when the held point is between the fingers.
     """
     into = Rotation.from_quat(pose[:, 3:], scalar_first=True).apply([1.0, 0.0, 0.0])
     deepest = np.array([DEEPEST if GRASP_KINDS[spec.kind].palm else 0.0 for spec in specs])
@@ -354,7 +355,7 @@ def approach_until_contact(
 def close_until_contact(
     points: HumanPoints, scene: CollisionScene, specs: Sequence[GraspSpecification], pose: np.ndarray
 ) -> np.ndarray:
-    """Joints with each finger closed until it touches object or table [rad], shape [N, 21]."""
+    """Close each finger until it touches object or table; return the joints [rad], shape [N, 21]."""
     opened = np.array([GRASP_KINDS[spec.kind].open for spec in specs])
     closed = np.array([GRASP_KINDS[spec.kind].closed for spec in specs])
     finger_of_joint = np.repeat(np.arange(5), [4, 4, 4, 4, 5])
