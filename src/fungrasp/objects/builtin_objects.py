@@ -19,9 +19,9 @@ MESHES = Path(__file__).parent / "builtin.npz"
 """File of the meshes."""
 
 FIELDS = ("points", "faces", "part_of_face", "part_names", "corners", "corner_counts")
-"""Its arrays, each with the rows of all objects, ``counts`` of each: points [m], those of the surface first;
-triangles of the surface, the part that each belongs to, and the names of the parts; corners of the convex
-pieces, as rows of ``points``, and how many there are of each piece."""
+"""Arrays of the file, with the rows of all objects (``counts`` gives the numbers per object): points [m],
+those of the surface first; triangles of the surface, part of each triangle, and names of the parts; corners
+of the convex pieces as rows of ``points``, and number of corners of each piece."""
 
 BUILTINS: Mapping[str, tuple[float, str]] = {
     "mug": (0.35, "0.3 l stoneware mug: volume of the mesh at 2300 kg/m3"),
@@ -47,15 +47,15 @@ BUILTINS: Mapping[str, tuple[float, str]] = {
     "book": (0.5, "about 250 leaves: volume of the mesh at 0.73 g/cm3"),
     "tennis_ball": (0.058, "rules of the ITF: 56.0 to 59.4 g, 65.4 to 68.6 mm"),
 }
-"""Mass [kg] of each object, and where size and mass come from."""
+"""Mass [kg] of each object, and the source of size and mass."""
 
 
 def load_builtin(name: str, mass: float | None = None) -> ObjectModel:
-    """Read a built-in object. name: a key of ``BUILTINS``. mass: [kg]; the object's own if None."""
+    """Read a built-in object. name: key of ``BUILTINS``. mass: [kg]; the object's own if None."""
     own, source = BUILTINS[name]
     index = list(BUILTINS).index(name)
     of = {key: rows[index] for key, rows in _meshes().items()}
-    # Rows are differences from the row before, which take less room.
+    # Rows are stored as differences from the previous row, which compress better.
     faces = np.cumsum(of["faces"], axis=0, dtype=np.uint16).astype(np.int32)
     pieces = np.split(of["points"][of["corners"]], np.cumsum(of["corner_counts"])[:-1])
     return ObjectModel(
@@ -71,7 +71,7 @@ def load_builtin(name: str, mass: float | None = None) -> ObjectModel:
 
 @cache
 def _meshes() -> dict[str, list[np.ndarray]]:
-    """Rows of each object, in the order of ``BUILTINS``, by field."""
+    """Return the rows of each object, in the order of ``BUILTINS``, by field."""
     data = read_npz(MESHES, "built-in objects")
     ends = np.cumsum(data["counts"], axis=0)[:-1]
     return {key: np.split(data[key], ends[:, column]) for column, key in enumerate(FIELDS)}
@@ -84,24 +84,24 @@ SMALLEST, LARGEST = 1.0, 1500.0
 """Limits of a size [mm]."""
 
 _SEGMENTS = 48
-"""Flat sides of a cylinder, and of a sphere around its axis."""
+"""Number of sides of a cylinder, and of a sphere around its axis."""
 
 
 def is_plain_shape(name: str) -> bool:
-    """Whether a name describes a shape: "box:...", "cylinder:..." or "sphere:..."."""
+    """Return whether a name describes a shape: "box:...", "cylinder:..." or "sphere:..."."""
     return name.split(":", 1)[0] in SHAPES and ":" in name
 
 
 @lru_cache(maxsize=256)
 def plain_shape(name: str, mass: float) -> ObjectModel:
-    """A plain shape from its name, with its center at the origin; the axis of a cylinder is z.
+    """Make a plain shape from its name, centered at the origin; the axis of a cylinder is z.
 
     Args:
         name: "box:LENGTHxWIDTHxHEIGHT", "cylinder:DIAMETERxHEIGHT" or "sphere:DIAMETER", in millimeters.
         mass: [kg].
 
     Raises:
-        FungraspError: not the name of a shape, or an invalid size.
+        FungraspError: the name is not that of a shape, or a size is invalid.
     """
     sizes = _sizes(name)
     kind = name.split(":", 1)[0]
@@ -121,14 +121,15 @@ def plain_shape(name: str, mass: float) -> ObjectModel:
 
 
 def lathe(profile: Sequence[tuple[float, float]], segments: int = 40) -> np.ndarray:
-    """Corners of a convex solid of revolution about z. profile: radius and height [m], from bottom to top."""
+    """Return corners of a convex solid of revolution about z. profile: radius and height [m], bottom to
+    top."""
     angles = np.linspace(0, 2 * np.pi, segments, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return np.concatenate([np.insert(radius * circle, 2, height, axis=1) for radius, height in profile])
 
 
 def _sizes(name: str) -> list[float]:
-    """Sizes in the name of a shape [m]."""
+    """Parse the sizes in the name of a shape [m]."""
     kind, _, text = name.partition(":")
     wanted = SHAPES.get(kind, ())
     example = f"{kind}:{'x'.join(size.upper() for size in wanted)}" if wanted else "box:60x28x30"

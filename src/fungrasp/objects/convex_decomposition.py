@@ -1,7 +1,7 @@
 """Convex pieces of a mesh: CoACD, computed once and cached on disk.
 
-CoACD is not reproducible from run to run, so its pieces are published under a name made from the mesh and the
-settings, and every later use, in any process, reads that file.
+CoACD is not reproducible between runs. Its pieces are therefore stored under a key of mesh and settings, and
+every later use, in any process, reads the same file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fungrasp.objects.disk_cache import cached_on_disk
 from fungrasp.objects.mesh_repair import hull_solid, solid
 
 DECOMPOSITION_FORMAT = 1
-"""Goes up when the same mesh and settings should give different pieces."""
+"""Version of the cached pieces; increase it if the same mesh and settings should give different pieces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,48 +31,49 @@ class ConvexPiece:
     vertices: np.ndarray
     """Vertices [m], shape [N, 3] float64, object frame."""
     faces: np.ndarray
-    """Triangles, outward, shape [M, 3] int32."""
+    """Triangles, oriented outwards, shape [M, 3] int32."""
 
 
 @dataclass(frozen=True)
 class DecompositionSettings:
-    """Settings of CoACD; part of the name under which the pieces are cached.
+    """Settings of CoACD; part of the cache key.
 
-    The search is smaller than CoACD's default: 3 times faster and, on 5 YCB meshes, no less faithful.
+    The search is smaller than CoACD's default: 3 times faster and equally accurate on 5 YCB meshes.
     """
 
     concavity: float = 0.005
-    """A piece is cut while its hull stands further than this from the mesh [m]."""
+    """Largest distance of a piece's hull from the mesh; other pieces are cut further [m]."""
     fine_concavity: float = 0.0025
     """The same for simple objects: those that need at most a third of ``max_pieces`` at ``concavity`` [m]."""
     max_pieces: int = 24
-    """Most pieces; beyond it those that change the shape least are joined. Thin shells need many."""
+    """Largest number of pieces; beyond it, pieces are merged. Thin shells need many."""
     max_vertices: int = 128
-    """Most vertices of a piece. With 64, a ball of 10 cm is 2 mm too small and physics no faster."""
+    """Largest number of vertices of a piece. With 64, a ball of 10 cm is 2 mm too small and physics no
+    faster."""
     tolerance: float = 0.0002
-    """A piece may shrink by this where vertices are left out, and a large mesh before it is cut [m]."""
+    """Largest shrinkage of a piece by leaving out vertices, and error of simplifying a large mesh [m]."""
     most_faces: int = 4000
-    """A mesh with more is first simplified to within ``tolerance``."""
+    """Number of faces above which a mesh is first simplified to within ``tolerance``."""
     search_iterations: int = 30
     """Iterations of the tree search for each cut."""
     search_nodes: int = 10
     """Candidate planes per axis of the tree search."""
     search_depth: int = 2
-    """Cuts the tree search looks ahead."""
+    """Number of cuts that the tree search looks ahead."""
     samples: int = 1000
-    """Surface samples with which CoACD measures concavity."""
+    """Number of surface samples for measuring concavity."""
     seed: int = 0
     """Seed of CoACD's random numbers."""
 
 
 def convex_hull(points: np.ndarray) -> ConvexPiece:
-    """The hull of points: [m], shape [N, 3], not all in one plane."""
+    """Return the hull of points: [m], shape [N, 3], not all in one plane."""
     mesh = hull_solid(points).to_mesh64()
     return ConvexPiece(np.array(mesh.vert_properties[:, :3]), np.asarray(mesh.tri_verts, dtype=np.int32))
 
 
 def mesh_digest(vertices: np.ndarray, faces: np.ndarray) -> str:
-    """SHA-256 of the vertices (float64) and faces (int32), hexadecimal."""
+    """Return the SHA-256 of vertices (float64) and faces (int32), hexadecimal."""
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(vertices, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(faces, dtype="<i4").tobytes())
@@ -82,15 +83,15 @@ def mesh_digest(vertices: np.ndarray, faces: np.ndarray) -> str:
 def convex_pieces(
     vertices: np.ndarray, faces: np.ndarray, settings: DecompositionSettings | None = None
 ) -> tuple[ConvexPiece, ...]:
-    """Convex pieces whose union is close to a watertight mesh; read from the cache when it has them.
+    """Return convex pieces whose union approximates a watertight mesh, from the cache if possible.
 
     Args:
         vertices: [m], shape [V, 3].
-        faces: outward, shape [F, 3], integer.
-        settings: of CoACD; the default if None.
+        faces: oriented outwards, shape [F, 3], integer.
+        settings: defaults if None.
 
     Raises:
-        FungraspError: the cache folder can't be written to.
+        FungraspError: the pieces can't be written.
     """
     chosen = settings or DecompositionSettings()
     options = sorted(asdict(chosen).items())
@@ -101,18 +102,18 @@ def convex_pieces(
 
 
 def fewer_points(points: np.ndarray, limit: int, tolerance: float) -> np.ndarray:
-    """Some of the corners of a convex solid, such that their hull is nearly the same.
+    """Select corners of a convex solid whose hull is nearly the same.
 
-    Starts from the extreme points along the axes and adds the corner furthest outside, until none is further
-    out than ``tolerance``.
+    Starts with the extreme points along the axes and adds the corner farthest outside, until none is farther
+    outside than ``tolerance``.
 
     Args:
         points: [m], shape [N, 3].
-        limit: largest number of points to keep, at least 4.
+        limit: largest number of points, at least 4.
         tolerance: [m].
 
     Returns:
-        [m], shape [K, 3], K <= limit.
+        Corners [m], shape [K, 3], K <= limit.
     """
     corners = points[ConvexHull(points).vertices]
     chosen = list(dict.fromkeys([*np.argmax(corners, axis=0).tolist(), *np.argmin(corners, axis=0).tolist()]))
@@ -126,7 +127,7 @@ def fewer_points(points: np.ndarray, limit: int, tolerance: float) -> np.ndarray
 
 
 def _distance_outside(corners: np.ndarray, chosen: list[int]) -> np.ndarray:
-    """Distance beyond the chosen corners' hull, to its face planes; over 1 if they have no volume yet."""
+    """Return distances of corners beyond the chosen corners' hull (its face planes); over 1 if it is flat."""
     try:
         planes = ConvexHull(corners[chosen]).equations
     except QhullError:

@@ -1,4 +1,4 @@
-"""Results computed once and cached on disk; processes that run at the same time read the same file."""
+"""Results cached on disk; concurrent processes compute each result once."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ T = TypeVar("T")
 
 
 def cached_on_disk(kind: str, key: str, read: Callable[[Path], T], write: Callable[[Path], None]) -> T:
-    """What ``read`` finds in the file cached under ``key``; ``write`` makes it where it is missing or broken.
+    """Read the result cached under ``key``; if it is missing or broken, make it with ``write``.
 
     Args:
-        write: computes the result and writes the file, whole or not at all.
+        write: computes the result and writes the file atomically.
 
-    Where the cache folder can't be written to, or is full, results are kept for this process only.
+    If the cache folder can't be written to or is full, results are kept for this process only.
     """
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
     found = _try_read(cache_path(kind) / name, read)
@@ -49,7 +49,7 @@ def _made(path: Path, read: Callable[[Path], T], write: Callable[[Path], None]) 
 
 @functools.cache
 def _temporary_folder() -> Path:
-    """A folder that goes with this process."""
+    """Return a folder that is removed when this process ends."""
     folder = tempfile.mkdtemp(prefix="fungrasp-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
@@ -65,7 +65,7 @@ def _try_read(path: Path, read: Callable[[Path], T]) -> T | None:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold ``path`` against other processes, where the system can (POSIX)."""
+    """Lock ``path`` against other processes, if the system supports it (POSIX)."""
     try:
         import fcntl
     except ImportError:

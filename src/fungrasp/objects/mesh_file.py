@@ -23,46 +23,47 @@ if TYPE_CHECKING:
     import trimesh
 
 MESH_FORMAT = 2
-"""Goes up when the same file should give another surface."""
+"""Version of cached surfaces; increase it if the same file should give another surface."""
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
-"""File types of objects; by an object's name they are looked up in this order."""
+"""File types of objects, in the order in which they are searched for an object's name."""
 
 TABLE_SIDE = 1.5
-"""Side of the table [m]; an object longer than it is refused."""
+"""Side of the table and largest length of an object [m]."""
 
 SHORTEST_OBJECT = 1e-3
-"""Length of the shortest object [m]."""
+"""Smallest length of an object [m]."""
 
 HELD = (0.02, 0.6)
-"""Lengths of most objects that a hand holds [m]."""
+"""Range of lengths of most objects that a hand holds [m]."""
 
 TABLE_THICKNESS = 0.015
-"""A piece of the table in a scan is no thicker [m]."""
+"""Largest thickness of a piece of the table in a scan [m]."""
 
 TABLE_PIECE = 0.2
 """Smallest width of such a piece [m]."""
 
 TABLE_LARGER = 3.0
-"""It covers at least so many times the area of what is on it."""
+"""Smallest ratio of the area of such a piece to that of the object on it."""
 
 UNITS = {"dm": 0.1, "inches": 0.0254, "cm": 0.01, "mm": 0.001}
-"""Meters per unit in which meshes are made."""
+"""Meters per unit, for units that meshes may be in."""
 
 APART = 0.02
-"""Bodies of a mesh with so much room between them are separate objects [m]."""
+"""Gap between bodies of a mesh beyond which they are separate objects [m]."""
 
 MOST_FACES = 100_000
-"""A mesh with more faces is simplified."""
+"""Number of faces above which a mesh is simplified."""
 
 THINNEST = 1e-6
-"""A closed surface whose volume divided by its area is less [m] is loose triangles, each closed by itself."""
+"""Ratio of volume to area of a closed surface below which it consists of loose triangles, each closed by
+itself [m]."""
 
 MOST_LAYERS = 10.0
-"""An open surface of more than so many times the area of its bounding box is none of an object."""
+"""Ratio of an open surface's area to that of its bounding box above which it cannot be an object."""
 
 WIDEST_HOLE = 0.5
-"""Widest hole that is filled, as a part of the object's longest side."""
+"""Width of the widest hole that is filled, as a fraction of the object's longest side."""
 
 _log = logging.getLogger(__name__)
 
@@ -71,12 +72,12 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
     """Read a closed surface in meters.
 
     Args:
-        path: the file, of one of ``MESH_SUFFIXES``; a scene's meshes are joined.
+        path: file with one of ``MESH_SUFFIXES``; the meshes of a scene are joined.
         repair: repair surfaces that are not closed; otherwise they are an error.
 
     Returns:
         vertices: [m], shape [V, 3] float64.
-        faces: outward, shape [F, 3] int32.
+        faces: oriented outwards, shape [F, 3] int32.
         repairs: one phrase per repair, also logged as a warning.
 
     Raises:
@@ -89,7 +90,7 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
         raise FungraspError(
             f"cannot read the mesh {path}: a mesh is a file {', '.join(MESH_SUFFIXES)}; export it as one"
         )
-    # Nothing but this file says what the surface is. To read it takes another process, and trimesh.
+    # The surface depends only on this file. Reading it takes another process and trimesh, so it is cached.
     with path.open("rb") as stream:
         content = hashlib.file_digest(stream, "sha256").hexdigest()
     vertices, faces, repairs = cached_on_disk(
@@ -106,12 +107,12 @@ def load_mesh(path: str | Path, *, repair: bool = True) -> tuple[np.ndarray, np.
 def mend_mesh(
     vertices: np.ndarray, faces: np.ndarray, name: str = "the mesh"
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """A closed surface in meters from arrays, like ``load_mesh``.
+    """Make a closed surface in meters from arrays, like ``load_mesh``.
 
     Args:
         vertices: [m], shape [V, 3].
         faces: triangles, shape [F, 3] int.
-        name: begins the messages.
+        name: prefix of messages.
     """
     vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces)
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.isfinite(vertices).all():
@@ -144,7 +145,7 @@ def _kept(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
 def _surface(
     path: Path | str, vertices: np.ndarray, faces: np.ndarray, repair: bool
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """What ``load_mesh`` returns, of a mesh that was not met before."""
+    """Compute the result of ``load_mesh`` for a mesh that is not cached."""
     mesh = _merged(path, vertices, faces)
     _check_size(path, float(np.max(mesh.extents)))
     repairs: list[str] = []
@@ -157,7 +158,7 @@ def _surface(
         mesh, moved = simplify(mesh, MOST_FACES)
         if len(mesh.faces) > 2 * MOST_FACES:
             raise FungraspError(f"{path}: {before:,} faces that can't be made fewer: simplify the mesh first")
-        # Without counts of faces, so that the same words serve many meshes (a warning's kind).
+        # Without numbers of faces, so that the phrase is the same for many meshes.
         repairs.append(f"simplified; the surface moved by at most {moved * 1000:g} mm")
     gap = _gap(mesh)
     if gap > APART:
@@ -174,8 +175,8 @@ def _merged(path: Path | str, vertices: np.ndarray, faces: np.ndarray) -> trimes
 
     merged = trimesh.Trimesh(vertices, faces, process=True)
     if not _closed(merged):
-        # Files without shared vertices (.stl): where two parts of a closed surface touch, more than two faces
-        # have an edge in common, or two faces all corners.
+        # Files without shared vertices (.stl): where parts of a closed surface touch, more than two faces may
+        # share an edge, or two faces all corners.
         apart = parted(merged)
         if apart is not None:
             return apart
@@ -203,7 +204,7 @@ def _check_size(path: Path | str, length: float) -> None:
 
 
 def mesh_doubts(vertices: np.ndarray, faces: np.ndarray) -> Iterator[str]:
-    """What a surface has that things in a hand seldom have: an odd size, a piece of the table.
+    """Yield warnings about properties that are rare for hand-held objects: an odd size, a piece of the table.
 
     Args:
         vertices: [m], shape [V, 3].
@@ -239,7 +240,7 @@ def mesh_doubts(vertices: np.ndarray, faces: np.ndarray) -> Iterator[str]:
 
 
 def _gap(mesh: trimesh.Trimesh) -> float:
-    """The widest room between two parts of a mesh, along an axis of its frame [m]; 0 where there is none."""
+    """Return the widest gap between parts of a mesh along an axis of its frame [m]; 0 if there is none."""
     import trimesh
 
     groups = trimesh.graph.connected_components(
@@ -259,7 +260,8 @@ def _closed(mesh: trimesh.Trimesh) -> bool:
 
 
 def _volume(mesh: trimesh.Trimesh) -> float:
-    """Enclosed by a closed mesh, negative if its faces point inwards [m3]; trimesh's warns if it is 0."""
+    """Return the volume of a closed mesh [m3], negative if its faces point inwards. trimesh warns if it is
+    0."""
     a, b, c = np.moveaxis(np.asarray(mesh.triangles), 1, 0)
     return float(np.sum(a * np.cross(b, c)) / 6)
 

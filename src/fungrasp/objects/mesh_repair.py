@@ -1,4 +1,4 @@
-"""Mending a surface that is not closed: winding, small holes, overlapping bodies, at last a shell."""
+"""Repair of surfaces that are not closed: winding, small holes, overlapping bodies, and finally a shell."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
     import trimesh
 
 SHELL_THICKNESS = 0.002
-"""Thickness of the shell that a surface beyond repair becomes [m]; more for large ones."""
+"""Smallest thickness of the shell built around a surface that cannot be repaired [m]; large ones get more."""
 
 MOST_HOLES = 20_000
-"""A surface with more holes is loose triangles: none is filled."""
+"""Number of holes above which a surface consists of loose triangles, and no hole is filled."""
 
 MOST_BODIES = 1000
-"""A mesh of more closed bodies is not united."""
+"""Number of closed bodies above which a mesh is not united."""
 
 SMALLEST_TOLERANCE, LARGEST_TOLERANCE = 0.0001, 0.005
-"""By how much simplifying may move a surface [m]: at first, and at most."""
+"""First tolerance of simplification, doubled in each step, and its upper bound [m]."""
 
 
 def vertex_components(faces: np.ndarray, count: int) -> tuple[int, np.ndarray]:
-    """Connected surfaces of a mesh. faces: shape [F, 3]; count: number of vertices.
+    """Find the connected surfaces of a mesh. faces: shape [F, 3]; count: number of vertices.
 
     Returns:
-        the number of surfaces, and the surface of each vertex, shape [count].
+        number of surfaces, and surface of each vertex, shape [count].
     """
     ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     links = coo_array((np.ones(len(ends[0])), ends), shape=(count, count))
@@ -41,7 +41,7 @@ def vertex_components(faces: np.ndarray, count: int) -> tuple[int, np.ndarray]:
 
 
 def bodies(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """The connected surfaces of a mesh, each a mesh of its own."""
+    """Split a mesh into its connected surfaces."""
     number, label = vertex_components(mesh.faces, len(mesh.vertices))
     if number == 1:
         return [mesh]
@@ -52,11 +52,11 @@ def bodies(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 
 def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with faces flipped so that neighbors agree with the first face of each connected surface."""
+    """Flip faces so that neighbors agree with the first face of each connected surface."""
     first, second = mesh.face_adjacency.T
     edges = mesh.face_adjacency_edges
     same_way = _runs_along(mesh.faces[first], edges) == _runs_along(mesh.faces[second], edges)
-    # Two nodes for each face, as it is and flipped; neighbors are joined where they agree.
+    # Two nodes per face, original and flipped; neighbors are connected if they agree.
     count = len(mesh.faces)
     ends = (
         np.concatenate([first, first + count]),
@@ -66,7 +66,7 @@ def consistent_winding(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     )
     joined = coo_array((np.ones(len(ends[0])), ends), shape=(2 * count, 2 * count))
     label = connected_components(joined, directed=False)[1].reshape(2, count)
-    # The node of a face that is in the same component as the unflipped first face of its surface.
+    # Choose each face's node in the component of the unflipped first face of its surface.
     _, leader = np.unique(label.min(axis=0), return_index=True)
     chosen = np.isin(label[0], label[0][leader])
     faces = mesh.faces.copy()
@@ -78,11 +78,11 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
     """Close holes with a fan of triangles around their center.
 
     Args:
-        mesh: with consistent winding.
-        widest: holes wider than this [m] stay open.
+        mesh: consistently wound mesh.
+        widest: width of the widest hole to close [m].
 
     Returns:
-        the mesh, and how many holes were closed.
+        mesh, and number of closed holes.
     """
     vertices, faces, closed = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], 0
     loops = _holes(mesh.faces)
@@ -98,7 +98,7 @@ def fill_holes(mesh: trimesh.Trimesh, widest: float) -> tuple[trimesh.Trimesh, i
 
 
 def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
-    """The union of a mesh's closed bodies; None if they don't overlap, or can't be united."""
+    """Return the union of a mesh's closed bodies; None if they do not overlap or can't be united."""
     parts = bodies(mesh)
     if not 2 <= len(parts) <= MOST_BODIES or any(part.volume <= 0 for part in parts):
         return None
@@ -112,7 +112,8 @@ def unite(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
 
 
 def parted(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
-    """A closed surface whose parts touch, with vertices of their own; None if it is not closed otherwise."""
+    """Return a closed surface in which touching parts have separate vertices; None if this does not close
+    it."""
     if len(mesh.faces) == 0:
         return None
     found = solid(mesh)
@@ -124,13 +125,13 @@ def parted(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
 def rebuild(
     mesh: trimesh.Trimesh, thickness: float = SHELL_THICKNESS
 ) -> tuple[trimesh.Trimesh, float] | None:
-    """A closed surface around any triangles, its cavities filled.
+    """Return a closed surface around any triangles, with filled cavities.
 
     Args:
-        thickness: of the shell around them [m], at least.
+        thickness: smallest thickness of the shell around the triangles [m].
 
     Returns:
-        the mesh and the shell's thickness [m], or None if there is nothing to build from.
+        mesh and thickness of the shell [m], or None if there is nothing to build from.
     """
     vertices, faces, thickness = shell_from_triangles(np.asarray(mesh.triangles), thickness)
     shell = solid(triangle_mesh(vertices, faces)).simplify(thickness / 20)
@@ -138,14 +139,14 @@ def rebuild(
 
 
 def simplify(mesh: trimesh.Trimesh, most_faces: int) -> tuple[trimesh.Trimesh, float]:
-    """A closed mesh with fewer faces.
+    """Reduce the faces of a closed mesh.
 
     Args:
-        mesh: closed.
-        most_faces: the result has at most so many, if simplifying within 5 mm can do it.
+        mesh: closed mesh.
+        most_faces: largest number of faces, if it can be reached with tolerances below ``LARGEST_TOLERANCE``.
 
     Returns:
-        the mesh, and the most that its surface has moved [m].
+        mesh, and bound on the displacement of its surface [m].
     """
     tolerance, moved = SMALLEST_TOLERANCE, 0.0
     shape = solid(mesh)
@@ -157,10 +158,10 @@ def simplify(mesh: trimesh.Trimesh, most_faces: int) -> tuple[trimesh.Trimesh, f
 
 
 def _holes(faces: np.ndarray) -> list[np.ndarray]:
-    """Vertex loops along the open edges, in the direction of the faces; no vertex is twice in one."""
+    """Return vertex loops along open edges, in the direction of the faces; no loop has a vertex twice."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     count = int(faces.max()) + 1
-    # Sorted rather than by np.setdiff1d, whose hashing takes eight times as long for millions of edges.
+    # Sorting is eight times faster than the hashing of np.setdiff1d for millions of edges.
     forth, back = np.sort(edges @ [count, 1]), np.sort(edges @ [1, count])
     nearest = back[np.minimum(np.searchsorted(back, forth), len(back) - 1)]
     once = np.append(True, np.diff(forth) > 0)
@@ -190,7 +191,8 @@ def _holes(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def _runs_along(triangles: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Whether each triangle, shape [N, 3], passes its edge, shape [N, 2], from first end to second."""
+    """Return whether each triangle, shape [N, 3], traverses its edge, shape [N, 2], from first to second
+    end."""
     starts = np.argmax(triangles == edges[:, :1], axis=1)
     following = np.take_along_axis(triangles, (starts[:, None] + 1) % 3, axis=1)[:, 0]
     return following == edges[:, 1]
@@ -202,12 +204,12 @@ def _submesh(mesh: trimesh.Trimesh, rows: np.ndarray) -> trimesh.Trimesh:
 
 
 def hull_solid(points: np.ndarray) -> manifold3d.Manifold:
-    """The hull of points, shape [N, 3], for boolean operations; empty if they lie in a plane."""
+    """Return the hull of points, shape [N, 3], for boolean operations; empty if they are in a plane."""
     return manifold3d.Manifold.hull_points(np.ascontiguousarray(points, dtype=float))  # pyright: ignore[reportArgumentType]
 
 
 def solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
-    """A closed mesh for boolean operations; its ``status()`` says whether it is one."""
+    """Convert a closed mesh for boolean operations; ``status()`` tells whether it is valid."""
     return manifold3d.Manifold(
         manifold3d.Mesh64(np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.uint64))
     )

@@ -14,7 +14,7 @@ from fungrasp.objects.object_model import ObjectModel
 
 
 def describe_object(model: ObjectModel) -> dict[str, Any]:
-    """Size [m], volume [m3], mass [kg], inertia [kg m2], fidelity of the pieces [m], ...; ready for JSON."""
+    """Return size [m], volume [m3], mass [kg], inertia [kg m2], piece fidelity [m], ..., as JSON values."""
     mesh = model.mesh
     areas = mesh.area_faces
     return {
@@ -37,23 +37,23 @@ def describe_object(model: ObjectModel) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Fidelity:
-    """Where the surface of the union of an object's pieces is, compared with its mesh [m]."""
+    """Deviation of the union of an object's pieces from its mesh [m]."""
 
     bulge_max: float
     """Largest distance of a point of a piece outside the mesh [m]."""
     bulge_mean: float
-    """Mean over the pieces' surface of the distance outside the mesh [m], 0 where they are inside."""
+    """Mean distance outside the mesh over the pieces' surface [m], 0 inside."""
     shrink_max: float
     """Largest distance of a point of the mesh outside all pieces [m]."""
     shrink_mean: float
-    """Mean over the mesh of the distance outside all pieces [m], 0 where it is inside one."""
+    """Mean distance outside all pieces over the mesh [m], 0 inside a piece."""
 
 
 def piece_fidelity(model: ObjectModel, samples: int = 4000) -> Fidelity:
     """Compare the pieces with the mesh.
 
     Args:
-        samples: points on the mesh, and on all pieces together; the pieces' corners are added.
+        samples: number of points on the mesh, and on all pieces together; corners of pieces are added.
     """
     shapes = [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in model.pieces]
     area = sum(shape.area for shape in shapes)

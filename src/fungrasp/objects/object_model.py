@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
 
 GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
+"""Gravitational acceleration [m/s^2]."""
 
 GRID_SPACING = 0.0025
 """Edge of a cell of the signed-distance grid [m]."""
 
 GRID_FORMAT = 2
-"""Goes up when the same mesh should give another grid."""
+"""Version of cached grids; increase it if the same mesh should give another grid."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ObjectModel:
-    """An object, see ``fungrasp.objects.load_object``."""
+    """A physical object; see ``fungrasp.objects.load_object``."""
 
     name: str
     """Name of the object in grasps."""
@@ -46,7 +46,7 @@ class ObjectModel:
     vertices: np.ndarray
     """Vertices of the surface [m], shape [V, 3] float64, object frame."""
     faces: np.ndarray
-    """Triangles, outward, shape [F, 3] int32."""
+    """Triangles, oriented outwards, shape [F, 3] int32."""
     parts: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Faces of each functional part by name, shape [F] bool; empty for a user's mesh."""
     construction: tuple[ConvexPiece, ...] = ()
@@ -136,22 +136,23 @@ class ObjectModel:
         return digest(self.mesh_digest, self.mass, self.parts)
 
     def rest_pose(self, yaw: float = 0.0) -> np.ndarray:
-        """Standing on the table, shape [7], world frame: origin above the world's, lowest vertex at z = 0.
+        """Return the pose on the table, world frame, shape [7]: origin above the world's, lowest vertex at
+        z = 0.
 
         Args:
-            yaw: turn about the vertical [rad].
+            yaw: rotation about the vertical [rad].
         """
         return np.array([0, 0, -self.vertices[:, 2].min(), np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
 
 
 def nearest_parts(model: ObjectModel, points: np.ndarray) -> np.ndarray:
-    """Name of the part on which the nearest point of the surface lies, "" where the object has no parts.
+    """Return the name of the part at the nearest surface point, "" for objects without parts.
 
     Args:
         points: object frame [m], shape [P, 3].
 
     Returns:
-        shape [P] str.
+        Names, shape [P] str.
     """
     names = np.full(len(points), "", dtype=object)
     if model.parts and len(points):
@@ -162,22 +163,22 @@ def nearest_parts(model: ObjectModel, points: np.ndarray) -> np.ndarray:
 
 
 ALIKE = np.deg2rad(8.0)
-"""Faces of a hull whose directions differ by less count as one: measured meshes are not flat [rad]."""
+"""Angle between faces of a hull below which they count as one: measured meshes are not flat [rad]."""
 
 BROAD = 0.03
-"""Share of a hull's surface from which such faces are broad: the end of a marker has 1 %, its side 20 %."""
+"""Smallest fraction of a hull's surface of broad faces: the end of a marker has 1 %, its side 20 %."""
 
 
 def nearest_surface_points(
     objects: Sequence[ObjectModel], grid: np.ndarray, points: np.ndarray, which: np.ndarray
 ) -> np.ndarray:
-    """Points of the objects' surfaces that are nearest to some points, the points themselves for the others.
+    """Return nearest points on the objects' surfaces for some points; the other points are unchanged.
 
     Args:
-        objects: O of them.
-        grid: index of the object of each grasp, shape [N].
+        objects: O object models.
+        grid: index of each grasp's object, shape [N].
         points: object frame [m], shape [N, P, 3].
-        which: shape [N, P] bool.
+        which: points to replace, shape [N, P] bool.
     """
     result = points.copy()
     for number, model in enumerate(objects):
@@ -188,11 +189,10 @@ def nearest_surface_points(
 
 
 def resting_directions(model: ObjectModel) -> np.ndarray:
-    """Downward unit normals of the faces on which the object is stable: those of its convex hull below the
-    center of mass.
+    """Return downward unit normals of stable faces: faces of the convex hull below the center of mass.
 
     Returns:
-        object frame, shape [R, 3].
+        Normals, object frame, shape [R, 3].
     """
     triangles, center = model.hull, model.center_of_mass
     normals = normals_and_areas(triangles)[0]
@@ -205,10 +205,10 @@ def resting_directions(model: ObjectModel) -> np.ndarray:
 
 
 def settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
-    """The table's normal once the object has settled from a pose in which it was ``up``: that of the nearest
+    """Return the table's normal after the object has settled from a pose with ``up`` up: that of the nearest
     stable face.
 
-    Measured poses are a few degrees off; a flat object would then hover or sink on one side.
+    Measured poses are off by a few degrees: without settling, a flat object would hover or sink on one side.
 
     Args:
         up: unit vector, object frame, shape [..., 3].
@@ -218,9 +218,8 @@ def settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
 
 
 def broad_settled_up(model: ObjectModel, up: np.ndarray) -> np.ndarray:
-    """As ``settled_up``, of the faces that an object would be put down on: together with those that hardly
-    differ in direction they are a considerable share of the convex hull, so that it stands there even where
-    the table is tilted a little.
+    """Like ``settled_up``, but only for broad faces: together with faces of nearly the same direction, they
+    are a considerable fraction of the convex hull, so that the object stands even on a slightly tilted table.
 
     Args:
         up: unit vector, object frame, shape [3].

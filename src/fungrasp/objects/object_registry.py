@@ -20,20 +20,20 @@ YCB_MESH = "textured_simple.obj"
 
 
 def object_names() -> tuple[str, ...]:
-    """Names of the built-in objects."""
+    """Return the names of the built-in objects."""
     return tuple(BUILTINS)
 
 
 @lru_cache(maxsize=256)
 def builtin_object(name: str, mass: float | None = None) -> ObjectModel:
-    """A built-in object.
+    """Load a built-in object.
 
     Args:
         name: one of ``object_names()``.
-        mass: [kg]; its own if None.
+        mass: [kg]; the object's own if None.
 
     Raises:
-        FungraspError: unknown object, or a mass that is not positive.
+        FungraspError: the object is unknown, or the mass is not positive.
     """
     if name not in BUILTINS:
         raise UnknownNameError("object", name, BUILTINS)
@@ -45,12 +45,12 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
     another package. ``<name>_mirrored`` is its mirror image. "box:60x28x30" is a plain shape.
 
     Args:
-        name: of a mesh file without suffix, a built-in object or a shape (``plain_shape``). A ``Path`` is a
-            mesh file (``object_from_file``); a string is never a path, because names come from files.
+        name: name of a mesh file without suffix, a built-in object or a shape (``plain_shape``). A ``Path``
+            is a mesh file (``object_from_file``); a string is never a path, because names come from files.
         mass: [kg]; required for a mesh or a shape.
 
     Raises:
-        FungraspError: unknown folder or object, an invalid mesh, or a missing or invalid mass.
+        FungraspError: a folder or object is unknown, a mesh is invalid, or a mass is missing or invalid.
     """
     if isinstance(name, Path):
         return object_from_file(name, mass)
@@ -71,7 +71,7 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
 
 
 def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
-    """Mesh files by object name, from the folder and from other packages. An object may have its own
+    """Return mesh files by object name, from the folder and from other packages. An object may have its own
     subfolder with a single mesh, or with ``textured_simple.obj`` (YCB).
 
     Raises:
@@ -82,10 +82,10 @@ def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:
 
 
 def object_from_file(path: str | Path, mass: float | None, name: str = "") -> ObjectModel:
-    """An object from a mesh file. Default name: that of the file without suffix.
+    """Load an object from a mesh file. Default name: the file name without suffix.
 
     Raises:
-        FungraspError: invalid mesh, or missing or invalid mass.
+        FungraspError: the mesh is invalid, or the mass is missing or invalid.
     """
     path = Path(path)
     if mass is None:
@@ -132,8 +132,8 @@ def check_objects(names: Iterable[str], objects: Mapping[str, ObjectModel]) -> N
     """Check that all objects are given.
 
     Args:
-        names: of the required objects.
-        objects: the given objects by name.
+        names: names of the required objects.
+        objects: given objects, by name.
 
     Raises:
         FungraspError: an object is missing.

@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 DENSITY = 500.0
 """Density of everyday objects by the volume of their convex hulls [kg/m^3]: the median of YCB's and the
-built-in ones is 540; eight of ten lie between 190 and 940."""
+built-in ones is 540."""
 
 DENSITIES = (190.0, 940.0)
-"""Between these lie eight of ten [kg/m^3]."""
+"""80 % interval of these densities [kg/m^3]."""
 
 DENSEST = 22_600.0
-"""Density of osmium, the densest there is [kg/m^3]."""
+"""Density of osmium, the densest material [kg/m^3]."""
 
 EIGHT_OF_TEN = 1.28
-"""Of normal numbers eight of ten are within so many standard deviations."""
+"""Half width of the 80 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +62,16 @@ class ResolvedObject:
 def resolve_object(
     obj: ObjectModel | ResolvedObject | trimesh.Trimesh | str | Path, mass: float | None = None
 ) -> ResolvedObject:
-    """An object from a mesh file or a name.
+    """Make an object from a mesh file, a name, an object or a mesh.
 
     Args:
-        obj: a mesh file [m], the name of a built-in object, or a shape, "box:60x28x30"; a file of that name
-            comes first. Or the object itself, or its mesh as arrays.
+        obj: mesh file [m], name of a built-in object, or shape, "box:60x28x30"; an existing file has
+            priority. Or an object, or a mesh as arrays.
         mass: [kg]. None: known for built-in objects, otherwise guessed from the size of the mesh.
 
     Raises:
-        FungraspError: unknown file or object, an invalid mesh or mass, an impossible density, or a mass for
-            an object that already has one.
+        FungraspError: a file or object is unknown, mesh or mass is invalid, the density is impossible, or the
+            object already has a mass.
     """
     if isinstance(obj, ResolvedObject):
         return obj
@@ -107,12 +107,12 @@ def resolve_object(
 def object_from_mesh(
     mesh: trimesh.Trimesh | str | Path, mass: float | None = None, name: str = ""
 ) -> ObjectModel:
-    """An object from a mesh, which is repaired if it is not closed.
+    """Make an object from a mesh, which is repaired if it is not closed.
 
     Args:
-        mesh: [m]: anything with ``vertices`` and ``faces``, as trimesh has them, or a file.
+        mesh: a mesh [m] with ``vertices`` and ``faces`` as in trimesh, or a file.
         mass: [kg]; None: guessed from the size of the mesh, with a warning.
-        name: of the object in grasps. Default: the file's name, or "object".
+        name: name of the object in grasps. Default: the file's name, or "object".
 
     Raises:
         FungraspError: the file can't be read, the surface can't be repaired or is not in meters, or the mass
@@ -140,7 +140,7 @@ def object_from_mesh(
 def _check_density(model: ObjectModel, volume: float) -> None:
     """
     Raises:
-        FungraspError: impossible density.
+        FungraspError: the density is impossible.
     """
     density = model.mass / volume
     if density > DENSEST:
@@ -151,13 +151,12 @@ def _check_density(model: ObjectModel, volume: float) -> None:
 
 
 def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:
-    """The object with the colors of its mesh file, texture included.
+    """Return the object with the colors of its mesh file, including textures.
 
-    A mesh that had to be mended keeps its mended surface; each of its vertices takes the color of the file's
-    nearest one.
+    A repaired mesh keeps its surface; each vertex gets the color of the file's nearest vertex.
 
     Returns:
-        None where the file has no colors, or none that can be read, which is logged.
+        None if the file has no colors, or if they can't be read, which is logged.
     """
     try:
         mesh = None if is_colorless(path) else read_colored_mesh(path)
