@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult
-from fungrasp.cli.options import CellName, wired_cell
+from fungrasp.cli.options import CellName, ask_before_motion, wired_cell
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -206,7 +206,6 @@ def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Ite
         what: the motion, for the question.
         yes: skip the question.
     """
-    from fungrasp.deployment.observer import ask_before_motion
     from fungrasp.robots.cell import is_wired
     from fungrasp.robots.single_devices import guarded_driver
     from fungrasp.robots.stop_switch import StopSwitch

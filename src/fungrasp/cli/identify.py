@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, table
-from fungrasp.cli.options import CellName
+from fungrasp.cli.options import CellName, ask_before_motion
 from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real.identification.excitation import Excitation
 from fungrasp.sim2real.identification.fit import FitSettings
@@ -55,7 +55,6 @@ class Collect(Answering):
 
         import numpy as np
 
-        from fungrasp.deployment.observer import ask_before_motion
         from fungrasp.hands import load_hand
         from fungrasp.robots.cell import is_wired, load_cell
         from fungrasp.robots.single_devices import guarded_driver, record_motion

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fungrasp.core.jobs import RayCluster
     from fungrasp.hands import Hand
     from fungrasp.robots.cell import RobotCell
+    from fungrasp.robots.stop_switch import StopSwitch
     from fungrasp.simulation import BufferSizes, Device
 
 CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
@@ -145,3 +146,16 @@ def wired_cell(name: str) -> tuple[RobotCell, Hand]:
     if is_twin(cell):
         raise FungraspError(f"cell '{cell.name}' is a twin: it has no devices to connect to")
     return cell, load_hand(cell.hand)
+
+
+def ask_before_motion(switch: StopSwitch, what: str) -> None:
+    """Ask at the keyboard of a switch before a device moves, and say how to stop it. what: will be done, as a
+    phrase. Raises: FungraspError: any other answer than yes, or no terminal."""
+    question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type 'yes': "
+    try:
+        answer = switch.ask(question)
+    except EOFError:
+        raise FungraspError("this moves a robot and asks first: it needs a terminal") from None
+    if answer.lower() != "yes":
+        raise FungraspError("not confirmed: nothing has moved")
+    sys.stderr.write(f"to stop: {switch.ways}\n")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from fungrasp.core.errors import FungraspError
 from fungrasp.deployment.spec import Phase
 from fungrasp.robots.device import RobotCommand, RobotState, SafetyStop, StopKind
 from fungrasp.robots.stop_switch import StopSwitch
@@ -81,16 +79,3 @@ class PhaseQuestions(DeploymentObserver):
             raise SafetyStop("the terminal is gone", StopKind.HOLD) from error
         if answer.lower() != YES:
             raise SafetyStop(f"the phase '{phase}' was not confirmed", StopKind.HOLD)
-
-
-def ask_before_motion(switch: StopSwitch, what: str) -> None:
-    """Ask at the keyboard of a switch before a device moves, and say how to stop it. what: will be done, as a
-    phrase. Raises: FungraspError: any other answer than yes, or no terminal."""
-    question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type '{YES}': "
-    try:
-        answer = switch.ask(question)
-    except EOFError:
-        raise FungraspError("this moves a robot and asks first: it needs a terminal") from None
-    if answer.lower() != YES:
-        raise FungraspError("not confirmed: nothing has moved")
-    sys.stderr.write(f"to stop: {switch.ways}\n")

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
-from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
-from fungrasp.robots.device import JointLimits, RobotError
+from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
+from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 
 OPEN_SPEED = 0.5
 """Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
@@ -51,3 +57,46 @@ def next_setpoint(
         wanted, largest = np.clip(np.zeros(len(measured)), limits.lower, limits.upper), OPEN_SPEED * step
     # As ``np.clip``, in a third of its time.
     return setpoint + np.minimum(np.maximum(wanted - setpoint, -largest), largest)
+
+
+class PolledHand(DeviceLoop):
+    """What hands have in common that are read once a period; when they are under our control, they are told
+    each time what follows from the goal."""
+
+    def __init__(self, period: float, write: Callable[[str, Any], bool]):
+        """period: between reads [s]; write: see ``ConfirmedWrites``."""
+        self._period, self._writes = period, ConfirmedWrites(write)
+        self._state: JointState | None = None
+        self._taken, self._fault = False, ""
+        self._due = self._errors_due = 0.0
+
+    def step(self, goal: LoopGoal) -> JointState:
+        rest = self._due - time.monotonic()
+        if rest > 0:
+            time.sleep(rest)
+        self._due = max(self._due, time.monotonic() - self._period) + self._period
+        if goal.mode is LoopMode.IDLE and self._fault:
+            # Somebody has connected anew after a fault.
+            self._acknowledge()
+            self._fault, self._errors_due = "", 0.0
+        before = self._state
+        state = self._read_state() or before
+        if state is None or time.monotonic() - state.received > self.stale_after:
+            raise RobotError(f"{self.name}: no positions for {1e3 * self.stale_after:.0f} ms")
+        if not self._taken:
+            return state
+        self._move(goal, state, state.received - before.received if before else self._period)
+        if refused := self._writes.work():
+            return replace(state, status=DeviceStatus.FAULT, message=state.message or refused)
+        return state
+
+    def _acknowledge(self) -> None:
+        """Clear what the hand remembers of a fault."""
+
+    @abstractmethod
+    def _read_state(self) -> JointState | None:
+        """The hand's state, kept as ``_state``; None where it does not answer, or can't be believed."""
+
+    @abstractmethod
+    def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
+        """Want what follows from the goal. elapsed: between the last two states [s]."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
-from fungrasp.robots.hands import hand_joint_limits
+from fungrasp.robots.hands import PolledHand, hand_joint_limits
 from fungrasp.robots.hands import inspire_link as codec
 
 ERROR_INTERVAL = 0.2
@@ -80,7 +80,7 @@ class InspireSettings:
             )
 
 
-class InspireLoop(DeviceLoop):
+class InspireLoop(PolledHand):
     """Of an Inspire hand."""
 
     def __init__(self, settings: InspireSettings):
@@ -96,12 +96,9 @@ class InspireLoop(DeviceLoop):
         # The hand takes no torques; what it can give is in the model.
         self.limits = JointLimits(lower, upper, speed, np.full(codec.MOTORS, np.inf))
         self._link: codec.InspireLink | None = None
-        self._state: JointState | None = None
         self._sent: list[int] | None = None
-        self._writes = ConfirmedWrites(self._write)
-        self._due = self._errors_due = 0.0
-        self._mode, self._taken = LoopMode.IDLE, False
-        self._fault = ""
+        self._mode = LoopMode.IDLE
+        super().__init__(settings.period, self._write)
 
     def torque_limit(self, share: float) -> InspireLoop:
         """See ``LoopDriver.torque_limit``: the same hand, not opened."""
@@ -130,23 +127,10 @@ class InspireLoop(DeviceLoop):
         self._taken = True
         self._put_limits(self.settings.speed)
 
-    def step(self, goal: LoopGoal) -> JointState:
-        rest = self._due - time.monotonic()
-        if rest > 0:
-            time.sleep(rest)
-        self._due = max(self._due, time.monotonic() - self.settings.period) + self.settings.period
-        if goal.mode is LoopMode.IDLE and self._fault and self._taken:
-            # Somebody has connected anew after a fault.
+    def _acknowledge(self) -> None:
+        if self._taken:
             self._writes.put(CLEARING, [1], anew=True)
             self._writes.work()
-            self._fault, self._errors_due = "", 0.0
-        state = self._read_state()
-        if not self._taken:
-            return state
-        self._move(goal, state)
-        if refused := self._writes.work():
-            return replace(state, status=DeviceStatus.FAULT, message=state.message or refused)
-        return state
 
     def recover(self) -> None:
         """See ``DeviceLoop``: what was on its way as the hand was lost is written again, and its limits. One
@@ -180,8 +164,8 @@ class InspireLoop(DeviceLoop):
         self._writes.put(SPEEDS, [speed] * codec.MOTORS)
         self._writes.put(FORCES, [self.settings.force] * codec.MOTORS)
 
-    def _move(self, goal: LoopGoal, state: JointState) -> None:
-        """Want what follows from the goal; a faulted hand is told all the same."""
+    def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
+        """A faulted hand is told all the same."""
         faulted = state.status is not DeviceStatus.READY
         if goal.mode is LoopMode.FOLLOW:
             self._put_limits(self.settings.speed)
@@ -212,17 +196,14 @@ class InspireLoop(DeviceLoop):
             angles = [s if rest else a for s, rest, a in zip(self._sent, still, angles, strict=True)]
         self._goto(angles)
 
-    def _read_state(self) -> JointState:
+    def _read_state(self) -> JointState | None:
         registers = self._read(codec.ANGLE_ACTUAL, codec.MOTORS)
         now, before = time.monotonic(), self._state
-        if registers is not None:
-            angles = codec.signed(registers)
-            if angles.min() < -ANGLE_TOLERANCE or angles.max() > codec.OPEN_ANGLE + ANGLE_TOLERANCE:
-                registers = None
         if registers is None:
-            if before is None or now - before.received > self.settings.stale_after:
-                raise RobotError(f"{self.name}: no angles for {1e3 * self.settings.stale_after:.0f} ms")
-            return before
+            return None
+        angles = codec.signed(registers)
+        if angles.min() < -ANGLE_TOLERANCE or angles.max() > codec.OPEN_ANGLE + ANGLE_TOLERANCE:
+            return None
         positions = codec.decode_angles(registers, self.limits.lower, self.limits.upper)
         velocities = np.zeros(codec.MOTORS)
         if before is not None:

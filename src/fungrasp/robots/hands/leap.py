@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop, LoopGoal, LoopMode
+from fungrasp.robots.control_loop.device_loop import LoopGoal, LoopMode
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError, import_client
-from fungrasp.robots.hands import hand_joint_limits, next_setpoint
+from fungrasp.robots.hands import PolledHand, hand_joint_limits, next_setpoint
 
 MODEL_NUMBER, OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, HARDWARE_ERROR = 0, 11, 38, 64, 70
 D_GAIN, I_GAIN, P_GAIN, GOAL_CURRENT, GOAL_POSITION = 80, 82, 84, 102, 116
@@ -110,7 +110,7 @@ class LeapSettings:
         return self.current_limit or CURRENT_LIMITS[self.build]
 
 
-class LeapLoop(DeviceLoop):
+class LeapLoop(PolledHand):
     """Of a LEAP hand."""
 
     def __init__(self, settings: LeapSettings):
@@ -135,12 +135,8 @@ class LeapLoop(DeviceLoop):
         self._port: Any = None
         self._packets: Any = None
         self._writer: Any = None
-        self._state: JointState | None = None
         self._setpoint: np.ndarray | None = None
-        self._writes = ConfirmedWrites(self._write)
-        self._taken = False
-        self._due = self._errors_due = 0.0
-        self._fault = ""
+        super().__init__(settings.period, self._write)
 
     def torque_limit(self, share: float) -> LeapLoop:
         """See ``LoopDriver.torque_limit``: the same hand, not opened."""
@@ -157,7 +153,7 @@ class LeapLoop(DeviceLoop):
                     f"{self.name}: servo {servo} does not answer; check power, cable and baud rate"
                 )
         for _ in range(5):
-            if self._read() is not None:
+            if self._read_state() is not None:
                 self._due = time.monotonic()
                 return
         raise RobotError(f"{self.name}: the servos answer, but send no positions")
@@ -178,27 +174,6 @@ class LeapLoop(DeviceLoop):
         self._setpoint = np.clip(positions, self.limits.lower, self.limits.upper)
         self._put(TORQUE, 1)
 
-    def step(self, goal: LoopGoal) -> JointState:
-        rest = self._due - time.monotonic()
-        if rest > 0:
-            time.sleep(rest)
-        self._due = max(self._due, time.monotonic() - self.settings.period) + self.settings.period
-        if goal.mode is LoopMode.IDLE and self._fault:
-            # Somebody has connected anew after a fault.
-            self._fault, self._errors_due = "", 0.0
-        before = self._state
-        state = self._read()
-        if state is None:
-            if before is None or time.monotonic() - before.received > self.settings.stale_after:
-                raise RobotError(f"{self.name}: no positions for {1e3 * self.settings.stale_after:.0f} ms")
-            return before
-        if not self._taken:
-            return state
-        self._move(goal, state, state.received - before.received if before else self.settings.period)
-        if refused := self._writes.work():
-            return replace(state, status=DeviceStatus.FAULT, message=state.message or refused)
-        return state
-
     def recover(self) -> None:
         """See ``DeviceLoop``: servos that were switched off meanwhile have no torque, and stay so."""
         with contextlib.suppress(Exception):
@@ -206,7 +181,7 @@ class LeapLoop(DeviceLoop):
         self._open_port()
         self._make_packets()
         self._state = None
-        if self._read() is None:
+        if self._read_state() is None:
             raise RobotError(f"{self.name}: no positions")
         if self._powered and b"\0" in (self._read_all(*WRITTEN[TORQUE]) or ()):
             self._put(TORQUE, 0, anew=True)
@@ -268,7 +243,7 @@ class LeapLoop(DeviceLoop):
         # After the first setpoint: a servo runs to whatever goal it has when its torque is switched on.
         self._put(TORQUE, 1)
 
-    def _read(self) -> JointState | None:
+    def _read_state(self) -> JointState | None:
         data = self._read_all(PRESENT_CURRENT, PRESENT.size)
         if data is None:
             return None
