@@ -1,4 +1,4 @@
-"""Terms of collision: with the object, the table and the hand itself."""
+"""Collision terms: penetration of the object, the table and the hand itself."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from fungrasp.optimization.problem import CollisionScene
 
 
 class Measure(NamedTuple):
-    """How depths [m] become residuals."""
+    """Parameters of the residual of a penetration depth."""
 
     unit: float
     """Depth that counts as one unit [m]."""
     margin: float
-    """Depths are counted from so far outside the surface [m]."""
+    """Distance outside the surface at which depth begins [m]."""
     count: int
-    """Only so many of the deepest count."""
+    """Number of deepest penetrations that count."""
     smoothing: float
-    """Zero: residuals are depth / unit. Else their halved squares are (sqrt(depth^2 + smoothing^2) -
-    smoothing) / unit, about depth / unit [m]."""
+    """Smoothing length [m]. If zero, residuals are depth / unit. Otherwise half their squares are
+    (sqrt(depth^2 + smoothing^2) - smoothing) / unit, about depth / unit."""
 
 
 class Planes(NamedTuple):
-    """To stay above; none where it is the object that is not to be gone into."""
+    """Planes that the hand must stay above; T = 0 for penetration of the object."""
 
     up: np.ndarray
     """Normals, shape [N, T, 3]."""
     height: np.ndarray
-    """Of the object's origin above each plane [m], shape [N, T]."""
+    """Height of the object's origin above each plane [m], shape [N, T]."""
 
 
 def object_penetration(
@@ -54,8 +54,8 @@ def object_penetration(
     count: int = 24,
     smoothing: float = 0.0,
 ) -> AddTerm:
-    """max(0, margin - clearance) / unit for the ``count`` deepest spheres (L_pen of IV.A). For
-    the numbers see ``Measure``."""
+    """Penalize max(0, margin - clearance) / unit of the ``count`` deepest spheres (L_pen of IV.A).
+    See ``Measure`` for the parameters."""
     shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, smoothing)
     none = Planes(np.empty((len(problem), 0, 3)), np.empty((len(problem), 0)))
     return lambda frames, equations, *_: _add_penetration(frames, equations, shapes, none, measure)
@@ -64,8 +64,8 @@ def object_penetration(
 def table_penetration(
     points: HandPoints, problem: CollisionScene, unit: float = 0.001, margin: float = 0.001, count: int = 12
 ) -> AddTerm:
-    """max(0, margin - height) / unit for the ``count`` lowest spheres (h_{i-table} in L_col of IV.A). For the
-    numbers see ``Measure``."""
+    """Penalize max(0, margin - height) / unit of the ``count`` lowest spheres (h_{i-table} in L_col of IV.A).
+    See ``Measure`` for the parameters."""
     shapes, measure = shapes_of(points, problem), Measure(unit, margin, count, 0.0)
     table = Planes(plain(problem.up), plain(problem.height))
     return lambda frames, equations, *_: _add_penetration(frames, equations, shapes, table, measure)
@@ -75,7 +75,7 @@ def table_penetration(
 def _add_penetration(
     frames: Frames, equations: Equations, shapes: Shapes, planes: Planes, measure: Measure
 ) -> None:
-    """Add ``object_penetration``, or ``table_penetration`` where there are planes."""
+    """Add ``table_penetration`` if there are planes, otherwise ``object_penetration``."""
     spheres, groups, grids, grid = shapes
     up, height = planes
     table = height.shape[1] > 0
@@ -121,7 +121,7 @@ def _add_penetration(
 
 @compiled_part
 def _lowest(point, up: np.ndarray, height: np.ndarray, i: int):
-    """Least height [m] of a point above the planes, and which plane."""
+    """Return the smallest height of a point above the planes [m] and the index of that plane."""
     least, plane = math.inf, 0
     for t in range(height.shape[1]):
         above = up[i, t, 0] * point[0] + up[i, t, 1] * point[1] + up[i, t, 2] * point[2] + height[i, t]
@@ -132,7 +132,7 @@ def _lowest(point, up: np.ndarray, height: np.ndarray, i: int):
 
 @compiled_part
 def _deepest(depth: np.ndarray, number: int, count: int, order: np.ndarray) -> int:
-    """Put the indices of the ``count`` largest of the first ``number`` depths into ``order``; how many."""
+    """Write the indices of the ``count`` largest of ``number`` depths to ``order``; return how many."""
     for k in range(number):
         order[k] = k
     if number <= count:
@@ -148,7 +148,7 @@ def _deepest(depth: np.ndarray, number: int, count: int, order: np.ndarray) -> i
 
 @compiled_part
 def _residual(depth: float, measure: Measure):
-    """The residual of a depth [m], and the depth by which it changes by one [m]."""
+    """Return the residual of a depth and the inverse of its derivative [m]."""
     if measure.smoothing > 0:
         hypotenuse = math.sqrt(depth * depth + measure.smoothing * measure.smoothing)
         root = math.sqrt(2 / measure.unit / (hypotenuse + measure.smoothing))
@@ -164,9 +164,10 @@ def self_penetration(
     count: int = 8,
     smoothing: float = 0.0,
 ) -> AddTerm:
-    """max(0, margin - d_ij) / unit for the ``count`` closest pairs of spheres of different fingers, d_ij the
-    distance between their surfaces (L_col of IV.A, with the distance of shapes in place of that of joints).
-    For the numbers see ``Measure``."""
+    """Penalize max(0, margin - d_ij) / unit of the ``count`` closest pairs of spheres of different fingers.
+
+    d_ij is the distance between the spheres' surfaces (L_col of IV.A, which uses distances between joints).
+    See ``Measure`` for the parameters."""
     spheres, groups, pairs = points.arrays.spheres, points.arrays.groups, points.arrays.pairs
     measure = Measure(unit, margin, count, smoothing)
     return lambda frames, equations, *_: _add_self_penetration(
@@ -183,11 +184,11 @@ def _add_self_penetration(
     pairs: np.ndarray,
     measure: Measure,
 ) -> None:
-    """Add ``self_penetration``. pairs: of groups, shape [Q, 2]."""
+    """Add ``self_penetration``. pairs: pairs of groups, shape [Q, 2]."""
     row = empty_row(equations.gradient.shape[1])
     margin, total = measure.margin, len(spheres.radius)
     centers = np.empty((len(groups.reach), 3))
-    # More pairs than this at once would be a hand that is folded into itself.
+    # Only a hand folded into itself would have more pairs than this.
     most = 4 * total
     depth, first, second = np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
     order = np.empty(most, np.int64)

@@ -1,5 +1,5 @@
-"""Force closure: contact forces within friction cones that balance as well as they can, as a term of the
-objective and as a measure."""
+"""Force closure: balance of contact forces within friction cones, as a term of the objective and as a
+metric."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import RetargetingProblem
 
 BALANCE_CONE_EDGES = 6
-"""Edges of the pyramids that stand for friction cones."""
+"""Edges of the pyramids that approximate friction cones in the term."""
 BALANCE_ITERATIONS = 40
 """Iterations of the descent to the best contact forces."""
 CLOSURE_CONE_EDGES = 8
-"""Edges of the pyramids that stand for friction cones in the wrenches that are measured."""
+"""Edges of the pyramids that approximate friction cones in the metrics."""
 
 
 def force_closure(
@@ -34,17 +34,17 @@ def force_closure(
     friction: float = 0.3,
     reach: float = 0.006,
 ) -> AddTerm:
-    """(sum f_j, sum (x_j - center) x f_j / extent) / unit, over links that should touch (L_fc of IV.A).
+    """Penalize (sum f_j, sum (x_j - center) x f_j / extent) / unit over wanted contacts (L_fc of IV.A).
 
     x_j is the surface point nearest to the far key point of link j. The f_j are the contact forces within
-    friction cones, normal parts summing to one, that balance best: with ``friction`` zero this is Liu et al.,
-    "Synthesizing diverse and physically stable grasps", 2021. As the forces are optimal, the derivative holds
-    them fixed in the contact frames.
+    the friction cones that balance best; their normal components sum to 1. With zero ``friction`` this is Liu
+    et al., "Synthesizing diverse and physically stable grasps", 2021. The forces are optimal, so the
+    derivative holds them fixed in the contact frames.
 
     Args:
         unit: dimensionless.
-        friction: coefficient to count on, well below the true one.
-        reach: half width of the difference that gives the curvature [m]; it also smooths edges.
+        friction: assumed coefficient, well below the true one.
+        reach: half width of the finite difference for the curvature [m]; it also smooths edges.
     """
     targets = _Targets(
         points.arrays.keypoints[points.match.far],
@@ -58,16 +58,14 @@ def force_closure(
 
 
 class _Targets(NamedTuple):
-    """What should touch, and where the objects are."""
-
     far: BodyPoints
     """Far key points of the links."""
     wanted: np.ndarray
-    """Which links should touch, shape [N, S] bool."""
+    """Links that should touch, shape [N, S] bool."""
     center: np.ndarray
-    """Of mass [m], shape [N, 3]."""
+    """Centers of mass [m], shape [N, 3]."""
     extent: np.ndarray
-    """[m], shape [N]."""
+    """Unit of lever arms [m], shape [N]."""
     grid: np.ndarray
     """Index of each object, shape [N]."""
 
@@ -136,7 +134,7 @@ def _add_force_closure(
 def _add_motion(
     frames: Frames, i, body, point, lever, force, pressure, curve, extent, unit, jacobian
 ) -> None:
-    """Derivative of a contact's force and moment with respect to the tangent vector."""
+    """Add the derivative of a contact's force and moment with respect to the tangent vector."""
     chains = frames.chains
     rx, ry, rz = point[0] - frames.wrist[i, 0], point[1] - frames.wrist[i, 1], point[2] - frames.wrist[i, 2]
     for k in range(6):
@@ -155,8 +153,8 @@ def _add_motion(
 
 @compiled_part
 def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve, extent, unit) -> None:
-    """The change of force and moment where the contact's point moves along (mx, my, mz)."""
-    # With the forces fixed in the contact frames, a force turns as the normal does: df = -pressure dn.
+    """Add the change of force and moment when the contact point moves along (mx, my, mz)."""
+    # The forces are fixed in the contact frames and rotate with the normal: df = -pressure dn.
     fx = -pressure * (curve[0, 0] * mx + curve[0, 1] * my + curve[0, 2] * mz) / unit
     fy = -pressure * (curve[1, 0] * mx + curve[1, 1] * my + curve[1, 2] * mz) / unit
     fz = -pressure * (curve[2, 0] * mx + curve[2, 1] * my + curve[2, 2] * mz) / unit
@@ -171,16 +169,17 @@ def _add_column(jacobian, column: int, mx, my, mz, lever, force, pressure, curve
 
 @compiled_part
 def _balance(lever, inward, number: int, friction: float, iterations: int, force) -> None:
-    """Contact forces within friction cones whose sum and moment are as small as possible; their normal parts
-    sum to one.
+    """Write the contact forces within friction cones with the smallest sum and moment; their normal
+    components sum to 1.
 
-    Minimizes |sum f|^2 + |sum lever x f|^2 + 1e-3 |w|^2 + (sum w - 1)^2 over the weights w >= 0 of the cones'
-    edges, by accelerated projected gradient descent (Nesterov), then scales the sum of the weights to one.
+    Minimize |sum f|^2 + |sum lever x f|^2 + 1e-3 |w|^2 + (sum w - 1)^2 over the weights w >= 0 of the cone
+    edges by accelerated projected gradient descent (Nesterov), then scale the sum of the weights to 1.
 
     Args:
-        lever: contact points relative to the center over the extent, shape [C, 3]; the first ``number``.
+        lever: contact points relative to the center, divided by the extent, shape [C, 3]; only the first
+            ``number`` are used.
         inward: unit normals into the object, shape [C, 3].
-        force: written, shape [C, 3].
+        force: output, shape [C, 3].
     """
     count, around = number * BALANCE_CONE_EDGES, circle(np.int64(BALANCE_CONE_EDGES))
     edges, matrix = np.empty((count, 3)), np.empty((7, count))
@@ -202,7 +201,7 @@ def _balance(lever, inward, number: int, friction: float, iterations: int, force
         weights[k] = ahead[k] = 1.0 / count
     momentum = 1.0
     for _ in range(iterations):
-        # One accumulator for each row: sums that do not wait for each other.
+        # One accumulator per row keeps the sums independent of each other.
         fx, fy, fz, mx, my, mz, normal_sum = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0
         for k in range(count):
             w = ahead[k]
@@ -237,15 +236,15 @@ def _balance(lever, inward, number: int, friction: float, iterations: int, force
 
 
 def primitive_wrenches(points: np.ndarray, inward: np.ndarray, length: float, friction: float) -> np.ndarray:
-    """Wrenches of forces along the edges of the friction cones, normal part 1.
+    """Return the wrenches of forces along the edges of the friction cones, with a normal component of 1.
 
     Args:
         points: contacts relative to the center of mass [m], shape [C, 3].
         inward: unit normals into the object, shape [C, 3].
-        length: what torques are divided by [m].
+        length: divisor of torques [m].
 
     Returns:
-        force and torque over ``length``, shape [C * CLOSURE_CONE_EDGES, 6].
+        force and torque divided by ``length``, shape [C * CLOSURE_CONE_EDGES, 6].
     """
     forces = friction_cone_edges(inward, friction, CLOSURE_CONE_EDGES)
     torques = np.cross(points[:, None] / length, forces)
@@ -253,29 +252,27 @@ def primitive_wrenches(points: np.ndarray, inward: np.ndarray, length: float, fr
 
 
 def closure_residual(wrenches: np.ndarray) -> float:
-    """Smallest norm of a sum of these wrenches with non-negative weights that add up to 1.
+    """Return the smallest norm of a convex combination of wrenches, by non-negative least squares.
 
-    Exact, by non-negative least squares, and with more edges than the solver, whose
-    own error it must not share.
-
-    Zero: contact forces exist that cancel out (the condition on the grasp matrix). 1 without contacts.
+    It is zero if contact forces exist that cancel out (the condition on the grasp matrix), and 1 without
+    contacts.
 
     Args:
         wrenches: shape [K, 6].
     """
     if not len(wrenches):
         return 1.0
-    # The sum of the weights is one more equation, with a large factor; ``nnls`` keeps the weights
-    # non-negative.
+    # A heavily weighted equation makes the weights sum to 1; ``nnls`` keeps them non-negative.
     heavy = 1e3
     weights, _ = nnls(np.vstack([wrenches.T, np.full(len(wrenches), heavy)]), np.array([0.0] * 6 + [heavy]))
     return float(np.linalg.norm(wrenches.T @ (weights / weights.sum())))
 
 
 def closure_epsilon(wrenches: np.ndarray) -> float:
-    """Radius of the largest ball around the origin within the convex hull of these wrenches: the weakest
-    wrench that the contacts resist with normal forces that add up to 1 (Ferrari and Canny, 1992). Zero if the
-    origin is not inside.
+    """Return the radius of the largest ball around the origin within the convex hull of wrenches.
+
+    It is the smallest wrench that breaks a grasp whose normal forces sum to 1 (Ferrari and Canny, 1992). Zero
+    if the origin is not inside.
 
     Args:
         wrenches: shape [K, 6].

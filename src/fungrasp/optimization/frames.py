@@ -1,4 +1,4 @@
-"""Where a hand's bodies and joints are, and rows of Jacobians of points that ride on them."""
+"""Frames of a hand's bodies and joints, and Jacobian rows of points fixed to them."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from fungrasp.optimization.hand_state import Chains, HandArrays, Tree
 
 
 class Frames(NamedTuple):
-    """N hands, each at one wrist pose and joint positions, in the reference frame of the wrist poses."""
+    """Body and joint frames of N hands, in the reference frame of the wrist poses."""
 
     position: np.ndarray
-    """Of bodies [m], shape [N, B, 3]."""
+    """Body positions [m], shape [N, B, 3]."""
     rotation: np.ndarray
-    """Of bodies, shape [N, B, 3, 3]."""
+    """Body rotation matrices, shape [N, B, 3, 3]."""
     anchor: np.ndarray
-    """Of joints [m], shape [N, M, 3]."""
+    """Joint anchors [m], shape [N, M, 3]."""
     axis: np.ndarray
-    """Of joints, shape [N, M, 3]."""
+    """Joint axes, shape [N, M, 3]."""
     wrist: np.ndarray
-    """Positions of the palms [m], shape [N, 3]."""
+    """Palm positions [m], shape [N, 3]."""
     chains: Chains
-    """Which joints move which body."""
+    """Joints that move each body."""
 
 
 def empty_frames(count: int, hand: HandArrays) -> Frames:
-    """Space for ``count`` hands."""
+    """Return uninitialized frames of ``count`` hands."""
     bodies, joints = len(hand.tree.parent), len(hand.tree.offset)
     return Frames(
         position=np.empty((count, bodies, 3)),
@@ -43,39 +43,39 @@ def empty_frames(count: int, hand: HandArrays) -> Frames:
 
 
 class Equations(NamedTuple):
-    """Normal equations of N problems of D unknowns; what terms add to."""
+    """Normal equations of N problems with D unknowns. Terms add to them."""
 
     cost: np.ndarray
-    """Half the sum of squares, shape [N]."""
+    """Half the sum of squared residuals, shape [N]."""
     hessian: np.ndarray
-    """J^T J, its lower triangle, shape [N, D, D]."""
+    """J^T J, lower triangle, shape [N, D, D]."""
     gradient: np.ndarray
     """J^T r, shape [N, D]."""
     active: np.ndarray
-    """Which problems are still being solved, shape [N] bool; others are passed over."""
+    """Problems that are still being solved, shape [N] bool; others are skipped."""
 
 
 AddTerm = Callable[[Frames, Equations, np.ndarray, np.ndarray], None]
-"""Adds a term of the objective to normal equations, given where the hands are: their frames, wrist poses and
+"""Adds a term of the objective to normal equations. Arguments: frames, normal equations, wrist poses,
 independent joints."""
 
 
 class Row(NamedTuple):
-    """One row of a Jacobian that is mostly zero; a row's first six columns, of the wrist, always count."""
+    """One sparse row of a Jacobian. The first six columns, for the wrist, are always used."""
 
     values: np.ndarray
-    """Shape [D]."""
+    """Entries, shape [D]."""
     columns: np.ndarray
-    """Columns that may differ from zero, shape [D]; the first ``count``."""
+    """Used columns in the first ``count`` entries, shape [D]."""
     used: np.ndarray
-    """Whether a column is among them, shape [D] bool."""
+    """Whether each column is used, shape [D] bool."""
     count: np.ndarray
-    """Shape [1]."""
+    """Number of used columns, shape [1]."""
 
 
 @compiled_part
 def empty_row(size: int) -> Row:
-    """A row of zeros."""
+    """Return a row of zeros."""
     values, columns = np.empty(size), np.empty(size, np.int64)
     used, count = np.empty(size, np.bool_), np.empty(1, np.int64)
     for k in range(size):
@@ -86,7 +86,7 @@ def empty_row(size: int) -> Row:
 
 @compiled_part
 def add_point(row: Row, frames: Frames, i: int, body: int, point, direction) -> None:
-    """Add ``direction . d point / d tangent`` for a point [m] that rides on a body of hand ``i``."""
+    """Add ``direction . d point / d tangent`` of a point [m] fixed to a body of hand ``i``."""
     x, y, z = point
     a, b, c = direction
     v, chains = row.values, frames.chains
@@ -117,7 +117,7 @@ def add_point(row: Row, frames: Frames, i: int, body: int, point, direction) -> 
 
 @compiled_part
 def joint_motion(frames: Frames, i: int, joint: int, point):
-    """How a point [m] of hand ``i`` moves with a joint that carries it, [m/rad] or [m/m], xyz."""
+    """Return the derivative of a point [m] of hand ``i`` with respect to a joint [m/rad] or [m/m], xyz."""
     a, b, c = frames.axis[i, joint, 0], frames.axis[i, joint, 1], frames.axis[i, joint, 2]
     if frames.chains.slides[joint]:
         return a, b, c
@@ -129,7 +129,7 @@ def joint_motion(frames: Frames, i: int, joint: int, point):
 
 @compiled_part
 def finish_row(row: Row, equations: Equations, i: int, residual: float) -> None:
-    """Add a residual and its row to the normal equations of problem ``i``, and empty the row."""
+    """Add a residual and its row to the normal equations of problem ``i``, and clear the row."""
     v, columns, number = row.values, row.columns, row.count[0]
     hessian, gradient = equations.hessian[i], equations.gradient[i]
     equations.cost[i] += 0.5 * residual * residual
@@ -151,7 +151,7 @@ def finish_row(row: Row, equations: Equations, i: int, residual: float) -> None:
 
 @compiled_part
 def place(frames: Frames, i: int, body: int, offset):
-    """Position [m] of a point of hand ``i`` from that in its body, shape [3]."""
+    """Return the position [m] of the point at ``offset`` in a body of hand ``i``, shape [3]."""
     p, r = frames.position[i, body], frames.rotation[i, body]
     x, y, z = offset[0], offset[1], offset[2]
     return (
@@ -165,10 +165,10 @@ def place(frames: Frames, i: int, body: int, offset):
 def move_hands(
     tree: Tree, pose: np.ndarray, independent: np.ndarray, active: np.ndarray, frames: Frames
 ) -> None:
-    """Forward kinematics of the active hands into ``frames``, as MuJoCo's.
+    """Write the forward kinematics of the active hands to ``frames``, as MuJoCo computes them.
 
     Args:
-        pose: of the wrists, shape [N, 7].
+        pose: wrist poses, shape [N, 7].
         independent: joint positions [rad], shape [N, U].
         active: shape [N] bool.
     """
@@ -211,7 +211,7 @@ def move_hands(
 
 @compiled_part
 def _place_model(tree: Tree, pose, i: int, position, rotation, part) -> None:
-    """Frame of the model from that of the palm."""
+    """Write the frame of the model, given the palm pose."""
     w, x, y, z = pose[i, 3], pose[i, 4], pose[i, 5], pose[i, 6]
     part[0, 0], part[0, 1], part[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     part[1, 0], part[1, 1], part[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
@@ -244,7 +244,7 @@ def _product(a, b, result) -> None:
 
 @compiled_part
 def _turn(rotation, axis, angle: float, part) -> None:
-    """``rotation`` times the rotation about an axis (Rodrigues), in place."""
+    """Multiply ``rotation`` by the rotation about an axis (Rodrigues), in place."""
     s, c = math.sin(angle), math.cos(angle)
     x, y, z = axis[0], axis[1], axis[2]
     t = 1 - c

@@ -1,4 +1,4 @@
-"""Friction cones: their edges, and how far forces lie outside them."""
+"""Edges of friction cones, and distances of forces from the cones."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from fungrasp.geometry.poses import cross
 
 
 def friction_cone_edges(normals: np.ndarray, friction: float, count: int) -> np.ndarray:
-    """Edges of the pyramids inscribed in friction cones, each with a normal part of one.
+    """Return the edges of pyramids inscribed in friction cones, each with a normal component of 1.
 
     Args:
-        normals: unit vectors along the cones' axes, into the object, shape [..., 3].
-        friction: coefficient, the tangent of the cones' half angle.
-        count: E, the number of edges.
+        normals: unit vectors along the cone axes, into the object, shape [..., 3].
+        friction: coefficient, the tangent of the half angle.
+        count: number of edges E.
 
     Returns:
         shape [..., E, 3].
@@ -40,15 +40,15 @@ def friction_cone_edges(normals: np.ndarray, friction: float, count: int) -> np.
 def outside_cones(
     force: np.ndarray, answers: np.ndarray, floor: np.ndarray, axis: np.ndarray, friction: float
 ) -> np.ndarray:
-    """From the nearest points of the friction cones to the forces under all loads, summed over the loads [N],
-    shape [N, C, 3]; zero for a force within its cone.
+    """Return the sum over all loads of the vectors from the nearest point of the friction cone to the contact
+    force [N], shape [N, C, 3]. The vector is zero for a force within its cone.
 
     Args:
-        force: without a load [N], shape [N, C, 3].
-        answers: what each load adds to it [N], shape [N, K, C, 3].
-        floor: where the cones have their tips [N], shape [N, C, 3].
-        axis: of the cones, unit vectors, shape [N, C, 3].
-        friction: coefficient, the tangent of their half angle.
+        force: contact forces without a load [N], shape [N, C, 3].
+        answers: change of the contact forces under each load [N], shape [N, K, C, 3].
+        floor: apexes of the cones [N], shape [N, C, 3].
+        axis: unit vectors along the cone axes, shape [N, C, 3].
+        friction: coefficient, the tangent of the half angle.
     """
     total = np.empty(force.shape)
     x, tangent = np.empty(3), np.empty(3)
@@ -80,7 +80,7 @@ def outside_cones(
 
 @compiled_part
 def circle(count: int):
-    """``count`` points on the unit circle, shape [count, 2]: directions of a cone's edges."""
+    """Return ``count`` points on the unit circle, shape [count, 2]: directions of a cone's edges."""
     points = np.empty((count, 2))
     for e in range(count):
         angle = 2 * math.pi * e / count
@@ -90,13 +90,13 @@ def circle(count: int):
 
 @compiled_part
 def cone_edges(inward, friction: float, around, edges, first: int) -> None:
-    """Write the edges of the pyramid inscribed in a friction cone, each with a normal part of one.
+    """Write the edges of the pyramid inscribed in a friction cone, each with a normal component of 1.
 
     Args:
         inward: unit vector along the cone's axis, into the object.
-        friction: coefficient, the tangent of the cone's half angle.
-        around: ``circle``.
-        edges: written from row ``first`` on, shape [K, 3].
+        friction: coefficient, the tangent of the half angle.
+        around: result of ``circle``.
+        edges: output, written from row ``first`` on, shape [K, 3].
     """
     nx, ny, nz = inward[0], inward[1], inward[2]
     # Any vector that is not parallel to the normal gives a first tangent.
@@ -115,11 +115,11 @@ def cone_edges(inward, friction: float, around, edges, first: int) -> None:
 
 @compiled_part
 def largest_eigenvalue(matrix, size: int, count: int) -> float:
-    """Of matrix matrix^T, from above by at most a factor size^(1/16): the sixteenth root of the sum of the
-    sixteenth powers of all eigenvalues.
+    """Return an upper bound of the largest eigenvalue of matrix matrix^T, at most a factor size^(1/16) too
+    large: the sixteenth root of the sum of the sixteenth powers of all eigenvalues.
 
     Args:
-        matrix: its first ``size`` rows and ``count`` columns count.
+        matrix: only the first ``size`` rows and ``count`` columns are used.
     """
     gram, squared = np.empty((size, size)), np.empty((size, size))
     trace = 0.0
@@ -145,7 +145,7 @@ def largest_eigenvalue(matrix, size: int, count: int) -> float:
         for a in range(size):
             for b in range(size):
                 gram[a, b] = squared[a, b]
-    # The Frobenius norm of the eighth power is the root of the sum of sixteenth powers of the eigenvalues.
+    # The Frobenius norm of the eighth power is the root of the sum of the eigenvalues' sixteenth powers.
     total = 0.0
     for a in range(size):
         for b in range(size):

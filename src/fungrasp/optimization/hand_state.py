@@ -1,5 +1,5 @@
-"""What the solver knows of a hand, for compiled loops as well, and of N hands at one iterate: key points,
-collision spheres, distances, Jacobians."""
+"""Solver data of a hand, also as arrays for compiled loops, and the state of N hands at one iterate: key
+points, collision spheres, distances, Jacobians."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from fungrasp.hands.kinematics import BodyPoints, HandKinematics
 from fungrasp.optimization.problem import CollisionScene
 
 DENSE_SPACING = 0.006
-"""Distance of the collision spheres with which solutions are judged [m]."""
+"""Spacing of the collision spheres that evaluate solutions [m]."""
 GROUP_SIZE = 8
-"""Most spheres in a group that is passed over together where it is far from everything."""
+"""Maximum number of spheres in a group. A group far from all obstacles is skipped as a whole."""
 
 
 class HandPoints:
-    """The points of a hand that the terms use: key points, collision spheres, and how human links map to
-    them."""
+    """Points of a hand that the terms use: key points, collision spheres and their correspondence with human
+    links."""
 
     def __init__(self, kinematics: HandKinematics, spacing: float = 0.018):
         hand = kinematics.hand
@@ -40,8 +40,8 @@ class HandPoints:
         self.self_pairs = _self_pairs(hand, self.spheres)
 
     def for_hands(self, count: int) -> Self:
-        """The same points of ``count`` hands, for another thread: what does not move is shared, ``dense``
-        where it is there already."""
+        """Return the same points for ``count`` hands, for use in another thread. Constant data is shared,
+        including ``dense`` if it has been created."""
         other = copy(self)
         other.__dict__["arrays"] = self.arrays
         other.kinematics = HandKinematics(self.kinematics.hand, count)
@@ -52,20 +52,20 @@ class HandPoints:
 
     @cached_property
     def dense(self) -> HandPoints:
-        """With more spheres, to judge solutions: what lies between the solver's must not go into the object
-        unseen."""
+        """The same hand with denser spheres, to evaluate solutions: penetration between the solver's spheres
+        must not go unnoticed."""
         dense = HandPoints(self.kinematics, DENSE_SPACING)
         _ = dense.arrays
         return dense
 
     @cached_property
     def arrays(self) -> HandArrays:
-        """The same for compiled loops."""
+        """The hand as arrays for compiled loops."""
         return _hand_arrays(self)
 
     def _thickness(self) -> np.ndarray:
-        """Radius of the hand around the far key point of each finger link [m], shape [S]: of its nearest
-        sphere."""
+        """Return the radius of the sphere nearest to the far key point of each finger link [m], shape [S];
+        the median radius if the key point is on another body."""
         radii = []
         for link, (near, far) in enumerate(zip(self.match.near, self.match.far, strict=True), start=1):
             members = np.flatnonzero(self.spheres.link == link)
@@ -83,7 +83,7 @@ class HandPoints:
 
 
 def _self_pairs(hand: Hand, spheres: CollisionSpheres) -> SelfPairs:
-    """Rounded links of different fingers."""
+    """Return pairs of spheres with a radius on links of different fingers."""
     finger = np.array([-1, *(i for i, f in enumerate(hand.fingers.values()) for _ in f.links)])
     round_spheres = np.flatnonzero((spheres.radius > 0) & (finger[spheres.link] >= 0))
     owner = finger[spheres.link[round_spheres]]
@@ -112,8 +112,7 @@ class HandState(Generic[ProblemT]):
         """Centers of the collision spheres [m], shape [N, P, 3]."""
         distance, gradient = problem.bank.query(problem.grid, self.spheres)
         self.clearance = distance - points.spheres.radius
-        """Distance of each sphere's surface from the object [m], shape [N, P]; negative where it
-        penetrates."""
+        """Distance of each sphere's surface from the object [m], shape [N, P]; negative for penetration."""
         self.normals = gradient
         """Gradient of the distance at the centers, shape [N, P, 3]: about a unit vector out of the object."""
         # [N, P, 3] . [N, T, 3] + [N, 1, T]: height of each center above each of the T planes.
@@ -122,7 +121,7 @@ class HandState(Generic[ProblemT]):
         """Distance of each sphere's surface from the nearest plane [m], shape [N, P]."""
 
     def sphere_jacobian(self, which: np.ndarray) -> np.ndarray:
-        """Jacobian of some centers. which: sphere indices, shape [N, Q]; returns shape [N, Q, 3, D]."""
+        """Return the Jacobian of sphere centers, shape [N, Q, 3, D]. which: sphere indices, shape [N, Q]."""
         positions = np.take_along_axis(self.spheres, which[..., None], axis=1)
         return self.points.kinematics.jacobian(self.points.spheres.points.bodies[which], positions)
 
@@ -133,28 +132,28 @@ class Tree(NamedTuple):
     parent: np.ndarray
     """Parent of each body, shape [B]."""
     position: np.ndarray
-    """Of each body in its parent [m], shape [B, 3]."""
+    """Position of each body in its parent [m], shape [B, 3]."""
     rotation: np.ndarray
-    """Of each body in its parent, shape [B, 3, 3]."""
+    """Rotation of each body in its parent, shape [B, 3, 3]."""
     first_joint: np.ndarray
-    """Of each body, shape [B + 1]: its joints are ``first_joint[b]`` to ``first_joint[b + 1]``."""
+    """The joints of body b are ``first_joint[b]`` to ``first_joint[b + 1]``, shape [B + 1]."""
     anchor: np.ndarray
-    """Of each joint in its body [m], shape [M, 3]."""
+    """Anchor of each joint in its body [m], shape [M, 3]."""
     axis: np.ndarray
-    """Of each joint in its body, shape [M, 3]."""
+    """Axis of each joint in its body, shape [M, 3]."""
     coupling: np.ndarray
     """``joint_positions - qpos0 = coupling @ independent + offset``, shape [M, U]."""
     offset: np.ndarray
     """[rad] or [m], shape [M]."""
     palm_position: np.ndarray
-    """Of the palm in the model [m], shape [3]."""
+    """Position of the palm in the model [m], shape [3]."""
     palm_rotation: np.ndarray
-    """Of the palm in the model, shape [3, 3]."""
+    """Rotation of the palm in the model, shape [3, 3]."""
 
 
 class Chains(NamedTuple):
-    """The joints that move each body: entries ``start[body]`` to ``start[body + 1]``, one for each
-    independent joint that drives a joint."""
+    """Joints that move each body: entries ``start[body]`` to ``start[body + 1]``, one for each independent
+    joint that drives a joint."""
 
     start: np.ndarray
     """First entry of each body, shape [B + 1]."""
@@ -163,24 +162,24 @@ class Chains(NamedTuple):
     column: np.ndarray
     """Column of each entry's independent joint in a tangent vector, from 6 on."""
     factor: np.ndarray
-    """How far the joint moves for a unit of the independent one."""
+    """Derivative of the joint with respect to the independent joint."""
     slides: np.ndarray
-    """Whether a joint slides along its axis in place of turning about it, shape [M] bool."""
+    """Whether a joint is a slide joint, not a hinge, shape [M] bool."""
 
 
 class Spheres(NamedTuple):
-    """Collision spheres that ride on bodies."""
+    """Collision spheres fixed to bodies."""
 
     body: np.ndarray
     """Body ids, shape [P]."""
     offset: np.ndarray
-    """Centers in the body [m], shape [P, 3]."""
+    """Centers in the body frame [m], shape [P, 3]."""
     radius: np.ndarray
-    """[m], shape [P]."""
+    """Radii [m], shape [P]."""
 
 
 class SelfPairs(NamedTuple):
-    """Which spheres of a hand may meet, each pair once: all or none of the spheres of two shapes."""
+    """Pairs of spheres of a hand that may collide, each once: all or none of the spheres of two shapes."""
 
     first: np.ndarray
     """Sphere indices, shape [A]."""
@@ -191,16 +190,16 @@ class SelfPairs(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """Collision spheres in groups of neighbors on one body; G groups, ordered by link."""
+    """G groups of neighboring collision spheres on one body, ordered by link."""
 
     start: np.ndarray
     """Group g holds ``members[start[g] : start[g + 1]]``, shape [G + 1]."""
     members: np.ndarray
     """Sphere indices, shape [P]."""
     body: np.ndarray
-    """Shape [G]."""
+    """Body ids, shape [G]."""
     center: np.ndarray
-    """In the body [m], shape [G, 3]."""
+    """Centers in the body frame [m], shape [G, 3]."""
     reach: np.ndarray
     """Largest distance of a sphere's surface from the center [m], shape [G]."""
     link_start: np.ndarray
@@ -208,24 +207,23 @@ class Groups(NamedTuple):
 
 
 class HandArrays(NamedTuple):
-    """What compiled terms know of a hand."""
+    """A hand as arrays for compiled terms."""
 
     tree: Tree
     """Bodies and joints."""
     chains: Chains
-    """Which joints move which body."""
+    """Joints that move each body."""
     keypoints: BodyPoints
     """Key points."""
     spheres: Spheres
     """Collision spheres."""
     groups: Groups
-    """Of the spheres."""
+    """Groups of the spheres."""
     pairs: np.ndarray
-    """Pairs of groups whose spheres may meet, shape [Q, 2]."""
+    """Pairs of groups whose spheres may collide, shape [Q, 2]."""
 
 
 def _hand_arrays(points: HandPoints) -> HandArrays:
-    """Flatten a hand."""
     kinematics, spheres, keypoints = points.kinematics, points.spheres, points.keypoints
     flat = Spheres(
         np.array(spheres.points.bodies, dtype=np.int64), plain(spheres.points.offsets), plain(spheres.radius)
@@ -301,7 +299,7 @@ def _groups(spheres: Spheres, link: np.ndarray, geom: np.ndarray) -> Groups:
 
 
 def _split(members: np.ndarray, offset: np.ndarray) -> Sequence[np.ndarray]:
-    """Halves along the longest extent until they are small."""
+    """Halve along the longest extent until the parts are small."""
     if len(members) <= GROUP_SIZE:
         return [members]
     places = offset[members]
@@ -311,7 +309,7 @@ def _split(members: np.ndarray, offset: np.ndarray) -> Sequence[np.ndarray]:
 
 
 def _pairs(given: SelfPairs, groups: Groups) -> np.ndarray:
-    # The spheres of a group are of one shape of one link, so that all or none of them count.
+    # The spheres of a group belong to one shape of one link, so that all or none of them count.
     apart = np.zeros((len(groups.reach), len(groups.reach)), dtype=bool)
     group = np.empty(len(groups.members), dtype=int)
     group[groups.members] = np.repeat(np.arange(len(groups.reach)), np.diff(groups.start))

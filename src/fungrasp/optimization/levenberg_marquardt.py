@@ -15,21 +15,20 @@ from fungrasp.optimization.problem import CollisionScene
 from fungrasp.optimization.terms import Term
 
 TOLERANCE = 3e-3
-"""Share of its objective that a grasp must gain to go on, at least in one of ``PATIENCE`` steps."""
+"""Minimum relative decrease of the objective in at least one of ``PATIENCE`` consecutive steps."""
 
 PATIENCE = 4
-"""Steps without enough gain after which a grasp is left as it is. As spheres and links enter and leave the
-terms, a step may fail and the next, shorter one succeed."""
+"""Consecutive steps without enough decrease after which a grasp stops. Spheres and links enter and leave the
+terms, so that a step may fail and the next, shorter one succeed."""
 
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e4
-"""Bounds of the damping, as a share of the Hessian's diagonal."""
+"""Bounds of the damping, relative to the Hessian's diagonal."""
 
 EASING = 0.4
-"""Factor of the damping after a step that lowered the objective."""
+"""Factor of the damping after a successful step."""
 
 STIFFENING = 4.0
-"""Factor of the damping after one that did not; twice the last factor where that one failed as well (Nielsen,
-1999)."""
+"""Factor of the damping after a failed step, doubled with each consecutive failure (Nielsen, 1999)."""
 
 
 def minimize(
@@ -41,18 +40,18 @@ def minimize(
     iterations: int,
     free: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Minimize half the sum of squares of all terms for each grasp by itself.
+    """Minimize half the sum of squared residuals of all terms, for each grasp separately.
 
-    Joints at a limit that would be pushed beyond it are held there; steps are clipped to the limits.
+    Joints that a step would push beyond their limit are held there; steps are clipped to the limits.
 
     Args:
-        points: kinematics made for N hands.
+        points: kinematics of N hands.
         problem: N grasps, object frame.
         terms: as in ``fungrasp.optimization.terms``.
-        wrist_pose: start, object frame, shape [N, 7].
-        independent: start [rad], shape [N, U].
-        iterations: number of steps tried.
-        free: which entries of the tangent vector may change, shape [D] bool; all if None.
+        wrist_pose: initial poses, object frame, shape [N, 7].
+        independent: initial joints [rad], shape [N, U].
+        iterations: maximum number of steps.
+        free: entries of the tangent vector that may change, shape [D] bool; all if None.
 
     Returns:
         wrist poses [N, 7], independent joints [N, U], objective [N].
@@ -74,7 +73,7 @@ def minimize(
 
 
 class NormalEquations:
-    """The objective of N grasps, its gradient and Gauss-Newton Hessian, at any iterate."""
+    """The objective of N grasps, its gradient and its Gauss-Newton Hessian."""
 
     def __init__(
         self,
@@ -90,12 +89,12 @@ class NormalEquations:
         self._frames = empty_frames(len(problem), self._hand)
 
     def empty(self, active: np.ndarray) -> Equations:
-        """Zeros. active: which grasps will be evaluated, shape [N] bool."""
+        """Return equations of zeros. active: grasps to evaluate, shape [N] bool."""
         count, size = len(active), self._size
         return Equations(np.zeros(count), np.zeros((count, size, size)), np.zeros((count, size)), active)
 
     def evaluate(self, equations: Equations, pose: np.ndarray, independent: np.ndarray) -> None:
-        """Write the active grasps' equations at wrist poses [N, 7] and independent joints [N, U]."""
+        """Write the equations of the active grasps at wrist poses [N, 7] and independent joints [N, U]."""
         for array in (equations.cost, equations.gradient, equations.hessian):
             array[equations.active] = 0.0
         move_hands(self._hand.tree, pose, independent, equations.active, self._frames)
@@ -108,23 +107,23 @@ class NormalEquations:
 
 
 class Iterates(NamedTuple):
-    """Of N problems."""
+    """Iterates of N problems."""
 
     pose: np.ndarray
-    """Of the wrists, object frame, shape [N, 7]."""
+    """Wrist poses, object frame, shape [N, 7]."""
     independent: np.ndarray
-    """Joints [rad], shape [N, U]."""
+    """Independent joints [rad], shape [N, U]."""
 
 
 class StepState(NamedTuple):
-    """How N problems have gone so far."""
+    """Step control of N problems."""
 
     damping: np.ndarray
     """Share of the Hessian's diagonal that is added to it, shape [N]."""
     stiffening: np.ndarray
-    """Factor of the damping where the next step fails, shape [N]."""
+    """Factor of the damping if the next step fails, shape [N]."""
     stalled: np.ndarray
-    """Steps in a row without enough gain, shape [N]."""
+    """Consecutive steps without enough decrease, shape [N]."""
 
 
 @compiled
@@ -136,13 +135,16 @@ def propose(
     at: Iterates,
     new: Iterates,
 ) -> None:
-    """Write the damped Gauss-Newton step of each active problem: joints at a limit that would be pushed
-    beyond it are held, long steps shortened, joints clipped.
+    """Write the damped Gauss-Newton step of each active problem to ``new``.
+
+    Joints that the gradient pushes beyond their limit are held, long steps are shortened and joints are
+    clipped to their limits.
 
     Args:
         damping: shape [N].
         lower, upper: limits [rad], shape [U].
-        at, new: from where, and where to; the latter is written.
+        at: current iterates.
+        new: output.
     """
     pose, independent, new_pose, new_independent = at.pose, at.independent, new.pose, new.independent
     size = equations.gradient.shape[1]
@@ -174,7 +176,7 @@ def propose(
         length = 0.0
         for a in range(number):
             length += step[a] * step[a]
-        # Longer steps than 0.5 (meters and radians together) leave where the linearization holds.
+        # The linearization does not hold for steps longer than 0.5 (meters and radians together).
         length = math.sqrt(length)
         scale = 0.5 / length if length > 0.5 else 1.0
         for k in range(independent.shape[1]):
@@ -198,7 +200,7 @@ def propose(
 
 @compiled_part
 def _solve(matrix, vector, number: int) -> None:
-    """Solve by Cholesky factors in place; matrix: its lower triangle, positive definite."""
+    """Solve by Cholesky factorization in place. matrix: lower triangle, positive definite."""
     for a in range(number):
         for b in range(a):
             total = matrix[a, b]
@@ -223,7 +225,7 @@ def _solve(matrix, vector, number: int) -> None:
 
 @compiled_part
 def _rotate(q, turn) -> None:
-    """Turn a quaternion by a rotation vector [rad], in place."""
+    """Rotate a quaternion by a rotation vector [rad], in place."""
     angle = math.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
     half = 0.5 if angle < 1e-12 else math.sin(0.5 * angle) / angle
     a, b, c, d = math.cos(0.5 * angle), half * turn[0], half * turn[1], half * turn[2]
@@ -239,8 +241,8 @@ def _rotate(q, turn) -> None:
 
 @compiled
 def accept(equations: Equations, trial: Equations, state: StepState, at: Iterates, new: Iterates) -> int:
-    """Keep the trials that are better; problems that gained too little in a row become inactive. Returns the
-    number of active problems."""
+    """Accept the trials with lower cost and deactivate stalled problems. Return the number of active
+    problems."""
     damping, stiffening, stalled = state
     pose, independent, new_pose, new_independent = at.pose, at.independent, new.pose, new.independent
     left = 0
@@ -248,7 +250,7 @@ def accept(equations: Equations, trial: Equations, state: StepState, at: Iterate
         if not equations.active[i]:
             continue
         gain = equations.cost[i] - trial.cost[i]
-        # A cost that is not a number gains nothing.
+        # A NaN cost counts as no decrease.
         stalled[i] = 0 if gain >= TOLERANCE * equations.cost[i] else stalled[i] + 1
         if gain > 0:
             for k in range(7):

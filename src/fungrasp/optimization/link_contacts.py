@@ -1,5 +1,4 @@
-"""Where the links of hands touch their objects, or would, and the terms that close their gaps and draw them
-to where the person touched."""
+"""Contact points of hand links, and terms that close contact gaps and move contacts to the human ones."""
 
 from __future__ import annotations
 
@@ -27,40 +26,40 @@ from fungrasp.optimization.hand_state import Groups, HandPoints, Spheres
 from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 CONTACT_DISTANCE = 0.003
-"""A link of a retargeted or synthesized hand nearer to the object than this touches it [m]."""
+"""A link of a retargeted or synthesized hand touches the object if it is nearer than this [m]."""
 
 
 class Shapes(NamedTuple):
-    """A hand's collision spheres, and the objects near N copies of it."""
+    """Collision spheres of a hand and the objects of N copies of it."""
 
     spheres: Spheres
-    """Of the hand."""
+    """Collision spheres of the hand."""
     groups: Groups
-    """Of the spheres."""
+    """Groups of the spheres."""
     grids: GridArrays
-    """Signed distances of the objects."""
+    """Signed-distance grids of the objects."""
     grid: np.ndarray
     """Index of each hand's object, shape [N]."""
 
 
 def shapes_of(points: HandPoints, problem: CollisionScene) -> Shapes:
-    """What compiled loops know of hands and objects."""
+    """Return the shapes of hands and objects for compiled loops."""
     arrays = points.arrays
     return Shapes(arrays.spheres, arrays.groups, problem.bank.arrays, plain(problem.grid, np.int64))
 
 
 class LinkContacts(NamedTuple):
-    """Where the L links of N hands touch, or would, object frame."""
+    """Nearest points of the L links of N hands to their objects, object frame."""
 
     place: np.ndarray
-    """Point of each link's surface that is nearest to the object [m], shape [N, L, 3]."""
+    """Point of each link's surface nearest to the object [m], shape [N, L, 3]."""
     inward: np.ndarray
     """Unit normals into the object, shape [N, L, 3]."""
     clearance: np.ndarray
-    """Distance from the object [m], shape [N, L]; infinite for a link without a shape, and beyond what was
-    asked for."""
+    """Distance from the object [m], shape [N, L]; infinite for a link without collision spheres or beyond
+    ``within``."""
     jacobian: np.ndarray
-    """Of the points with respect to the independent joints [m/rad], shape [N, L, 3, U]."""
+    """Jacobian of the points with respect to the independent joints [m/rad], shape [N, L, 3, U]."""
 
 
 def contacts_of_links(
@@ -71,14 +70,14 @@ def contacts_of_links(
     within: float = math.inf,
     which: np.ndarray | None = None,
 ) -> LinkContacts:
-    """The point of each link that is nearest to the object.
+    """Return the point of each link nearest to the object.
 
     Args:
-        problem: N objects.
+        problem: collision geometry of N hands.
         wrist_pose: object frame, shape [N, 7].
         independent: joints [rad], shape [N, U].
-        within: links farther from the object than this are left out [m].
-        which: hands to look at, shape [N] bool; all if None.
+        within: maximum distance of links from the object [m].
+        which: hands to evaluate, shape [N] bool; all if None.
     """
     hand, count = points.arrays, len(problem)
     links, joints = len(hand.groups.link_start) - 1, hand.tree.coupling.shape[1]
@@ -124,7 +123,7 @@ def _find(frames: Frames, shapes: Shapes, active: np.ndarray, within: float, fou
 
 
 def contact_gap(points: HandPoints, problem: RetargetingProblem, unit: float = 0.003) -> AddTerm:
-    """c_j max(0, gap_j) / unit, gap_j the smallest clearance of link j's surface from the object. unit:
+    """Penalize max(0, gap_j) / unit of finger links that should touch, gap_j the clearance of link j. unit:
     [m]."""
     shapes, wanted = shapes_of(points, problem), plain(problem.contacts, bool)
     return lambda frames, equations, *_: _add_gaps(frames, equations, shapes, wanted, unit)
@@ -152,14 +151,15 @@ def _add_gaps(frames: Frames, equations: Equations, shapes: Shapes, wanted: np.n
 
 
 def contact_position(points: HandPoints, problem: RetargetingProblem, unit: float = 0.005) -> AddTerm:
-    """L_pos of IV.A, on the surface and where the link really touches: c_j (x - (s_j + r n_j)) / unit, x and
-    r the center and radius of two spheres of link j, once where they are one: that which is nearest to the
-    object, and that which is nearest to its target.
+    """Penalize (x - (s_j + r n_j)) / unit of two spheres of each link j that should touch (L_pos of IV.A,
+    applied to contact points).
 
-    s_j is the surface point nearest to the human joint at the far end of link j, n_j the outward normal
-    there: thick robot fingers touch where thin human ones did, from the same side. The sphere at the target
-    comes through a wall that the link is behind; the one at the object keeps other parts of a link from
-    touching elsewhere. unit: [m].
+    x and r are a sphere's center and radius. The two spheres are the one nearest to the object and the one
+    nearest to its target s_j + r n_j; if they are the same, it counts once. s_j is the surface point nearest
+    to the human joint at the far end of link j and n_j the outward normal there, so that thick robot fingers
+    touch where thin human fingers did, from the same side. The sphere nearest to its target moves the link
+    through a wall in between; the one nearest to the object keeps other parts of the link from touching
+    elsewhere. unit: [m].
     """
     wanted = plain(problem.contacts[:, 1:], bool)
     target = plain(problem.surface), plain(problem.normals)
@@ -176,8 +176,7 @@ def _add_positions(
     target: tuple[np.ndarray, np.ndarray],
     scale: float,
 ) -> None:
-    """Add ``contact_position``. wanted: shape [N, S]; target: places [m] and normals, shape [N, S, 3]
-    each."""
+    """Add ``contact_position``. wanted: [N, S]; target: points [m] and normals, shape [N, S, 3] each."""
     (spheres, groups, grids, grid), (at, normal) = shapes, target
     row, pair = empty_row(equations.gradient.shape[1]), np.empty(2, np.int64)
     for i in range(len(wanted)):
@@ -201,8 +200,7 @@ def _add_positions(
 
 @compiled_part
 def _sphere_at(frames: Frames, i: int, spheres: Spheres, groups: Groups, link: int, at, normal):
-    """The sphere of a link that is nearest to touching a surface at a place [m] with this normal; -1 if the
-    link has none."""
+    """Return the sphere of a link nearest to touching the surface at a point [m] with this normal, or -1."""
     found, least = np.int64(-1), math.inf
     for k in range(groups.start[groups.link_start[link]], groups.start[groups.link_start[link + 1]]):
         ball = groups.members[k]
@@ -226,12 +224,12 @@ def nearest_sphere(
     grid: int,
     within: float,
 ):
-    """The sphere of a link that is nearest to the object. (Parts of loops take no ``Shapes``: to take a
-    record out of a record counts references, which takes time.)
+    """Return the sphere of a link nearest to the object. (No ``Shapes`` argument: unpacking nested records
+    counts references, which takes time.)
 
     Returns:
-        its index, -1 where none is nearer than ``within`` [m]; its clearance [m]; the distance's gradient at
-        its center.
+        index, -1 if no sphere is nearer than ``within`` [m]; clearance [m]; gradient of the distance at the
+        sphere's center.
     """
     nearest, least, nx, ny, nz = np.int64(-1), within, 0.0, 0.0, 0.0
     for group in range(groups.link_start[link], groups.link_start[link + 1]):
@@ -249,6 +247,6 @@ def nearest_sphere(
 
 @compiled_part
 def least_clearance(frames: Frames, i: int, groups: Groups, group: int, grids: GridArrays, grid: int):
-    """A bound below the clearances [m] of a group's spheres."""
+    """Return a lower bound of the clearances [m] of a group's spheres."""
     point = place(frames, i, groups.body[group], groups.center[group])
     return distance_bound(grids, grid, point) - groups.reach[group]

@@ -1,4 +1,4 @@
-"""What hands are to solve, in the object's frame: what they may collide with, and whom they imitate."""
+"""Retargeting problems in the object's frame: collision geometry and human grasps to imitate."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from fungrasp.objects.object_model import GRAVITY, settled_up
 
 @dataclass(frozen=True)
 class CollisionScene:
-    """What N hands may collide with: an object each, and the table, in the object's frame."""
+    """Collision geometry of N hands: one object each and the table, in the object's frame."""
 
     bank: SignedDistanceBank
     """Signed-distance grids of the objects."""
     grid: np.ndarray
     """Index of each hand's object in the bank, shape [N]."""
     up: np.ndarray
-    """Normals of the planes to stay above, shape [N, T, 3]."""
+    """Normals of the table planes, shape [N, T, 3]."""
     height: np.ndarray
-    """Height of the object's origin above each plane [m], shape [N, T]: a point p is at up . p + height."""
+    """Height of the object's origin above each plane [m], shape [N, T]; a point p is at up . p + height."""
 
     @classmethod
     def settled(
         cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
     ) -> CollisionScene:
-        """One plane per hand: the table under an object that has settled.
+        """Return a scene with one plane per hand: the table under a settled object.
 
         Args:
             names: name of each hand's object, length N.
-            pose: of the objects, world frame, shape [N, 7].
+            pose: object poses, world frame, shape [N, 7].
         """
         known = sorted(set(names))
         up = rotate(invert(pose)[:, 3:], np.array([0.0, 0.0, 1.0]))
@@ -56,8 +56,8 @@ class CollisionScene:
     def measured_and_settled(
         cls, names: Sequence[str], pose: np.ndarray, objects: Mapping[str, ObjectModel]
     ) -> CollisionScene:
-        """Two planes per hand: the table at the measured, noisy rest pose of its object, and at the pose in
-        which the object settles.
+        """Return a scene with two planes per hand: the table at the object's measured, noisy rest pose and at
+        the pose in which the object settles.
 
         Args: as for ``settled``.
         """
@@ -74,7 +74,7 @@ class CollisionScene:
         )
 
     def rows(self, which: slice | np.ndarray) -> Self:
-        """The scene of some of the hands: a slice or indices."""
+        """Return the scene of the hands selected by a slice or indices."""
         parts = {f.name: getattr(self, f.name)[which] for f in fields(self) if f.name != "bank"}
         return replace(self, **parts)
 
@@ -84,21 +84,21 @@ class CollisionScene:
 
 @dataclass(frozen=True)
 class RetargetingProblem(CollisionScene):
-    """N human grasps to imitate, in their objects' frames, and what the hands may collide with."""
+    """N human grasps to imitate and their collision geometry, in the objects' frames."""
 
     joints: np.ndarray
     """Human joints [m], shape [N, 21, 3]."""
     contacts: np.ndarray
-    """Which robot links should touch, palm first, shape [N, L] bool."""
+    """Robot links that should touch, palm first, shape [N, L] bool."""
     surface: np.ndarray
-    """Surface point nearest to the human joint at the far end of what each finger link stands for [m], shape
+    """Surface point nearest to the human joint that corresponds to each finger link's far end [m], shape
     [N, S, 3]."""
     normals: np.ndarray
-    """Outward surface normal there, shape [N, S, 3]."""
+    """Outward surface normals at these points, shape [N, S, 3]."""
     center: np.ndarray
     """Center of mass of each object [m], shape [N, 3]."""
     extent: np.ndarray
-    """Half of each object's diagonal [m], shape [N]: the unit of lever arms in force closure."""
+    """Half the diagonal of each object [m], shape [N]: the unit of lever arms in force closure."""
     weight: np.ndarray
     """Weight of each object [N], shape [N]."""
 
@@ -106,12 +106,12 @@ class RetargetingProblem(CollisionScene):
     def from_grasps(
         cls, grasps: HumanGraspSet, objects: Mapping[str, ObjectModel], match: Correspondence
     ) -> RetargetingProblem:
-        """Bring grasps into their objects' frames.
+        """Transform grasps to their objects' frames.
 
         Args:
             grasps: N human grasps.
-            objects: by name, each object of the grasps.
-            match: which robot link stands for which human one.
+            objects: the grasps' objects by name.
+            match: correspondence of robot links and human links.
         """
         names = grasps.object_name.tolist()
         scene = CollisionScene.measured_and_settled(names, grasps.object_rest_pose, objects)
@@ -132,7 +132,7 @@ class RetargetingProblem(CollisionScene):
 def gradient_derivative(
     bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, reach: float
 ) -> np.ndarray:
-    """Derivative of the signed distances' gradient by central differences, which also smooth edges.
+    """Return the derivative of the signed distance gradient by central differences, which also smooth edges.
 
     Args:
         bank, grid: as for ``project_to_surface``.
@@ -140,7 +140,7 @@ def gradient_derivative(
         reach: half width of the differences [m].
 
     Returns:
-        [1/m], shape [N, P, 3, 3]; the last axis is that of the point.
+        [1/m], shape [N, P, 3, 3]; the last axis is the coordinate of the point.
     """
     derivative = np.empty((*points.shape, 3))
     gradient_derivatives(bank.arrays, plain(grid, np.int64), plain(points), reach, derivative)

@@ -1,8 +1,8 @@
 """The terms of the retargeting objective (paper IV.A).
 
-The objective is half the sum of squares of all residuals. A term is a function of the hand's points and of N
-grasps to solve, which says how it is added to their normal equations; ``functools.partial`` gives it its
-other arguments. Residuals are divided by the length or angle at which they count as one unit.
+The objective is half the sum of squares of all residuals. A term is a function of the hand's points and N
+grasps to solve; it returns a function that adds the term to their normal equations. ``functools.partial``
+sets its other arguments. Residuals are divided by the length or angle that counts as one unit.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ Residual = tuple[np.ndarray, np.ndarray]
 """Residuals, shape [N, R], and their Jacobian, shape [N, R, D]."""
 
 ResidualTerm = Callable[[HandState[Any]], Residual]
-"""A term that is written with NumPy."""
+"""A term written with NumPy."""
 
 
 def residual_terms(terms: Sequence[ResidualTerm]) -> Term:
-    """One term of several that are written with NumPy: simpler to write than compiled ones, and slower."""
+    """Combine terms written with NumPy, which are simpler to write than compiled ones but slower."""
 
     def bind(points: HandPoints, problem: CollisionScene) -> AddTerm:
         def add(frames: Frames, equations: Equations, pose: np.ndarray, independent: np.ndarray) -> None:
@@ -77,7 +77,7 @@ def residual_terms(terms: Sequence[ResidualTerm]) -> Term:
 
 
 def fingertip_position(points: HandPoints, problem: RetargetingProblem, unit: float = 0.01) -> AddTerm:
-    """(p_tip - p_human tip) / unit for each finger: the first initialization of IV.A. unit: [m]."""
+    """Penalize (p_tip - p_human tip) / unit of each finger: the first initialization of IV.A. unit: [m]."""
     match = points.match
     target = problem.joints[:, match.human_far[match.is_last]]
     weight = np.full(target.shape[:2], 1.0 / unit)
@@ -87,12 +87,12 @@ def fingertip_position(points: HandPoints, problem: RetargetingProblem, unit: fl
 def keypoint_position(
     points: HandPoints, problem: CollisionScene, which: np.ndarray, target: np.ndarray, weight: np.ndarray
 ) -> AddTerm:
-    """weight (p - target) for some key points p.
+    """Penalize weight (p - target) of key points p.
 
     Args:
-        which: key points, shape [Q].
+        which: indices of key points, shape [Q].
         target: [m], shape [N, Q, 3].
-        weight: [1/m], shape [N, Q]; nothing is added where it is zero.
+        weight: [1/m], shape [N, Q].
     """
     at, target, weight = points.arrays.keypoints[which], plain(target), plain(weight)
     return lambda frames, equations, *_: _add_positions(frames, equations, at, target, weight)
@@ -125,12 +125,12 @@ def link_direction(
     unit: float = 0.5,
     links: np.ndarray | slice = slice(None),
 ) -> AddTerm:
-    """(d_robot - d_human) / unit for finger links, d the unit vector from the near to the far key point
-    (IV.A).
+    """Penalize (d_robot - d_human) / unit of finger links, d the unit vector from the near to the far key
+    point (IV.A).
 
     Args:
         unit: dimensionless.
-        links: which of the S finger links; all by default.
+        links: indices of finger links; all S by default.
     """
     match, at = points.match, points.arrays.keypoints
     near, far = at[match.near[links]], at[match.far[links]]
@@ -155,8 +155,8 @@ def _add_directions(
             x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
             length = math.sqrt(x * x + y * y + z * z)
             x, y, z = x / length, y / length, z / length
-            # The derivative of a normalized vector is (I - d d^T) / length: two rows, along tangents of the
-            # sphere, say what three along the axes do. The rest of the residual, along d, does not move.
+            # The derivative of a normalized vector is (I - d d^T) / length. Two rows along tangents of the
+            # unit sphere therefore replace three rows along the axes; the residual along d is constant.
             if abs(x) < 0.9:
                 ux, uy, uz = unit_vector(0.0, z, -y)
             else:
@@ -188,7 +188,8 @@ def stay_near(
     position_unit: float = np.inf,
     rotation_unit: float = np.inf,
 ) -> AddTerm:
-    """Differences of joints, wrist position and wrist rotation from ``start`` over their units.
+    """Penalize differences of joints, wrist position and wrist rotation from ``start``, divided by their
+    units.
 
     Args:
         start: wrist poses [N, 7] and independent joints [rad], shape [N, U].
@@ -229,7 +230,7 @@ def _add_displacements(
 
 @compiled_part
 def _turn(pose, start_pose, i: int, k: int) -> float:
-    """Component k of the rotation vector from a start's rotation to a pose's [rad]."""
+    """Return component k of the rotation vector from the start's rotation to the pose's [rad]."""
     q, start = pose[i, 3:], start_pose[i, 3:]
     w = q[0] * start[0] + q[1] * start[1] + q[2] * start[2] + q[3] * start[3]
     x = -q[0] * start[1] + q[1] * start[0] - q[2] * start[3] + q[3] * start[2]

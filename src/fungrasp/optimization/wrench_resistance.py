@@ -1,6 +1,6 @@
-"""What contacts can resist within friction cones and torque limits.
+"""Wrenches that contacts can resist within friction cones and torque limits.
 
-A wrench is a force [N] and, over a lever arm that its caller chooses, a torque [N]: six numbers.
+A wrench has six components: a force [N], and a torque divided by a lever arm that the caller chooses [N].
 """
 
 from __future__ import annotations
@@ -21,40 +21,40 @@ from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, LinkContacts, 
 from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 CONE_EDGES = 6
-"""Edges of the pyramids that stand for friction cones."""
+"""Edges of the pyramids that approximate friction cones."""
 LIMIT_WEIGHT = 5.0
-"""Weight of a torque at twice its limit against an unresisted load of the object's weight; large, as a servo
-cannot exceed its limit."""
+"""Weight of a torque at twice its limit relative to an unresisted load of the object's weight; large, because
+a servo cannot exceed its limit."""
 FRICTION = 0.6
-"""Coefficient between hand and object that is counted on: less than the nominal 0.9, as contacts come to lie
-beside where they are planned."""
+"""Assumed friction coefficient between hand and object: less than the nominal 0.9, because real contacts
+deviate from planned ones."""
 DISTURBANCE = 0.5
-"""What a grip must resist besides the weight, in weights."""
+"""Disturbance that a grip must resist, relative to the object's weight."""
 LOAD_ITERATIONS = 100
-"""Of the descent to the best contact forces."""
+"""Iterations of the descent to the best contact forces."""
 DEEPEST = 0.001
-"""A hand that goes farther into the object than this has no grip, however much it would resist [m]."""
+"""Maximum penetration of a valid grip [m]."""
 NO_GRIP = 1.5
-"""Share of the weight that is unresisted without any contact: the weight, and half of it pulling down."""
+"""Unresisted share of the weight without contacts: the weight and a disturbance of half the weight."""
 NEAR = 0.006
-"""Links that close onto the object are at most so far from it in the grasp [m]."""
+"""Maximum clearance of links that are counted as contacts when the hand closes [m]."""
 
 
 class Grip(NamedTuple):
-    """How N hands hold their objects."""
+    """Contacts and torque limits of N hands that hold objects."""
 
     contacts: LinkContacts
-    """Of their links."""
+    """Contacts of the links."""
     used: np.ndarray
-    """Which links touch, shape [N, L] bool."""
+    """Links that touch, shape [N, L] bool."""
     center: np.ndarray
     """Center of mass [m], object frame, shape [N, 3]."""
     reach: np.ndarray
-    """Lever arm at which a torque counts like a force [m], shape [N]."""
+    """Lever arm that converts torques to forces [m], shape [N]."""
     torque_limit: np.ndarray
-    """Of the independent joints [N m], shape [U]."""
+    """Torque limits of the independent joints [N m], shape [U]."""
     friction: float = FRICTION
-    """Coefficient that is counted on."""
+    """Assumed friction coefficient."""
 
 
 def grip_of(
@@ -64,11 +64,11 @@ def grip_of(
     wrist_pose: np.ndarray,
     independent: np.ndarray,
 ) -> Grip:
-    """The grip of all links nearer than ``NEAR``.
+    """Return the grip of all links nearer to the object than ``NEAR``.
 
     Args:
-        around: N objects.
-        objects: of each hand, length N.
+        around: collision geometry of N hands.
+        objects: object of each hand, length N.
         wrist_pose: object frame, shape [N, 7].
         independent: joints [rad], shape [N, U].
     """
@@ -79,14 +79,16 @@ def grip_of(
 
 
 def torque_limits(hand: Hand) -> np.ndarray:
-    """Of the servos [N m], shape [U]."""
+    """Return the torque limits of the servos [N m], shape [U]."""
     return np.array([servo.force_limit for servo in hand.actuators.values()])
 
 
 def lift_loads(up: np.ndarray, weight: np.ndarray, disturbance: float = DISTURBANCE) -> np.ndarray:
-    """Weight and a disturbance of ``disturbance`` times the weight, up, down or in one of four horizontal
-    directions, at the center of mass: forces [N] and torques [N m], object frame, shape [N, 6, 6]. The
-    acceleration of the lift is small against it.
+    """Return the loads of a lift at the center of mass: forces [N] and torques [N m], object frame, shape
+    [N, 6, 6].
+
+    Each load is the weight plus ``disturbance`` times the weight, down, up or in one of four horizontal
+    directions. The acceleration of the lift is small compared with the disturbance.
 
     Args:
         up: unit vectors against gravity, object frame, shape [N, 3].
@@ -108,15 +110,16 @@ def unresisted_share(
     lower: float = 0.0,
     upper: np.ndarray | None = None,
 ) -> np.ndarray:
-    """``unresisted_load`` of the links in contact that should be, as a share of the objects' weight, shape
-    [N]: force and torque over the object's extent together; zero for a firm grasp, ``NO_GRIP`` without
-    contacts and where the hand goes into the object by more than ``DEEPEST``.
+    """Return the ``unresisted_load`` of wanted contacts relative to the objects' weight, shape [N].
+
+    The share combines force and torque divided by the object's extent. It is zero for a firm grasp, and
+    ``NO_GRIP`` without contacts or if the hand penetrates the object by more than ``DEEPEST``.
 
     Args:
-        contacts: of N hands; the denser their spheres, the less goes into the object unseen.
+        contacts: contacts of N hands; denser spheres detect more penetration.
         problem: N grasps.
-        torque_limit: of the independent joints [N m], shape [U].
-        lower, upper: as for ``unresisted_load``; where upper is no more than lower, the share is infinite.
+        torque_limit: torque limits of the independent joints [N m], shape [U].
+        lower, upper: as for ``unresisted_load``; the share is infinite if upper <= lower.
     """
     which = np.ones(len(problem), dtype=bool) if upper is None else upper > lower
     inside = contacts.clearance.min(axis=1) < -DEEPEST
@@ -135,22 +138,23 @@ def unresisted_load(
     lower: float = 0.0,
     upper: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The force [N] and torque [N m] that a grip cannot take of the worst of ``lift_loads``, shape [N] each.
+    """Return the force [N] and torque [N m] of the worst of ``lift_loads`` that a grip cannot resist, shape
+    [N] each.
 
     The contact forces f within their friction cones minimize
 
         |sum f + load|^2 + |sum (x - center) x f|^2 / reach^2
         + sum_j (LIMIT_WEIGHT weight max(0, |tau_j| / torque_limit_j - 1))^2,   tau = sum J^T f.
 
-    What is left of the first two terms is what they cannot take. Both are zero for a firm grasp.
+    The remainder of the first two terms is the unresisted load. Both are zero for a firm grasp.
 
     Args:
-        grip: of N hands.
-        weight: of the object [N], shape [N].
+        grip: grip of N hands.
+        weight: weight of the object [N], shape [N].
         up: unit vector against gravity, object frame, shape [N, 3].
-        iterations: of the accelerated projected gradient descent.
-        lower: share of the weight; no more than it is as good as any less, which is found sooner.
-        upper: the same, shape [N]; as much as it is as bad as any more.
+        iterations: iterations of the accelerated projected gradient descent.
+        lower: share of the weight; the descent stops early at a remainder of at most this.
+        upper: share of the weight, shape [N]; once a remainder reaches it, the other loads are skipped.
     """
     left = unresisted_wrenches(grip, lift_loads(up, weight), weight, iterations, (lower, upper))
     worst = np.argmax(np.sum(left**2, axis=-1), axis=1)
@@ -165,13 +169,15 @@ def unresisted_wrenches(
     iterations: int,
     worst: tuple[float, np.ndarray | None],
 ) -> np.ndarray:
-    """What a grip cannot take of the loads, wrenches over its reach, shape [N, K, 6]; right for the worst
-    load alone. The contact forces minimize what ``unresisted_load`` says.
+    """Return the unresisted part of each load, wrenches over the grip's reach, shape [N, K, 6]. Only that of
+    the worst load is accurate.
+
+    The contact forces minimize the objective of ``unresisted_load``.
 
     Args:
-        grip: of N hands.
-        loads: wrenches over its reach, shape [N, K, 6].
-        unit: force against which a torque beyond its limit counts [N], shape [N].
+        grip: grip of N hands.
+        loads: wrenches over the grip's reach, shape [N, K, 6].
+        unit: force scale of the torque limit term [N], shape [N].
         worst: ``lower`` and ``upper`` of ``unresisted_load``, shares of ``unit``.
     """
     left = np.zeros(loads.shape)
@@ -190,30 +196,30 @@ def unresisted_wrenches(
 
 
 class _Columns(NamedTuple):
-    """What each edge of a hand's friction cones does, edge after edge of contact after contact."""
+    """Wrench and joint torques of a unit force along each edge of a hand's friction cones, ordered by
+    contact."""
 
     wrench: np.ndarray
-    """Shape [K, 6]."""
+    """Wrenches, shape [K, 6]."""
     torque: np.ndarray
-    """On the joints that move the contact, weighted, shape [K, U]."""
+    """Weighted torques on the joints that move the contact, shape [K, U]."""
     joints: np.ndarray
-    """Which joints those are, of each contact, shape [C, U]."""
+    """Joints that move each contact, shape [C, U]."""
     joint_count: np.ndarray
-    """How many there are, shape [C]."""
+    """Number of these joints, shape [C]."""
 
 
 @compiled
 def _descend(
     grip: Grip, loads: np.ndarray, iterations: int, lower: float, upper: np.ndarray, left: np.ndarray
 ) -> None:
-    """Write what ``unresisted_wrenches`` leaves of each load, by accelerated projected gradient descent
-    (Nesterov).
+    """Write ``unresisted_wrenches`` by accelerated projected gradient descent (Nesterov).
 
     Args:
-        grip: with what a torque of each joint weighs [1/(N m)], shape [N, U], in place of its limit.
-        loads: in units of force, shape [N, K, 6].
-        lower, upper: as there.
-        left: shape [N, K, 6].
+        grip: its ``torque_limit`` holds the weights of joint torques [1/m], shape [N, U].
+        loads: divided by the unit of force, shape [N, K, 6].
+        lower, upper: as for ``unresisted_load``.
+        left: output, shape [N, K, 6].
     """
     contacts, used, torque_weight = grip.contacts, grip.used, grip.torque_limit
     links, joints = used.shape[1], torque_weight.shape[1]
@@ -264,7 +270,7 @@ def _descend(
         for load in range(loads.shape[1]):
             found = left[i, load]
             _resist(made, total, loads[i, load], step, steps, bound, found)
-            # Only a load of which more is left than of those before matters.
+            # A load matters only if its remainder exceeds those of the loads before it.
             size = 0.0
             for part in range(6):
                 size += found[part] * found[part]
@@ -278,8 +284,8 @@ def _descend(
 def _resist(
     made: _Columns, count: int, load, step: float, iterations: int, lower: float, left: np.ndarray
 ) -> None:
-    """Write what the best contact forces, of ``count`` weights of cones' edges, leave of a load; or others
-    that leave no more than ``lower`` of it."""
+    """Write the remainder of a load under the best contact forces, given by ``count`` weights of cone edges,
+    or under the first forces with a remainder of at most ``lower``."""
     wrench, torque, columns, used_columns = made
     joints = torque.shape[1]
     weights, ahead, excess = np.empty(count), np.empty(count), np.empty(joints)
@@ -287,7 +293,7 @@ def _resist(
         weights[k] = ahead[k] = 0.0
     momentum = 1.0
     for _ in range(iterations):
-        # One accumulator each: sums that do not wait for each other.
+        # One accumulator per component keeps the sums independent of each other.
         a, b, c, d, e, f = load[0], load[1], load[2], load[3], load[4], load[5]
         for u in range(joints):
             excess[u] = 0.0
@@ -341,5 +347,5 @@ def _resist(
 
 
 def wrenches_over_reach(loads: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Wrenches from forces [N] and torques [N m], shape [N, K, 6]. reach: [m], shape [N]."""
+    """Return wrenches from forces [N] and torques [N m], shape [N, K, 6]. reach: [m], shape [N]."""
     return np.concatenate([loads[..., :3], loads[..., 3:] / reach[:, None, None]], axis=-1)
