@@ -1,4 +1,4 @@
-"""Poses, batched rigid transforms, signed distances of meshes."""
+"""Poses, batched rigid transforms and signed distances of meshes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Signed distances of points on any array-API library, as ``geometry.distance_queries`` has them in compiled
-loops on the processor."""
+"""Signed distance queries for any array-API library; ``geometry.distance_queries`` has the compiled loops for
+the CPU."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from fungrasp.geometry.poses import Array, array_namespace, norm, side_by_side
 
 
 class GridArrays(NamedTuple):
-    """Several grids one behind the other, for compiled loops; O grids."""
+    """O concatenated grids, for compiled loops."""
 
     values: np.ndarray
-    """All corners, shape [sum X Y Z], float32."""
+    """Values at all corners, shape [sum X Y Z], float32."""
     start: np.ndarray
-    """First corner of each grid, shape [O]."""
+    """Index of the first corner of each grid, shape [O]."""
     stride: np.ndarray
-    """Corners between neighbors along each axis, shape [O, 3]."""
+    """Index difference of neighboring corners along each axis, shape [O, 3]."""
     last: np.ndarray
-    """Just less than the last corner's index along each axis, shape [O, 3]."""
+    """Slightly less than the last corner's index along each axis, shape [O, 3]."""
     origin: np.ndarray
-    """First corner's place [m], shape [O, 3]."""
+    """Position of the first corner [m], shape [O, 3]."""
     spacing: np.ndarray
     """Edge of a cell [m], shape [O]."""
 
 
 def array_distances(grids: GridArrays, grid: Array, points: Array) -> tuple[Array, Array]:
-    """What ``SignedDistanceBank.query`` returns.
+    """Return signed distances and gradients as ``SignedDistanceBank.query`` does.
 
     Args:
         grids: on the device of the points.
-        grid: index of the grid of each row, shape [N] int.
-        points: [m], shape [N, P, 3], that object's frame.
+        grid: index of each row's grid, shape [N] int.
+        points: [m], shape [N, P, 3], object frame.
     """
     xp = array_namespace(points)
     cell = grids.spacing[grid][:, None, None]
     u = (points - grids.origin[grid][:, None]) / cell
-    # NaN keeps to itself: where it is looked up does not matter.
+    # NaN points are looked up at 0 and masked below.
     known = xp.isfinite(u)
     inside = xp.minimum(xp.where(known, xp.clip(u, min=0.0), 0.0), grids.last[grid][:, None])
     corner = xp.floor(inside)
@@ -55,7 +55,7 @@ def array_distances(grids: GridArrays, grid: Array, points: Array) -> tuple[Arra
     x_near, x_far = d00 + fy * (d10 - d00), d01 + fy * (d11 - d01)
     y_near, y_far = e10 - e00, e11 - e01
     gradient = side_by_side(x_near + fz * (x_far - x_near), y_near + fz * (y_far - y_near), far - near) / cell
-    # Outside, the distance to the border is added, and leads away from it.
+    # Outside the grid, add the distance to the border; its gradient points away from the border.
     beyond = (u - inside) * cell
     away = norm(beyond)
     gradient = xp.where(beyond != 0, beyond / xp.where(away > 0, away, 1.0), gradient)

@@ -1,7 +1,7 @@
-"""Helpers for code that runs on NumPy arrays and on tensors of a device alike.
+"""Helpers for code that runs on NumPy arrays and on device tensors.
 
-A device must not be asked for a number in the midst of a step: the processor would wait for it. What is asked
-of NumPy to save work is taken for true on a device.
+Reading a number from a device in the middle of a step would make the CPU wait. Checks that only save work on
+NumPy are therefore assumed true on a device.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from fungrasp.geometry.poses import Array, array_namespace, constant_on
 
 
 def is_numpy(array: Array) -> bool:
-    """Whether the processor may look into an array at no cost."""
+    """Return whether the CPU can read the array at no cost."""
     return type(array) is np.ndarray
 
 
 def may_be_any(flags: Array) -> bool:
-    """Whether any is true or not zero; taken for true on a device."""
+    """Return whether any entry is nonzero; always true on a device."""
     return not is_numpy(flags) or bool(flags.any())
 
 
 def at_least(array: Array, low: float) -> Array:
-    """The larger of each number and another."""
+    """Clip an array from below."""
     return np.maximum(low, array) if is_numpy(array) else array_namespace(array).clip(array, min=low)
 
 
 def constant(array: Array, values: np.ndarray) -> Array:
-    """Constant numbers to compute with an array: as they are for NumPy's, else on its device, copied there
-    once; floating ones in its number type."""
+    """Return constant values for computing with ``array``: unchanged for NumPy, otherwise on its device,
+    copied once; floating-point values get its dtype."""
     if isinstance(array, np.ndarray):
         return values
     dtype = array.dtype if values.dtype.kind == "f" else None
@@ -38,7 +38,8 @@ def constant(array: Array, values: np.ndarray) -> Array:
 
 
 def rows_like(array: Array, values: Any) -> Array:
-    """Values as a new array of the library, number type and device of another; flags stay flags."""
+    """Return values as a new array of the library and device of another; floating-point values get its
+    dtype."""
     given = np.asarray(values)
     if is_numpy(array):
         return given.copy()
@@ -47,26 +48,26 @@ def rows_like(array: Array, values: Any) -> Array:
 
 
 def moved_to(array: Array, values: Any) -> Array:
-    """Values as an array of the library and device of another, not copied where they are; text stays
-    NumPy's.
+    """Return values as an array of the library and device of another, copied only if necessary. Strings stay
+    in NumPy.
 
     Args:
-        values: an array of that library, or NumPy's.
+        values: an array of that library or a NumPy array.
     """
     stays = is_numpy(array) or not is_numpy(values) or values.dtype.kind in "US"
     return values if stays else rows_like(array, values)
 
 
 def copied(array: Array) -> Array:
-    """A copy."""
+    """Return a copy."""
     return array_namespace(array).asarray(array, copy=True)
 
 
 def put_back(array: Array, which: Array, before: Array) -> None:
-    """Give some rows the values that they had before.
+    """Restore previous values of some rows in place.
 
     Args:
-        array: shape [W, ...]; it is changed.
+        array: shape [W, ...], modified.
         which: rows, shape [W] bool.
         before: shape [W, ...].
     """

@@ -1,12 +1,12 @@
-"""How loops are compiled, and where machine code is kept.
+"""Compilation of loops with Numba, and the cache of machine code.
 
-Numba compiles a function anew for each combination of argument types and spends most of its time on what a
-function mentions, not on what it does. A cold start stays short where loops
+Numba compiles a function for each combination of argument types, and compilation time depends mostly on the
+functions and types that it uses. To keep a cold start short, loops
 
-- take C-contiguous arrays of float64, int64 and bool, few of them, and are called with one kind of each;
-- assign elements, not slices, and sort, sum and fill by loops of their own: NumPy's functions in Numba are
-  long programs, which are compiled as well;
-- start counters with ``np.int64(0)``, as a literal zero is a type of its own.
+- take few arguments: C-contiguous arrays of float64, int64 or bool, each always of the same type;
+- assign elements, not slices, and sort, sum and fill in explicit loops, because Numba would also compile its
+  long versions of NumPy's functions;
+- start counters with ``np.int64(0)``, because a literal zero has its own type.
 """
 
 from __future__ import annotations
@@ -30,20 +30,19 @@ SOURCES = (
     "optimization/*.py",
     "perception/compiled_loops.py",
 )
-"""Files that the loops are made from."""
+"""Source files of compiled loops."""
 
 jit: Any = numba.njit
 
 OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""Loops do not hold the global interpreter lock, so that threads work side by side. Sums keep their order (no
-fast math): what has just been compiled and what is read from the cache is optimized differently, and would
-otherwise not give the same bits."""
+"""Loops release the global interpreter lock, so that threads run in parallel. Without fast math, sums keep
+their order: otherwise fresh code and cached code, which are optimized differently, would differ in bits."""
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile a loop when it is first called with arguments of these types, or read it from the cache."""
-    # Numba's own cache, beside the sources, knows when a function's file has changed, but not when one has
-    # that the function calls. Its place is read when a function is decorated.
+    """Compile a loop on its first call with arguments of these types, or read it from the cache."""
+    # Numba detects changes of a function's own file, but not of files with functions that it calls. The cache
+    # directory is read when a function is decorated.
     settings: Any = config
     place = settings.CACHE_DIR
     settings.CACHE_DIR = str(_machine_code())
@@ -54,18 +53,18 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def compiled_part(function: Callable[..., Any]) -> Any:
-    """Compile what only compiled loops call: it is kept with them."""
+    """Compile a function that only compiled loops call. It is cached with them."""
     return jit(no_cpython_wrapper=True, **OPTIONS)(function)
 
 
 def plain(array: np.ndarray, kind: type = float) -> np.ndarray:
-    """A writable, contiguous copy: loops are compiled anew for every other kind of array."""
+    """Return a writable, contiguous copy. Loops would be recompiled for other kinds of arrays."""
     return np.array(array, dtype=kind, order="C")
 
 
 @cache
 def _machine_code() -> Path:
-    """A folder of its own for each state of the sources."""
+    """Return the cache folder of the current sources."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for pattern in SOURCES:

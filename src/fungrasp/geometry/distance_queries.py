@@ -1,4 +1,4 @@
-"""Signed distances of points, in compiled loops."""
+"""Signed distance queries in compiled loops."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from fungrasp.geometry.compiling import compiled, compiled_part
 
 @compiled_part
 def _within(value: float, last: float) -> float:
-    """The nearest number from 0 to ``last``."""
     return 0.0 if value < 0.0 else last if value > last else value
 
 
@@ -20,7 +19,7 @@ def _within(value: float, last: float) -> float:
 def signed_distances(
     grids: GridArrays, grid: np.ndarray, points: np.ndarray, distance: np.ndarray, gradient: np.ndarray
 ) -> None:
-    """Write what ``SignedDistanceBank.query`` returns."""
+    """Write the results of ``SignedDistanceBank.query``."""
     for i in range(points.shape[0]):
         for p in range(points.shape[1]):
             at = (points[i, p, 0], points[i, p, 1], points[i, p, 2])
@@ -31,7 +30,7 @@ def signed_distances(
 
 @compiled_part
 def signed_distance(grids: GridArrays, grid: int, point):
-    """Distance [m] and its gradient (x, y, z)."""
+    """Return the distance [m] and its gradient (x, y, z)."""
     h = grids.spacing[grid]
     ux = (point[0] - grids.origin[grid, 0]) / h
     uy = (point[1] - grids.origin[grid, 1]) / h
@@ -48,7 +47,7 @@ def signed_distance(grids: GridArrays, grid: int, point):
     c000, c001, c010, c011 = v[at], v[at + 1], v[at + sy], v[at + sy + 1]
     at += sx
     c100, c101, c110, c111 = v[at], v[at + 1], v[at + sy], v[at + sy + 1]
-    # Along x on the four edges of the cell, then along y, then along z.
+    # Interpolate along x on the four edges of the cell, then along y, then along z.
     d00, d01, d10, d11 = c100 - c000, c101 - c001, c110 - c010, c111 - c011
     e00, e01, e10, e11 = c000 + fx * d00, c001 + fx * d01, c010 + fx * d10, c011 + fx * d11
     near, far = e00 + fy * (e10 - e00), e01 + fy * (e11 - e01)
@@ -73,10 +72,10 @@ def signed_distance(grids: GridArrays, grid: int, point):
 
 @compiled_part
 def distance_bound(grids: GridArrays, grid: int, point) -> float:
-    """A bound below the distance [m] of a point, from one corner of the grid.
+    """Return a lower bound of the distance [m] of a point, from one corner of the grid.
 
-    A corner's value is too large by up to two half diagonals of a cell where it is that of a neighboring
-    surface point, and the point is up to half a diagonal away from the corner: 2.6 cells in all.
+    A corner's value is too large by up to two half diagonals of a cell if it refers to a neighboring cell's
+    surface point. The point is up to half a diagonal away from the corner: 2.6 cells in total.
     """
     h = grids.spacing[grid]
     ux = (point[0] - grids.origin[grid, 0]) / h
@@ -90,7 +89,7 @@ def distance_bound(grids: GridArrays, grid: int, point) -> float:
     at = int(ix + 0.5) * grids.stride[grid, 0] + int(iy + 0.5) * grids.stride[grid, 1] + int(iz + 0.5)
     distance = grids.values[grids.start[grid] + at] - 3 * h
     away = h * math.sqrt((ux - ix) ** 2 + (uy - iy) ** 2 + (uz - iz) ** 2)
-    # The object lies within the grid: it is at least as far as the border.
+    # The object lies within the grid, so it is at least as far away as the border.
     if away > 0:
         return away - h if away - h > distance - away else distance - away
     return distance
@@ -98,7 +97,7 @@ def distance_bound(grids: GridArrays, grid: int, point) -> float:
 
 @compiled_part
 def unit_vector(x: float, y: float, z: float):
-    """A vector over its length."""
+    """Return a vector divided by its length."""
     length = math.sqrt(x * x + y * y + z * z)
     length = 1e-9 if length < 1e-9 else length
     return x / length, y / length, z / length
@@ -106,8 +105,8 @@ def unit_vector(x: float, y: float, z: float):
 
 @compiled_part
 def nearest_surface(grids: GridArrays, grid: int, point, iterations: int):
-    """Surface point [m] and outward unit normal nearest to a point, by Newton steps ``p - d(p) n(p)`` down
-    the signed distance. The normal is that at the surface point: *as shown* is defined by it."""
+    """Return the surface point [m] nearest to a point, by Newton steps ``p - d(p) n(p)``, and the outward
+    unit normal there, which defines *as shown*."""
     x, y, z = point
     for _ in range(iterations):
         distance, gx, gy, gz = signed_distance(grids, grid, (x, y, z))
@@ -126,7 +125,7 @@ def nearest_surfaces(
     surface: np.ndarray,
     normal: np.ndarray,
 ) -> None:
-    """Write ``nearest_surface`` of points of shape [N, P, 3], grid: shape [N]."""
+    """Write ``nearest_surface`` of points, shape [N, P, 3]. grid: shape [N]."""
     for i in range(points.shape[0]):
         for p in range(points.shape[1]):
             at = (points[i, p, 0], points[i, p, 1], points[i, p, 2])
@@ -137,8 +136,8 @@ def nearest_surfaces(
 
 @compiled_part
 def gradient_derivative(grids: GridArrays, grid: int, point, reach: float, result: np.ndarray) -> None:
-    """Write the derivative of the distance's gradient by central differences over ``reach`` [m], which also
-    smooth edges [1/m], shape [3, 3]; the last axis is that of the point."""
+    """Write the derivative of the distance gradient [1/m], shape [3, 3], by central differences over
+    ``reach`` [m], which also smooth edges. The last axis is the coordinate of the point."""
     for axis in range(3):
         x, y, z = point
         dx, dy, dz = reach * (axis == 0), reach * (axis == 1), reach * (axis == 2)
@@ -153,7 +152,7 @@ def gradient_derivative(grids: GridArrays, grid: int, point, reach: float, resul
 def gradient_derivatives(
     grids: GridArrays, grid: np.ndarray, points: np.ndarray, reach: float, result: np.ndarray
 ) -> None:
-    """Write ``gradient_derivative`` of points of shape [N, P, 3], grid: shape [N]."""
+    """Write ``gradient_derivative`` of points, shape [N, P, 3]. grid: shape [N]."""
     for i in range(points.shape[0]):
         for p in range(points.shape[1]):
             at = (points[i, p, 0], points[i, p, 1], points[i, p, 2])

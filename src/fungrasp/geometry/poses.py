@@ -1,10 +1,10 @@
 """Batched rigid transforms on any array-API library (NumPy, torch, ...).
 
-A pose is 7 numbers ``[x y z qw qx qy qz]``: meters and a unit quaternion. Arrays have any leading batch
-shape and broadcast. ``pose_a_b`` maps points of frame b to frame a: ``pose_a_c = compose(pose_a_b,
+A pose is 7 numbers ``[x y z qw qx qy qz]``: a position [m] and a unit quaternion. Arrays have any leading
+batch shape and broadcast. ``pose_a_b`` maps points of frame b to frame a: ``pose_a_c = compose(pose_a_b,
 pose_b_c)``.
 
-For a single pose it is the number of calls that takes time, so quaternions work as matrices there.
+Quaternion products are matrix products, because the number of calls determines the time for a single pose.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 Array = Any
 """An array of NumPy, torch or another array-API library."""
 TINY = 1e-30
-"""Added to divisors that may be zero; it leaves the last digit of those that are not."""
+"""Added to divisors that may be zero; it does not change others."""
 
 
 _HAMILTON = np.array(
@@ -30,16 +30,17 @@ _HAMILTON = np.array(
     ],
     dtype=float,
 )
-"""Products of the units 1, i, j, k with one another: that of the first by row, the second by column."""
+"""Products of the units 1, i, j, k: first factor by row, second factor by column."""
 _RIGHT_FACTOR = np.reshape(np.moveaxis(_HAMILTON, 0, -1), (4, 16))
-"""Makes of a quaternion ``b`` the matrix M, row by row, with ``a b = M a``."""
+"""Maps a quaternion ``b`` to the matrix M with ``a b = M a``, in row-major order."""
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 _PLACE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-"""Which numbers of a pose are its position."""
+"""Mask of a pose's position."""
 
 
 def _turn_factors() -> np.ndarray:
-    """Makes of a unit quaternion's products wx, wy, wz, xx, ... zz its matrix less the identity, by row."""
+    """Return the map from a unit quaternion's products wx, wy, wz, xx, ... zz to its rotation matrix minus
+    the identity, in row-major order."""
     scalar, axis = np.zeros((3, 3, 3)), np.zeros((3, 3, 3, 3))
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         axis[y, y, x, x] = axis[z, z, x, x] = -2.0
@@ -53,8 +54,8 @@ _IDENTITY = np.eye(3)
 
 
 def _carry_factors() -> np.ndarray:
-    """Makes of the same products and of w, x, y, z the matrix, row by row, that turns what of a pose is its
-    position, less the identity, and what is its rotation."""
+    """Return the map from the same products and w, x, y, z to the 7x7 matrix that rotates a pose, in
+    row-major order; the identity is subtracted from its position block."""
     result = np.zeros((16, 7, 7))
     result[:12, :3, :3] = np.reshape(_TURN_FACTORS, (12, 3, 3))
     result[12:, 3:, 3:] = np.swapaxes(_HAMILTON, 1, 2)
@@ -64,39 +65,39 @@ def _carry_factors() -> np.ndarray:
 _CARRY_FACTORS = _carry_factors()
 _STAY = np.diag(_PLACE)
 _CONSTANTS: dict[tuple[Any, ...], Array] = {}
-"""What ``constant_on`` has made."""
+"""Cache of ``constant_on``."""
 _MOST_CONSTANTS = 1000
 _FULL_TURN = 2.0 * np.pi
 _EULER_HALVES = np.array([[1.0, 0, 1.0, 0], [0, 1.0, 0, 1.0], [1.0, 0, -1.0, 0], [0, 1.0, 0, -1.0]])
-"""Makes of a quaternion ``w + y, x + z, w - y, x - z``."""
+"""Maps a quaternion to ``w + y, x + z, w - y, x - z``."""
 
 
 def array_namespace(array: Array, *others: Array) -> Any:
-    """The library that computes with these arrays, all of one library, by the names of the array API."""
-    # NumPy has them itself, and to ask what a library is takes longer than a product of two quaternions.
+    """Return the array-API namespace of arrays of one library."""
+    # NumPy implements the array API, and detecting a library takes longer than a quaternion product.
     if type(array) is np.ndarray:
         return np
     return array_api_compat.array_namespace(array, *others)
 
 
 def like(array: Array, values: np.ndarray) -> Array:
-    """Constant values as an array of the library, number type and device of another; not to be written to."""
+    """Return constant values as an array of the library, dtype and device of another. Do not write to it."""
     if type(array) is np.ndarray:
         return values if array.dtype == values.dtype else values.astype(array.dtype)
     return constant_on(array_namespace(array), array.device, array.dtype, values)
 
 
 def constant_on(library: Any, device: Any, dtype: Any, values: np.ndarray) -> Array:
-    """Constant values on a device, copied there once: the device would be waited for each time.
+    """Return constant values on a device, copied once because each copy waits for the device.
 
     Args:
-        dtype: number type of the library's; that of the values if None.
+        dtype: dtype of the library; that of the values if None.
     """
     key = library.__name__, str(device), str(dtype), values.dtype.str, values.shape, values.tobytes()
     if key not in _CONSTANTS:
         if len(_CONSTANTS) >= _MOST_CONSTANTS:
             _CONSTANTS.clear()
-        # Torch's derivatives need tensors that were not made in its inference mode.
+        # Autograd in torch needs tensors that were not created in inference mode.
         mode = getattr(library, "inference_mode", None)
         with mode(False) if mode else nullcontext():
             _CONSTANTS[key] = library.asarray(values, dtype=dtype, device=device, copy=True)
@@ -104,12 +105,12 @@ def constant_on(library: Any, device: Any, dtype: Any, values: np.ndarray) -> Ar
 
 
 def stack(*arrays: Array) -> Array:
-    """Arrays of one shape along a new first axis; the libraries' own takes two or three times as long."""
+    """Stack arrays along a new first axis, two to three times as fast as the libraries' functions."""
     return array_namespace(*arrays).concat([array[None] for array in arrays])
 
 
 def side_by_side(*parts: Array) -> Array:
-    """Arrays of one shape as the numbers along a new last axis; NumPy's ``stack`` takes twice the time."""
+    """Stack arrays along a new last axis, twice as fast as NumPy's ``stack``."""
     first = parts[0]
     if type(first) is not np.ndarray:
         return array_namespace(*parts).stack(parts, axis=-1)
@@ -121,26 +122,26 @@ def side_by_side(*parts: Array) -> Array:
 
 
 def clip(array: Array, low: Any, high: Any) -> Array:
-    """Numbers cut to limits, which are numbers or arrays; NumPy's own takes three times as long."""
+    """Clip an array to limits, numbers or arrays, three times as fast as NumPy's ``clip``."""
     if type(array) is np.ndarray:
         return np.minimum(np.maximum(array, low), high)
     return array_namespace(array).clip(array, low, high)
 
 
 def quaternion_multiply(a: Array, b: Array) -> Array:
-    """Hamilton product ``a b``. a, b: wxyz, shape [..., 4]."""
+    """Return the Hamilton product ``a b``. a, b: wxyz, shape [..., 4]."""
     xp = array_namespace(a, b)
     factor = xp.matmul(b, like(b, _RIGHT_FACTOR)).reshape((*b.shape, 4))
     return xp.vecdot(factor, a[..., None, :])
 
 
 def quaternion_conjugate(q: Array) -> Array:
-    """Inverse of a unit quaternion. q: wxyz, shape [..., 4]."""
+    """Return the inverse of a unit quaternion. q: wxyz, shape [..., 4]."""
     return q * like(q, _CONJUGATE)
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross product with broadcasting (the array API's own does not broadcast). Shape [..., 3]."""
+    """Return the cross product with broadcasting, which the array API lacks. Shape [..., 3]."""
     if type(a) is not np.ndarray:
         xp = array_namespace(a, b)
         return xp.linalg.cross(*xp.broadcast_arrays(a, b))
@@ -150,20 +151,20 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def norm(v: Array) -> Array:
-    """Length of vectors. v: shape [..., N]; returns shape [..., 1]."""
+    """Return the length of vectors, shape [..., 1]. v: shape [..., N]."""
     xp = array_namespace(v)
     return xp.sqrt(xp.vecdot(v, v))[..., None]
 
 
 def rotate(q: Array, v: Array) -> Array:
-    """Rotate vectors. q: wxyz, shape [..., 4]; v: shape [..., 3]; they broadcast."""
+    """Rotate vectors. q: wxyz, shape [..., 4]; v: shape [..., 3]."""
     axis = q[..., 1:]
     t = 2.0 * cross(axis, v)
     return v + q[..., :1] * t + cross(axis, t)
 
 
 def quaternion_from_rotation_vector(v: Array) -> Array:
-    """Exponential map. v: axis times angle [rad], shape [..., 3]. Returns wxyz, shape [..., 4]."""
+    """Return the exponential map, wxyz, shape [..., 4]. v: axis times angle [rad], shape [..., 3]."""
     xp = array_namespace(v)
     angle = norm(v) + TINY
     half = 0.5 * angle
@@ -171,8 +172,7 @@ def quaternion_from_rotation_vector(v: Array) -> Array:
 
 
 def rotation_vector(q: Array) -> Array:
-    """Logarithm, the shorter way round. q: wxyz, shape [..., 4]. Returns [rad], shape [..., 3], norm <=
-    pi."""
+    """Return the logarithm [rad], shape [..., 3], norm <= pi. q: wxyz, shape [..., 4]."""
     xp = array_namespace(q)
     cosine, axis = q[..., :1], q[..., 1:]
     sine = norm(axis)
@@ -181,12 +181,12 @@ def rotation_vector(q: Array) -> Array:
 
 
 def turned_towards(q: Array, goal: Array, angle: Array) -> Array:
-    """Orientations on the shorter way from one to another.
+    """Rotate orientations toward a goal along the shorter way.
 
     Args:
-        q: where it begins, wxyz, shape [..., 4].
-        goal: where it ends, likewise.
-        angle: how far on the way, at most to its end [rad], shape [..., 1]; they broadcast.
+        q: start, wxyz, shape [..., 4].
+        goal: wxyz, shape [..., 4].
+        angle: maximum rotation [rad], shape [..., 1].
     """
     xp = array_namespace(q, goal)
     way = quaternion_multiply(goal, quaternion_conjugate(q))
@@ -199,17 +199,17 @@ def turned_towards(q: Array, goal: Array, angle: Array) -> Array:
 
 
 def rotation_matrix(q: Array) -> Array:
-    """q: wxyz, shape [..., 4]. Returns shape [..., 3, 3]."""
+    """Return rotation matrices, shape [..., 3, 3]. q: wxyz, shape [..., 4]."""
     change = array_namespace(q).matmul(_products(q), like(q, _TURN_FACTORS))
     return change.reshape((*q.shape[:-1], 3, 3)) + like(q, _IDENTITY)
 
 
 def euler_angles(q: Array) -> Array:
-    """Turns about x, the new y, the newest z, one after the other [rad]; the second is at most a right angle,
-    and where it is one only the sum or the difference of the others counts.
+    """Return intrinsic x-y-z Euler angles [rad], shape [..., 3]. The second is at most a right angle; at a
+    right angle only the sum or difference of the others is defined.
 
-    In halves: ``w + y = (cos b + sin b) cos(a + c)``, ``x + z = (cos b + sin b) sin(a + c)``, and with ``-``
-    for all ``+`` likewise. q: wxyz, shape [..., 4]; returns shape [..., 3].
+    With half angles a, b, c: ``w + y = (cos b + sin b) cos(a + c)``, ``x + z = (cos b + sin b) sin(a + c)``,
+    and the same with ``-`` for each ``+``. q: wxyz, shape [..., 4].
     """
     xp = array_namespace(q)
     halves = xp.matmul(q, like(q, _EULER_HALVES)).reshape((*q.shape[:-1], 2, 2))
@@ -222,12 +222,12 @@ def euler_angles(q: Array) -> Array:
 
 
 def compose(pose_a_b: Array, pose_b_c: Array) -> Array:
-    """``pose_a_c``. Poses: shape [..., 7]; they broadcast."""
+    """Return ``pose_a_c``. Poses: shape [..., 7]."""
     return _carried(pose_a_b[..., 3:], pose_b_c) + pose_a_b * like(pose_a_b, _PLACE)
 
 
 def invert(pose_a_b: Array) -> Array:
-    """``pose_b_a``. Shape [..., 7]."""
+    """Return ``pose_b_a``, shape [..., 7]."""
     xp = array_namespace(pose_a_b)
     rotation = pose_a_b[..., 3:]
     position = xp.matmul(pose_a_b[..., None, :3], rotation_matrix(rotation))[..., 0, :]
@@ -235,28 +235,28 @@ def invert(pose_a_b: Array) -> Array:
 
 
 def relative(pose_a_b: Array, pose_a_c: Array) -> Array:
-    """``pose_b_c``: where c is, seen from b. Poses: shape [..., 7]; they broadcast."""
+    """Return ``pose_b_c``, the pose of c in frame b. Poses: shape [..., 7]."""
     apart = pose_a_c - pose_a_b * like(pose_a_b, _PLACE)
     return _carried(quaternion_conjugate(pose_a_b[..., 3:]), apart)
 
 
 def transform_points(pose_a_b: Array, points_b: Array) -> Array:
-    """Points of frame b in frame a. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
+    """Transform points from frame b to frame a. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
     return pose_a_b[..., None, :3] + rotate(pose_a_b[..., None, 3:], points_b)
 
 
 def inverse_transform_points(pose_a_b: Array, points_a: Array) -> Array:
-    """Points of frame a in frame b. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
+    """Transform points from frame a to frame b. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
     return rotate(quaternion_conjugate(pose_a_b[..., None, 3:]), points_a - pose_a_b[..., None, :3])
 
 
 def _products(q: Array) -> Array:
-    """wx, wy, wz, xx, ... zz. q: wxyz, shape [..., 4]; returns shape [..., 12]."""
+    """Return the products wx, wy, wz, xx, ... zz, shape [..., 12]. q: wxyz, shape [..., 4]."""
     return (q[..., None] * q[..., None, 1:]).reshape((*q.shape[:-1], 12))
 
 
 def _carried(q: Array, pose: Array) -> Array:
-    """A pose in a frame with the same origin, that sees the pose's own frame turned by q. They broadcast."""
+    """Rotate a pose about the origin by q. Arguments broadcast."""
     xp = array_namespace(q, pose)
     terms = xp.concat([_products(q), q], axis=-1)
     change = xp.matmul(terms, like(q, _CARRY_FACTORS)).reshape((*q.shape[:-1], 7, 7))

@@ -1,4 +1,4 @@
-"""Ray casting of triangle meshes by Embree: on the CPU, in single precision."""
+"""Ray casting of triangle meshes with Embree, on the CPU in single precision."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from fungrasp.core.errors import FungraspError
 
 @dataclass(frozen=True)
 class RayHits:
-    """Where R rays first meet a mesh, from outside or from inside."""
+    """First hits of R rays, from outside or inside a mesh."""
 
     distance: np.ndarray
-    """Along the ray [m], infinite for a miss, shape [R]."""
+    """Distance along the ray [m], infinite for a miss, shape [R]."""
     mesh: np.ndarray
     """Index of the mesh, -1 for a miss, shape [R]."""
     triangle: np.ndarray
-    """Index of the triangle in its mesh, meaningless for a miss, shape [R]."""
+    """Index of the triangle in its mesh, undefined for a miss, shape [R]."""
     barycentric: np.ndarray
     """Weights of the triangle's three corners at the hit, shape [R, 3]."""
 
 
 class RayCaster:
-    """Triangle meshes that rays can meet, all in one frame."""
+    """Ray caster for triangle meshes in one frame."""
 
     def __init__(self, meshes: Iterable[tuple[np.ndarray, np.ndarray]]):
         """
         Args:
-            meshes: of each, vertices [m], shape [V, 3], and faces, vertex indices, shape [T, 3].
+            meshes: vertices [m], shape [V, 3], and faces (vertex indices), shape [T, 3], of each mesh.
 
         Raises:
             FungraspError: embreex is not installed.
@@ -49,7 +49,7 @@ class RayCaster:
             TriangleMesh(self._scene, np.asarray(vertices, np.float32), np.asarray(faces, np.int32))
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> RayHits:
-        """First hits.
+        """Return the first hits.
 
         Args:
             origins: [m], shape [3] or [R, 3].
@@ -61,7 +61,7 @@ class RayCaster:
         return RayHits(distance, mesh, hits["primID"], np.stack([1 - u - v, u, v], axis=-1))
 
     def free_distance(self, origins: np.ndarray, directions: np.ndarray, limit: float) -> np.ndarray:
-        """How far rays get before they meet anything, at most ``limit`` [m], shape [R]. Arguments as
+        """Return the distance of the first hits [m], at most ``limit`` [m], shape [R]. Arguments as for
         ``cast``."""
         limits = np.full(len(directions), limit, np.float32)
         return self._scene.run(*_rays(origins, directions), query="DISTANCE", dists=limits)

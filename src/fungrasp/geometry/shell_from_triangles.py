@@ -1,4 +1,4 @@
-"""A closed surface around any triangles: all points within a distance of them, from a grid of distances."""
+"""Closed surface at a distance around arbitrary triangles, from a distance grid."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from scipy.spatial import KDTree
 from fungrasp.geometry.signed_distance import points_on_triangles
 
 MOST_CORNERS = 2_000_000
-"""Most corners of the grid."""
+"""Maximum number of grid corners."""
 
 MOST_CELLS = 50_000
-"""About how many cells of the grid the triangles pass through at most."""
+"""Approximate maximum number of grid cells that the triangles intersect."""
 
 MOST_SAMPLES = 3_000_000
-"""Most points on the triangles."""
+"""Approximate maximum number of points sampled on the triangles."""
 
 AT_ONCE = 200_000
-"""Triangles from which points are taken at a time; it bounds the memory."""
+"""Triangles that are sampled at a time, to limit memory."""
 
-# The six tetrahedra of a cube about its diagonal, as offsets of their corners, shape [6, 4, 3].
+# Six tetrahedra around the diagonal of a cube, as corner offsets, shape [6, 4, 3].
 _TETRAHEDRA = np.array(
     [
         np.concatenate([np.zeros((1, 3)), np.cumsum(np.eye(3)[list(order)], axis=0)])
@@ -33,16 +33,16 @@ _TETRAHEDRA = np.array(
 
 
 def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """The surface of the points within half a thickness of the triangles, its cavities filled.
+    """Return the closed surface at half the thickness from the triangles, with cavities filled.
 
     Args:
         triangles: [m], shape [F, 3, 3].
-        thickness: of the shell around them [m]; larger where the grid would be too fine.
+        thickness: shell thickness [m]; increased if the grid would be too fine.
 
     Returns:
         vertices: [m], shape [V, 3].
         faces: outward, shape [G, 3]; closed.
-        thickness: that of the shell [m].
+        thickness: thickness that was used [m].
     """
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     area = 0.5 * np.linalg.norm(np.cross(*np.moveaxis(np.diff(triangles, axis=1), 1, 0)), axis=1).sum()
@@ -69,7 +69,7 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
         )
         + origin
     )
-    # Its import takes as long as that of NumPy, and shells are rare.
+    # The import takes as long as NumPy's, and shells are rare.
     from scipy import ndimage
 
     touched = np.zeros(shape, dtype=bool)
@@ -80,7 +80,7 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
     corners = origin + spacing * np.stack(np.unravel_index(band, shape), axis=1)
     values[band] = KDTree(points).query(corners, workers=-1)[0] - thickness / 2
     values = values.reshape(shape)
-    # What the outside can't reach is filled.
+    # Fill cavities that are not connected to the outside.
     parts: Any = ndimage.label(values > 0)
     values = np.where((parts[0] > 0) & (parts[0] != parts[0][0, 0, 0]), -spacing, values)
     vertices, faces = zero_surface(values)
@@ -88,7 +88,7 @@ def shell_from_triangles(triangles: np.ndarray, thickness: float) -> tuple[np.nd
 
 
 def _thinned(points: np.ndarray, width: float) -> np.ndarray:
-    """One of the points, shape [N, 3], in each cube of a width [m]; small triangles have one each."""
+    """Return one of the points, shape [N, 3], in each cube of a width [m]."""
     cells = (points / width).astype(np.int64)
     sides = cells.max(axis=0) + 1
     codes = (cells[:, 0] * sides[1] + cells[:, 1]) * sides[2] + cells[:, 2]
@@ -97,15 +97,15 @@ def _thinned(points: np.ndarray, width: float) -> np.ndarray:
 
 
 def zero_surface(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The surface between negative and other values on a grid, by marching tetrahedra (Doi and Koide, 1991):
-    closed if no negative value is at the border.
+    """Return the zero level set of grid values, by marching tetrahedra (Doi and Koide, 1991). It is closed if
+    no border value is negative.
 
     Args:
-        values: at the corners of the grid, shape [X, Y, Z].
+        values: values at the grid corners, shape [X, Y, Z].
 
     Returns:
-        vertices: in cells, shape [V, 3].
-        faces: the negative side behind them, shape [F, 3].
+        vertices: in units of cells, shape [V, 3].
+        faces: facing the non-negative side, shape [F, 3].
     """
     shape = np.array(values.shape)
     stride = np.array([shape[1] * shape[2], shape[2], 1])
@@ -115,7 +115,7 @@ def zero_surface(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     crossed = np.argwhere(cubes.any(axis=0) & ~cubes.all(axis=0)) @ stride
     tetrahedra = (crossed[:, None, None] + _TETRAHEDRA @ stride).reshape(-1, 4)
     flat = values.ravel()
-    # Corners of a tetrahedron with the inner ones first, and how many of them there are.
+    # Sort the corners of each tetrahedron, inner corners first, and count the inner corners.
     order = np.argsort(flat[tetrahedra] >= 0, axis=1, kind="stable")
     sorted_corners = np.take_along_axis(tetrahedra, order, axis=1)
     count = (flat[tetrahedra] < 0).sum(axis=1)
@@ -126,7 +126,7 @@ def zero_surface(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         two[:, [[0, 2], [0, 3], [1, 3]]],
         two[:, [[0, 2], [1, 3], [1, 2]]],
     ])  # fmt: skip
-    # A tetrahedron's edge is known by its inner and outer corner.
+    # An edge is identified by its inner and outer corner.
     codes, faces = np.unique(edges[..., 0] * flat.size + edges[..., 1], return_inverse=True)
     faces = faces.reshape(-1, 3)
     inner, outer = np.divmod(codes, flat.size)

@@ -1,4 +1,4 @@
-"""Signed distance of a triangle mesh, precomputed on a grid and looked up for many points at once."""
+"""Signed distance of triangle meshes, precomputed on grids and queried for batches of points."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     import trimesh
 
 MOST_SAMPLES = 2_000_000
-"""Most surface samples of a mesh, and most pairs of a point and a triangle that are worked on together."""
+"""Maximum number of surface samples of a mesh, and of point-triangle pairs in one batch."""
 
 CHUNK = 50_000
-"""Points whose nearest surface points are sought together."""
+"""Batch size of nearest-point queries."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +47,15 @@ class SignedDistanceGrid:
         margin: float = 0.03,
         max_cells: int = 2_000_000,
     ) -> SignedDistanceGrid:
-        """Distance at each corner: to the exact triangles near the surface, to the surface point nearest to a
-        neighboring cell farther away.
+        """Compute a grid from a mesh.
 
-        The sign is that of the winding number, so that small holes do no harm.
+        Distances are exact near the surface. Farther away they are to the surface point nearest to a corner
+        near the surface. The sign is that of the winding number, so that small holes are harmless.
 
         Args:
             vertices: [m], shape [V, 3].
             faces: vertex indices, shape [F, 3].
-            spacing: edge of a cell [m]; widened where the object would need more than ``max_cells``.
+            spacing: edge of a cell [m]; increased if the grid would have more than ``max_cells``.
             margin: empty border around the mesh [m].
         """
         mesh = triangle_mesh(vertices, faces)
@@ -70,7 +70,7 @@ class SignedDistanceGrid:
         touched[tuple(np.round((samples.points - low) / spacing).astype(int).T)] = True
         feet = np.zeros((*shape, 3))
         feet[touched] = samples.nearest(points[touched])[0]
-        # Its import takes as long as that of NumPy, and grids are mostly read from the cache.
+        # The import takes as long as NumPy's, and grids are mostly read from the cache.
         from scipy import ndimage
 
         transformed: Any = ndimage.distance_transform_edt(~touched, return_indices=True)
@@ -82,35 +82,35 @@ class SignedDistanceGrid:
         return cls(low, spacing, values.astype(np.float32))
 
     def mirrored(self) -> SignedDistanceGrid:
-        """That of the surface reflected in the plane y = 0."""
+        """Return the grid of the surface reflected in the plane y = 0."""
         last = self.origin[1] + self.spacing * (self.values.shape[1] - 1)
         origin = np.array([self.origin[0], -last, self.origin[2]])
         return SignedDistanceGrid(origin, self.spacing, np.ascontiguousarray(self.values[:, ::-1]))
 
     def scaled(self, factor: float) -> SignedDistanceGrid:
-        """That of the surface with all lengths times a factor."""
+        """Return the grid of the surface scaled by a factor."""
         values = (factor * self.values).astype(self.values.dtype)
         return SignedDistanceGrid(factor * self.origin, factor * self.spacing, values)
 
     def save(self, path: str | Path) -> None:
-        """Write to an ``.npz`` file, whole or not at all."""
+        """Write to an ``.npz`` file atomically."""
         with atomic_path(path) as temporary:
             np.savez_compressed(temporary, origin=self.origin, spacing=self.spacing, values=self.values)
 
     @classmethod
     def load(cls, path: str | Path) -> SignedDistanceGrid:
-        """Read what ``save`` wrote."""
+        """Read a file written by ``save``."""
         data = read_npz(path, "signed distances")
         return cls(data["origin"], float(data["spacing"]), data["values"])
 
 
 class SignedDistanceBank:
-    """The grids of several objects, looked up together: each row of a batch may ask another object."""
+    """Grids of several objects for batched queries. Each row of a batch selects an object."""
 
     def __init__(self, grids: Sequence[SignedDistanceGrid]):
         """
         Args:
-            grids: one per object; queries name them by index.
+            grids: one per object; queries refer to them by index.
         """
         shape = np.array([grid.values.shape for grid in grids])
         self.arrays = GridArrays(
@@ -121,25 +121,25 @@ class SignedDistanceBank:
             origin=np.array([grid.origin for grid in grids], dtype=float),
             spacing=np.array([grid.spacing for grid in grids], dtype=float),
         )
-        """What the bank holds."""
+        """The concatenated grids."""
         self._copies: dict[tuple[str, str], GridArrays] = {}
 
     def query(self, grid: Array, points: Array) -> tuple[Array, Array]:
-        """Trilinear signed distance and its exact gradient.
+        """Return the trilinear signed distance and its exact gradient.
 
-        Outside a grid, the distance to the grid's border is added, so that the value keeps growing. NaN gives
-        NaN.
+        Outside a grid, the distance to its border is added, so that the distance keeps increasing. NaN points
+        yield NaN.
 
         Args:
-            grid: index of the grid of each row, shape [N].
-            points: [m], shape [N, P, 3], that object's frame.
+            grid: index of each row's grid, shape [N].
+            points: [m], shape [N, P, 3], object frame.
 
         Returns:
             distance [m], shape [N, P]; gradient, shape [N, P, 3].
         """
         if not is_numpy(points):
             return array_distances(self._on(points), grid, points)
-        # Importing Numba takes half a second: not before something is asked.
+        # Importing Numba takes half a second, so import it with the first query.
         from fungrasp.geometry.distance_queries import signed_distances
 
         where, rows = np.array(points, dtype=float), np.array(grid, dtype=np.int64)
@@ -148,10 +148,10 @@ class SignedDistanceBank:
         return distance, gradient
 
     def _on(self, points: Array) -> GridArrays:
-        """The arrays on the device of points, copied once."""
+        """Return the arrays on the device of the points, copied once."""
         key = str(points.device), str(points.dtype)
         if key not in self._copies:
-            # In single precision the last cell would end at its end, and the next corner lie beyond.
+            # In single precision the index would round up to the last corner, which has no next corner.
             single = "float32" in key[1]
             arrays = self.arrays._replace(last=self.arrays.last - 1e-4 * single)
             self._copies[key] = GridArrays(*(rows_like(points, array) for array in arrays))
@@ -161,7 +161,7 @@ class SignedDistanceBank:
 def project_to_surface(
     bank: SignedDistanceBank, grid: np.ndarray, points: np.ndarray, iterations: int = 3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Surface points nearest to points, by Newton steps ``p - d(p) n(p)`` down the signed distance.
+    """Project points to the nearest surface points by Newton steps ``p - d(p) n(p)``.
 
     Args:
         grid: index of each row's grid in the bank, shape [N].
@@ -180,7 +180,7 @@ def project_to_surface(
 
 
 def mesh_signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Exact signed distance, negative inside.
+    """Return the exact signed distance, negative inside.
 
     Args:
         mesh: faces outward.
@@ -195,7 +195,7 @@ def mesh_signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarra
 
 
 def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest surface points, through the exact distance to the triangles of the nearest surface samples.
+    """Return nearest surface points, using the exact distance to the triangles of the nearest samples.
 
     Args:
         points: [m], shape [P, 3].
@@ -207,9 +207,9 @@ def nearest_on_mesh(mesh: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarr
 
 
 def winding_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How often the surface winds around each point: 1 inside, 0 outside, in between near holes.
+    """Return the winding number of the surface around each point: 1 inside, 0 outside, in between near holes.
 
-    Sum of the solid angles of all triangles (Van Oosterom and Strackee, 1983) over 4 pi.
+    It is the sum of the solid angles of all triangles (Van Oosterom and Strackee, 1983) divided by 4 pi.
 
     Args:
         points: [m], shape [P, 3].
@@ -234,9 +234,9 @@ def winding_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 
 def crossing_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How often the vertical ray up from each point leaves the mesh, less how often it enters it.
+    """Return how often the upward ray from each point leaves the mesh minus how often it enters it.
 
-    For a closed mesh it is the winding number, at a cost that hardly grows with the number of faces.
+    For a closed mesh this is the winding number, at a cost that hardly grows with the number of faces.
 
     Args:
         mesh: closed, faces outward.
@@ -250,10 +250,10 @@ def crossing_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     flat = corners[..., :2]
     low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
     size = np.maximum(high - low, 1e-9)
-    # Off the mesh's own edges by far less than anything measured, so that no ray meets an edge.
+    # A negligible offset, so that no ray hits an edge of the mesh.
     at = points[:, :2] + size * [1.1e-9, 1.7e-9]
     over = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1) & (points[:, 2] < corners[..., 2].max()))
-    # Cells of a grid in the plane, each with the triangles whose bounding boxes reach into it.
+    # A planar grid; each cell lists the triangles whose bounding boxes overlap it.
     cells = int(np.clip(np.sqrt(len(corners)), 1, 512))
     first = np.clip(((flat.min(axis=1) - low) / size * cells).astype(int), 0, cells - 1)
     last = np.clip(((flat.max(axis=1) - low) / size * cells).astype(int), 0, cells - 1)
@@ -281,9 +281,10 @@ def crossing_number(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 def _crossings(
     triangles: np.ndarray, at: np.ndarray, height: np.ndarray, point: np.ndarray, count: int
 ) -> np.ndarray:
-    """Sum by point of +1 for each triangle that faces up above it and -1 for each that faces down.
+    """Return the sum over triangles above each point: +1 for those facing up, -1 for those facing down.
 
-    triangles: shape [Q, 3, 3]; at, height, point: of the point asked, shape [Q, 2], [Q], [Q].
+    triangles: shape [Q, 3, 3]; at, height, point: xy, z and index of each triangle's point, shape [Q, 2],
+    [Q], [Q].
     """
     a, b, c = (triangles[:, i, :2] - at for i in range(3))
     opposite = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
@@ -299,21 +300,21 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _inside(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """Which points a mesh encloses, shape [P]; by its winding number where it is not closed."""
+    """Return which points a mesh encloses, shape [P]; by winding number if it is not closed."""
     if mesh.is_watertight and mesh.is_winding_consistent:
         return crossing_number(mesh, points) > 0
     return winding_number(mesh, points) > 0.5
 
 
 def points_on_triangles(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points on triangles, in rows along the longest edge: slivers need few.
+    """Sample points on triangles in rows along the longest edge, so that slivers need few points.
 
     Args:
         triangles: [m], shape [F, 3, 3].
-        gap: between rows, and within a row, at most [m].
+        gap: maximum gap between rows and within a row [m].
 
     Returns:
-        points [m], shape [Q, 3]; the triangle of each, shape [Q].
+        points [m], shape [Q, 3]; triangle index of each, shape [Q].
     """
     lengths = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=-1)
     turn = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
@@ -330,14 +331,14 @@ def points_on_triangles(triangles: np.ndarray, gap: float) -> tuple[np.ndarray, 
 
 
 class _SurfaceSamples:
-    """A tree of surface samples and their faces. They are at most 1 mm apart, or 1/200 of the mesh, or so far
-    that they are not too many, if that is more."""
+    """KD-tree of surface samples. Their gap is the largest of 1 mm, 1/200 of the mesh size and the gap that
+    yields about ``MOST_SAMPLES``."""
 
     def __init__(self, mesh: trimesh.Trimesh):
         gap = max(0.001, float(mesh.extents.max()) / 200, float(np.sqrt(mesh.area / MOST_SAMPLES)))
         self.points, self._owners = points_on_triangles(np.asarray(mesh.triangles), gap)
         self._triangles = mesh.triangles
-        # Samples are even: splits in the middle are found in a third of the time.
+        # Samples are uniform, so midpoint splits suffice and take a third of the time.
         from scipy.spatial import KDTree
 
         self._tree = KDTree(self.points, balanced_tree=False, compact_nodes=False)
@@ -361,19 +362,19 @@ class _SurfaceSamples:
 
 @lru_cache(maxsize=32)
 def _surface_samples(mesh: trimesh.Trimesh) -> _SurfaceSamples:
-    """Kept for meshes that are asked again: a set of grasps asks for its objects in turn."""
+    """Cache samples: a set of grasps queries its objects in turn."""
     return _SurfaceSamples(mesh)
 
 
 def _counted(numbers: np.ndarray) -> np.ndarray:
-    """0, 1, ... n - 1 for each n in turn."""
+    """Return 0, 1, ... n - 1 for each n, concatenated."""
     return np.arange(numbers.sum()) - np.repeat(np.cumsum(numbers) - numbers, numbers)
 
 
 def _sign(mesh: trimesh.Trimesh, points: np.ndarray, distance: np.ndarray, spacing: float) -> np.ndarray:
-    """Sign of each grid corner, shape [X, Y, Z]. Corners farther than half a cell from the surface have the
-    sign of their connected component, as no grid edge between two of them can cross the surface; only the
-    others are asked one by one."""
+    """Return the sign of each grid corner, shape [X, Y, Z]. Corners farther than half a cell from the surface
+    share the sign of their connected component, because no grid edge between two of them can cross the
+    surface. The others are tested one by one."""
     from scipy import ndimage
 
     flat = points.reshape(-1, 3)

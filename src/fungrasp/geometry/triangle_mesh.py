@@ -1,4 +1,4 @@
-"""What is often asked about a triangle mesh, without trimesh, whose import takes a third of a second."""
+"""Basic triangle mesh functions without trimesh, whose import takes a third of a second."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def triangle_mesh(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
-    """A mesh of trimesh, with vertices and faces as they are; trimesh is imported when the first one is made.
+    """Create a trimesh mesh with unchanged vertices and faces, importing trimesh on the first call.
 
     Args:
         vertices: [m], shape [V, 3].
@@ -24,14 +24,14 @@ def triangle_mesh(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
 
 
 def volume_and_center(triangles: np.ndarray) -> tuple[float, np.ndarray]:
-    """Volume that a closed surface encloses, and its center: integrals over the surface (Eberly, Polyhedral
+    """Return the volume and center of mass of a closed surface, by surface integrals (Eberly, Polyhedral
     mass properties, 2002).
 
     Args:
         triangles: outward [m], shape [F, 3, 3].
 
     Returns:
-        [m3], negative where the faces point inwards; center of mass [m], shape [3].
+        volume [m3], negative if the faces point inward; center of mass [m], shape [3].
     """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     total = a + b + c
@@ -44,14 +44,15 @@ def volume_and_center(triangles: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def normals_and_areas(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals, 0 where there is none, shape [F, 3], and areas, shape [F], of triangles [F, 3, 3]."""
+    """Return unit normals, zero for degenerate triangles, shape [F, 3], and areas, shape [F], of triangles
+    [F, 3, 3]."""
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 1])
     length = np.sqrt(np.square(across) @ np.ones(3))
     return across * (1.0 / np.maximum(length, 1e-300))[:, None], 0.5 * length
 
 
 def hull_triangles(points: np.ndarray) -> np.ndarray:
-    """Outward triangles of the convex hull of points, without those that have no area.
+    """Return the outward triangles of the convex hull of points, without degenerate ones.
 
     Args:
         points: [m], shape [P, 3], not all in one plane.
@@ -59,7 +60,7 @@ def hull_triangles(points: np.ndarray) -> np.ndarray:
     Returns:
         [m], shape [F, 3, 3].
     """
-    # Scaled to a unit box, which flat objects need.
+    # Flat objects need scaling to a unit box.
     hull = ConvexHull(points, qhull_options="QbB Pp Qt")
     triangles = hull.points[hull.simplices]
     normals, areas = normals_and_areas(triangles)
