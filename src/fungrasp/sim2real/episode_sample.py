@@ -1,4 +1,4 @@
-"""Random parameters of episodes, and poses with errors."""
+"""Random parameters of episodes, and poses with offsets."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class EpisodeSample(BatchRecord):
     joint_bias: np.ndarray
     """Error of the measured joints [rad], shape [W, M]."""
     palm_bias: np.ndarray
-    """Error of the measured palm: offset [m], world frame, and rotation vector [rad], shape [W, 6]."""
+    """Error of the measured palm pose: offset [m], world frame, and rotation vector [rad], shape [W, 6]."""
     object_bias: np.ndarray
     """Error of the object's estimated and tracked pose: offset [m], world frame, and rotation vector [rad],
     shape [W, 6]."""
@@ -68,20 +68,20 @@ class EpisodeSample(BatchRecord):
     push_weights: np.ndarray
     """Additional force of each push in multiples of the object's true weight, shape [W, P]."""
     push_start: np.ndarray
-    """Time of each push from the beginning of the phase [s], shape [W, P]."""
+    """Time of each push from the start of the phase [s], shape [W, P]."""
     object_shift: np.ndarray
-    """Displacement of the object in the table's plane after planning: x and y [m], and a turn about the
-    vertical [rad], shape [W, 3]."""
+    """Displacement of the object on the table after planning: x and y [m], and rotation about the vertical
+    [rad], shape [W, 3]."""
     friction: np.ndarray | None = None
     """Sliding friction of hand, object and table, shape [W]; the nominal one if None."""
 
 
 def draw(randomization: Randomization, count: int, joints: int, rng: np.random.Generator) -> EpisodeSample:
-    """Draw the parameters of some episodes.
+    """Draw the parameters of W episodes.
 
     Args:
-        count: W, number of episodes.
-        joints: M, number of the hand's joints, coupled ones included.
+        count: number of episodes W.
+        joints: number of the hand's joints M, including coupled joints.
         rng: the same state gives the same sample.
     """
     r, pushes = randomization, len(randomization.push_times)
@@ -104,7 +104,7 @@ def draw(randomization: Randomization, count: int, joints: int, rng: np.random.G
 
     direction = _unit(rng.normal(size=(count, pushes, 3)))
     around = rng.uniform(0.0, 2 * np.pi, count)
-    # Uniform over the area of a ring: the square of the radius is uniform.
+    # Uniform over the area of a ring: the squared radius is uniform.
     low, high = r.object_shift
     inner = (low / high) ** 2 if high else 0.0
     distance = high * np.sqrt(inner + (1.0 - inner) * rng.uniform(size=count))
@@ -128,7 +128,7 @@ def draw(randomization: Randomization, count: int, joints: int, rng: np.random.G
         "push_start": rng.uniform(*starts.T, size=(count, pushes)),
         "push_weights": rng.uniform(*r.push_weights, size=(count, pushes)),
     }
-    # What was added later is drawn last, so that earlier results stay as they are.
+    # Parameters that were added later are drawn last, so that earlier results are unchanged.
     offset = bias(
         MeasurementError(offset=r.wrist_position_offset), MeasurementError(offset=r.wrist_rotation_offset)
     )
@@ -155,7 +155,7 @@ def draw(randomization: Randomization, count: int, joints: int, rng: np.random.G
 
 
 def random_stream(purpose: str, *numbers: int) -> np.random.Generator:
-    """An independent random generator for each purpose and numbers (seed, episode, ...)."""
+    """Return an independent random generator for a purpose and numbers (seed, episode, ...)."""
     return np.random.default_rng([zlib.crc32(purpose.encode()), *numbers])
 
 
@@ -165,8 +165,8 @@ def draw_each(
     """Draw the parameters of episodes by their numbers, independent of other episodes.
 
     Args:
-        numbers: of the episodes, length W.
-        joints: M, number of the hand's joints.
+        numbers: episode numbers, length W.
+        joints: number of the hand's joints M.
     """
     generators = [random_stream("episode", seed, int(number)) for number in numbers]
     return EpisodeSample.join([draw(randomization, 1, joints, rng) for rng in generators])
@@ -177,16 +177,15 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def offset_pose(pose: Array, offset: Array, center: Array | None = None) -> Array:
-    """Poses with a small offset.
+    """Offset poses.
 
     Args:
         pose: shape [..., 7].
-        offset: of the position [m], world frame, and rotation vector [rad], body frame, shape [..., 6].
-        center: stays where it is but for the offset of the position [m], body frame, shape [..., 3]; the
-            body's origin if None.
+        offset: position offset [m], world frame, and rotation vector [rad], body frame, shape [..., 6].
+        center: center of the rotation [m], body frame, shape [..., 3]; the body's origin if None.
 
     Returns:
-        Shape [..., 7].
+        shape [..., 7].
     """
     xp = array_namespace(pose, offset)
     position, before = pose[..., :3] + offset[..., :3], pose[..., 3:]
@@ -197,15 +196,15 @@ def offset_pose(pose: Array, offset: Array, center: Array | None = None) -> Arra
 
 
 def shift_on_table(pose: Array, shift: Array, center: Array | None = None) -> Array:
-    """Objects moved and turned on the table, as ``EpisodeSample.object_shift`` says.
+    """Move and rotate objects on the table (``EpisodeSample.object_shift``).
 
     Args:
         pose: world frame, shape [..., 7].
-        shift: x and y [m] and a turn about the vertical [rad], shape [..., 3].
-        center: of mass [m], object frame, shape [..., 3]: on the axis of the turn; the origin if None.
+        shift: x and y [m] and rotation about the vertical [rad], shape [..., 3].
+        center: center of mass, on the rotation axis [m], object frame, shape [..., 3]; the origin if None.
 
     Returns:
-        Shape [..., 7].
+        shape [..., 7].
     """
     xp = array_namespace(pose, shift)
     zero = xp.zeros_like(shift[..., :1])
@@ -218,15 +217,15 @@ def shift_on_table(pose: Array, shift: Array, center: Array | None = None) -> Ar
 
 
 def tilt_on_table(pose: Array, tilt: Array, height: Array) -> Array:
-    """Objects whose table tilts about the point of its top that is below their origin.
+    """Tilt objects with the table about the point of the table top below their origin.
 
     Args:
         pose: world frame, shape [..., 7].
         tilt: rotation vector of the table, world frame x and y [rad], shape [..., 2].
-        height: of the table top there [m], shape [...].
+        height: height of the table top below the object [m], shape [...].
 
     Returns:
-        Shape [..., 7].
+        shape [..., 7].
     """
     xp = array_namespace(pose, tilt)
     zero = xp.zeros_like(pose[..., :1])

@@ -16,30 +16,30 @@ from fungrasp.hands import Hand, as_hand
 
 QUANTITIES = ("stiffness", "damping", "friction", "armature")
 TORQUE_LIMIT = "torque_limit"
-"""Quantity of a file that no identification finds: its author knows it of the robot."""
+"""Quantity of a file that identification does not estimate; its author sets it."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointDynamics:
-    """Second-order joints with Coulomb friction and position servos, with a common delay:
+    """Second-order joints with Coulomb friction, position servos and a common delay:
 
     (inertia + armature) a = stiffness (u(t - delay) - q) - damping v - friction sign(v) - weight
     """
 
     joints: tuple[str, ...]
-    """Names of the joints, length J: independent joints of a hand."""
+    """Names of independent joints of a hand, length J."""
     stiffness: np.ndarray
     """Stiffness of the servos [N m/rad], shape [J]."""
     damping: np.ndarray
-    """Damping of joint and servo together [N m s/rad], shape [J]."""
+    """Total damping of joint and servo [N m s/rad], shape [J]."""
     friction: np.ndarray
     """Dry friction [N m], shape [J]."""
     armature: np.ndarray
-    """Inertia of the drives at the joints [kg m^2], shape [J]."""
+    """Inertia of the drives, reflected to the joints [kg m^2], shape [J]."""
     delay: float
     """Delay from a command to its first effect [s]."""
     torque_limit: np.ndarray | None = None
-    """Largest torque of the servos [N m], shape [J]; None for the model's."""
+    """Torque limits of the servos [N m], shape [J]; the model's if None."""
 
     def __post_init__(self) -> None:
         for name in (*QUANTITIES, TORQUE_LIMIT):
@@ -57,7 +57,7 @@ class JointDynamics:
 
 
 def model_dynamics(hand: Hand) -> JointDynamics:
-    """Dynamics of the hand's model, without delay."""
+    """Return the dynamics of the hand's model, without delay."""
     model = hand.model
     rows = [model.joint(name).dofadr[0] for name in hand.actuators]
     servos = hand.actuators.values()
@@ -98,9 +98,9 @@ class HandDynamics:
 
 
 def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
-    """Change a compiled hand, or a scene with one, in place; joints and position servos are found by name.
+    """Set the dynamics of a compiled hand or of a scene with one, in place, by joint and servo names.
 
-    The damping is the joint's; the servo's own becomes zero. The delay is not part of a model.
+    All damping is set on the joint and none on the servo. A model has no delay.
     """
     for j, name in enumerate(dynamics.joints):
         dof = model.joint(name).dofadr[0]
@@ -116,17 +116,17 @@ def set_dynamics(model: mujoco.MjModel, dynamics: JointDynamics) -> None:
 
 
 def identified_hand(hand: Hand | str, path: str | Path | None) -> Hand:
-    """A hand with identified dynamics, for planning and training.
+    """Return a hand with identified dynamics, for planning and training.
 
-    A torque constant scales all that a servo makes, so that its own damping goes with its stiffness; the rest
-    of the damping is the joint's. The delay is not part of a hand.
+    A servo's damping scales with its stiffness, because its torque constant scales both; the remaining
+    damping is the joint's. A hand has no delay.
 
     Args:
         hand: a hand, its name, or the path of its TOML file.
         path: file of ``save_dynamics``; the hand is unchanged if None.
 
     Raises:
-        FungraspError: the file can't be read, or has unknown joints or quantities.
+        FungraspError: the file can't be read, or has unknown joints, unknown quantities or invalid values.
     """
     hand = as_hand(hand)
     if path is None:
@@ -160,7 +160,7 @@ def save_dynamics(
     """Write dynamics as TOML.
 
     Args:
-        notes: by quantity, a comment beside the value of each joint, length J; none if None.
+        notes: for each quantity, a comment for the value of each joint, length J.
     """
     lines = [f"delay = {dynamics.delay:.6g} # s", ""]
     for j, name in enumerate(dynamics.joints):

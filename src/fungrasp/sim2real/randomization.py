@@ -1,8 +1,8 @@
 """Randomization: differences between a world and the nominal world.
 
-Training, the rollouts of planning, single options of ``fungrasp evaluate`` and the robustness protocol all
-draw from a ``Randomization``. Presets are below. The paper (section IV.C.3) randomizes joint damping, servo
-gains, friction, object mass, table height and the observed state of the hand; the rest is added.
+Training, planning rollouts, options of ``fungrasp evaluate`` and the protocols draw from a ``Randomization``.
+The paper (section IV.C.3) randomizes joint damping, servo gains, friction, object mass, table height and the
+observed state of the hand; the other parameters are additions.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError, UnknownNameError
 
 Range = tuple[float, float]
-"""Smallest and largest value; equal values are a constant."""
+"""Smallest and largest value; equal for a constant."""
 
 LONGEST_DELAY = 0.1
 """Longest delay from a decision to the servos [s]: one control period."""
@@ -26,7 +26,7 @@ _SIGNED = ("table_height",)
 _PROBABILITIES = ("tracker_dropout", "tracker_freeze", "shift_probability")
 
 OBJECT_SCALES = 5
-"""Number of sizes for ``Randomization.object_scale``; a scene has a mesh for each."""
+"""Number of sizes of ``Randomization.object_scale``; a scene has a mesh for each."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class Randomization:
     servo_damping: Range = (1.0, 1.0)
     """Factor on the damping (kd) of each finger servo."""
     wrist_stiffness: Range = (1.0, 1.0)
-    """Common factor on stiffness and damping of the six wrist servos, so that the wrist follows its setpoint
-    as before."""
+    """Common factor on stiffness and damping of the six wrist servos, so that the lag behind setpoints stays
+    the same."""
     joint_friction: Range = (0.0, 0.0)
     """Dry friction of each finger joint, as a fraction of its servo's torque limit."""
     encoder_bias: float = 0.0
@@ -82,14 +82,14 @@ class Randomization:
     mass: Range = (1.0, 1.0)
     """Factor on the mass of the object."""
     center_of_mass_shift: float = 0.0
-    """Largest displacement of the object's center of mass along each axis of its frame, either way, as a
-    fraction of its extent there."""
+    """Largest displacement of the object's center of mass along each axis of its frame, in either direction,
+    as a fraction of its extent."""
     object_scale: Range = (1.0, 1.0)
     """Factor on the size of the object, one of ``object_scales``; the mass is unchanged."""
     friction: Range | None = None
     """Sliding friction of hand, object and table; the nominal one if None."""
     table_height: Range = (0.0, 0.0)
-    """Height of the table top above the nominal height [m]; objects on it move too."""
+    """Height of the table top above the nominal height [m]; objects move with it."""
     table_tilt: Range = (0.0, 0.0)
     """Slope of the table top [rad], in a random direction."""
     joint_error: MeasurementError = MeasurementError()
@@ -111,14 +111,14 @@ class Randomization:
     """Probability that the tracker loses the object at the first touch. The policy then sees the last frame
     until the hand has left the object."""
     tracker_time_constant: float = 0.0
-    """Time constant of the tracker's first-order low-pass filter [s], which delays a moving pose by as much;
-    0 for none."""
+    """Time constant of the tracker's first-order low-pass filter [s], which delays a moving pose by this
+    time; 0 for none."""
     action_delay: Range = (0.0, 0.0)
     """Delay from a policy's action to the servos [s], at most ``LONGEST_DELAY``."""
     push_phase: Literal["lift", "hold"] = "hold"
     """Phase whose start is time zero of the pushes."""
     push_times: tuple[Range, ...] = ()
-    """Times of pushes on the object's center of mass, from the start of that phase [s]."""
+    """Times of pushes on the object's center of mass, from the start of the phase [s]."""
     push_force: Range = (0.0, 0.0)
     """Force of each push [N], in a random direction."""
     push_weights: Range = (0.0, 0.0)
@@ -126,12 +126,12 @@ class Randomization:
     push_duration: float = 0.2
     """Duration of each push [s]."""
     object_shift: Range = (0.0, 0.0)
-    """Distance that the object is moved on the table after planning [m], in a random direction; uniform over
-    the area of the ring."""
+    """Displacement of the object on the table after planning [m], in a random direction; uniform over the
+    area of the ring."""
     shift_probability: float = 1.0
-    """Probability that the object is moved or turned in an episode."""
+    """Probability that the object is moved and rotated in an episode."""
     object_turn: float = 0.0
-    """Largest angle of that turn about the vertical, in either direction [rad]."""
+    """Largest rotation of the moved object about the vertical, in either direction [rad]."""
 
     def __post_init__(self) -> None:
         """
@@ -253,7 +253,7 @@ WIDE = Randomization(
 """Differences about as large as between simulation and robots (section IV.C.3 of the paper)."""
 
 THREE_PUSHES: tuple[Range, ...] = ((0.5, 0.5), (1.5, 1.5), (2.5, 2.5))
-"""When the robustness protocol pushes the object, from the beginning of the hold [s]."""
+"""Times at which the protocols push the object, from the start of the hold [s]."""
 
 REALITY = Randomization(
     servo_stiffness=(0.85, 1.15),
@@ -288,10 +288,9 @@ REALITY = Randomization(
 """The reality protocol: all differences at once. Sources of the ranges: docs/evaluate.md."""
 
 REALITY_ROLLOUTS = replace(REALITY, table_height=(0.0, 0.0), object_scale=(1.0, 1.0), object_shift=(0.0, 0.0))
-"""What the rollouts of planning draw from where worlds are those of the reality protocol. The table's height
-is seen with the object that stands on it, so that the error of its pose covers it; where the object is moved
-after planning, the hand follows before rollouts begin; a percent of the size is less than the pose's error,
-and would take a mesh for each size."""
+"""Randomization of planning rollouts in the reality protocol, without three parameters: the object's pose
+error covers the table height, because the table is seen with the object; the hand follows an object shift
+before rollouts begin; 1 % of the size is less than the pose error and would need a mesh for each size."""
 
 PRESETS: dict[str, Randomization] = {
     "nominal": NOMINAL,
@@ -303,7 +302,7 @@ PRESETS: dict[str, Randomization] = {
 
 
 def preset(name: str) -> Randomization:
-    """One of ``PRESETS``.
+    """Return one of ``PRESETS``.
 
     Raises:
         UnknownNameError: unknown preset.
@@ -332,14 +331,14 @@ ROBUSTNESS: dict[str, Randomization] = {
 """The robustness protocol: one difference at a time, by name (docs/evaluate.md)."""
 
 ProtocolName = Literal["nominal", "reality", "robustness"]
-"""Names of the protocols of evaluation (docs/evaluate.md)."""
+"""Names of the evaluation protocols (docs/evaluate.md)."""
 
 
 def protocol_conditions(protocol: ProtocolName) -> dict[str, Randomization]:
-    """Randomizations of a protocol by condition; the name is "" for a single one."""
+    """Return the randomizations of a protocol by condition; the name of a single condition is ""."""
     return {"nominal": {"": NOMINAL}, "reality": {"": REALITY}, "robustness": ROBUSTNESS}[protocol]
 
 
 def protocol_name(randomization: Randomization) -> str:
-    """Name of the protocol with only this condition: "nominal", "reality", or else "custom"."""
+    """Return the name of the protocol with only this condition: "nominal", "reality" or "custom"."""
     return {NOMINAL: "nominal", REALITY: "reality"}.get(randomization, "custom")

@@ -36,12 +36,12 @@ class BufferSizes:
             )
 
     def pool(self, worlds: int) -> int:
-        """Total contacts of some worlds, with a reserve if there are few."""
+        """Return the total number of contacts of some worlds, with a reserve if there are few."""
         return self.contacts * max(worlds, 4)
 
 
 def found_device(given: str | None = None) -> Device:
-    """The requested device. Default: a GPU if there is one with the required packages, otherwise the CPU.
+    """Return the requested device. Default: a GPU if there is one with the required packages, else the CPU.
 
     Raises:
         FungraspError: an unknown device.
@@ -55,7 +55,7 @@ def found_device(given: str | None = None) -> Device:
 
 
 def cuda_driver() -> ctypes.CDLL | None:
-    """The NVIDIA driver, or None."""
+    """Return the NVIDIA driver, or None."""
     try:
         return ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
@@ -64,7 +64,7 @@ def cuda_driver() -> ctypes.CDLL | None:
 
 @cache
 def cuda_devices() -> int:
-    """Number of GPUs, from the driver; needs no package."""
+    """Return the number of GPUs according to the driver, without other packages."""
     driver, count = cuda_driver(), ctypes.c_int(0)
     if driver is None or driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(count)):
         return 0

@@ -1,7 +1,7 @@
-"""The engine interface: everything that task, planning and evaluation use of the physics.
+"""The engine interface: the physics that task, planning and evaluation use.
 
 An engine steps W worlds of one scene, each with its own object, parameters and state. The first axis of
-arrays is the world; arrays are copies. Every engine has to pass ``tests/simulation/engine_contract.py``.
+arrays is the world; arrays are copies. Every engine must pass ``tests/simulation/engine_contract.py``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fungrasp.simulation.scene import Scene
 from fungrasp.simulation.world_parameters import Parameters
 
 EngineState = Any
-"""A snapshot of the state of all worlds, in the engine's own form."""
+"""A snapshot of the state of all worlds; the type depends on the engine."""
 
 
 class Engine(Protocol):
@@ -27,11 +27,11 @@ class Engine(Protocol):
     """Index into ``scene.objects`` for each world, shape [W] int."""
 
     def __len__(self) -> int:
-        """W, the number of worlds."""
+        """Return the number of worlds W."""
         ...
 
-    # What is: current after ``set_state`` and ``step``. Contacts and their forces are those of the last
-    # physics step: ``reset`` clears them, ``set_state`` and ``restore`` leave them.
+    # State: current after ``set_state`` and ``step``. Contacts and their forces are those of the last physics
+    # step: ``reset`` clears them, ``set_state`` and ``restore`` do not change them.
 
     @property
     def object_pose(self) -> np.ndarray:
@@ -90,13 +90,13 @@ class Engine(Protocol):
         ...
 
     def problems(self) -> list[str]:
-        """Problems since the last call, except divergence: buffer overflows, frozen worlds, commands that are
-        not numbers. One line each, with worlds and remedy. Called after each batch of episodes."""
+        """Return problems since the last call, except divergence: buffer overflows, frozen worlds, NaN
+        commands. Each is one line with worlds and remedy. Called after each batch of episodes."""
         ...
 
     @property
     def positions(self) -> np.ndarray:
-        """Generalized positions of ``scene.model``, shape [W, nq]: for recordings and pictures."""
+        """Generalized positions of ``scene.model``, shape [W, nq], for recordings and rendering."""
         ...
 
     @property
@@ -104,10 +104,11 @@ class Engine(Protocol):
         """Reference frame of the wrist's six joints, world frame, shape [W, 7]."""
         ...
 
-    # What is to be.
+    # Commands.
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        """Reset worlds to the scene's default state; parameters stay. worlds: ids, shape [I]; all if None."""
+        """Reset worlds to the scene's default state, without changing parameters. worlds: ids, shape [I]; all
+        if None."""
         ...
 
     def set_state(
@@ -120,13 +121,13 @@ class Engine(Protocol):
         palm_velocity: np.ndarray | None = None,
         joint_positions: np.ndarray | None = None,
     ) -> None:
-        """Set poses, at rest. Omitted values stay unchanged.
+        """Set poses and zero velocities. Omitted values stay unchanged.
 
         Args:
             worlds: ids, shape [I]; all if None.
             object_pose: world frame, shape [I, 7].
-            wrist_frame: see ``wrist_frame``, shape [I, 7]; it should be near where the palm will work, as the
-                wrist's joints are Euler angles in it. The palm goes there if ``palm_pose`` is not given.
+            wrist_frame: see ``wrist_frame``, shape [I, 7]. It should be near the palm's poses, because the
+                wrist joints are Euler angles in it. It is also the palm pose if ``palm_pose`` is None.
             palm_pose: world frame, shape [I, 7].
             palm_velocity: linear, world frame [m/s], shape [I, 3]; zero if None.
             joint_positions: joints of the hand [rad], shape [I, M].
@@ -144,9 +145,9 @@ class Engine(Protocol):
 
         Args:
             worlds: ids, shape [I]; all if None.
-            object_index: index into ``scene.objects`` for each world, shape [I]. Its mass, center, inertia
-                and the table height are reset to the scene's unless given.
-            parameters: a row for each world of ``worlds``.
+            object_index: index into ``scene.objects`` for each world, shape [I]. Mass, center of mass,
+                inertia and table height are reset to the scene's values unless given.
+            parameters: one row for each world of ``worlds``.
         """
         ...
 
@@ -155,19 +156,19 @@ class Engine(Protocol):
 
         Args:
             force: at the centers of mass, world frame [N], shape [W, 3].
-            torque: world frame [N m], shape [W, 3]; none if None.
+            torque: world frame [N m], shape [W, 3]; zero if None.
         """
         ...
 
     def controls(
         self, palm_pose: np.ndarray, palm_velocity: np.ndarray, finger_targets: np.ndarray
     ) -> np.ndarray:
-        """Controls of the servos, for ``step``.
+        """Return the servo controls for ``step``.
 
         Args:
             palm_pose: setpoint of the palm, world frame, shape [..., W, 7].
-            palm_velocity: linear velocity of that setpoint, world frame [m/s], shape [..., W, 3]. Used to
-                compensate the lag of damped servos.
+            palm_velocity: linear velocity of that setpoint, world frame [m/s], shape [..., W, 3]. It
+                compensates the lag of damped servos.
             finger_targets: setpoints of the finger servos [rad], shape [..., W, U].
 
         Returns:
@@ -186,7 +187,7 @@ class Engine(Protocol):
         ...
 
     def get_state(self) -> EngineState:
-        """A snapshot of all worlds. Restoring it reproduces the simulation exactly."""
+        """Return a snapshot of all worlds. Restoring it reproduces the simulation exactly."""
         ...
 
     def restore(self, state: EngineState) -> None:
@@ -195,10 +196,10 @@ class Engine(Protocol):
 
 
 def make_engine(scene: Scene, count: int, threads: int = 0, tensors: bool = False) -> Engine:
-    """Make an engine with W worlds on the device of the scene's settings.
+    """Create an engine with W worlds on the device of the scene's settings.
 
     Args:
-        count: W.
+        count: number of worlds W.
         threads: CPU threads, 0 for all processors.
         tensors: return torch tensors that share memory with the GPU, instead of NumPy copies.
 

@@ -33,8 +33,8 @@ class MujocoCpuEngine(MujocoArrays):
         """
         Args:
             scene: the scene. All worlds start with its first object.
-            count: W, the number of worlds.
-            threads: 0 means all processors.
+            count: number of worlds W.
+            threads: number of threads; 0 for all processors.
 
         Raises:
             FungraspError: the number of threads is negative.
@@ -43,10 +43,10 @@ class MujocoCpuEngine(MujocoArrays):
             raise FungraspError(f"the number of threads must not be negative, not {threads}")
         if mujoco.get_mju_user_warning() is None:
             mujoco.set_mju_user_warning(_warned)
-        # Persistent: the stages that make sensors current after a step are not computed twice.
+        # Persistent: stages that update sensors after a step are not computed twice.
         self.batch = Batch(scene.model, count, nthread=threads, persistent=True)
-        # The same results to rounding, a tenth less time: at a hand's number of joints MuJoCo still chooses
-        # dense Jacobians by itself.
+        # Sparse Jacobians save 10 % of the time with equal results up to rounding. MuJoCo would choose dense
+        # ones for a hand's number of joints.
         self.batch.expand("opt.jacobian")[:] = int(mujoco.mjtJacobian.mjJAC_SPARSE)
         self._set_up(scene, count)
         self.actuators = np.concatenate([scene.wrist_actuators, scene.finger_actuators])
@@ -56,7 +56,7 @@ class MujocoCpuEngine(MujocoArrays):
     def diverged(self) -> np.ndarray:
         """Worlds whose simulation became unstable since their last reset, shape [W] bool.
 
-        Their numbers don't show it: MuJoCo puts such a world back to the scene's default and goes on.
+        Their state does not show it: MuJoCo resets such a world to the scene's default and continues.
         """
         return (self.batch.warning[:, DIVERGENCE_WARNINGS, 1] > 0).any(axis=1)
 
@@ -69,7 +69,7 @@ class MujocoCpuEngine(MujocoArrays):
         return [f"contacts were left out for want of memory in {worlds_named(new)}"]
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        """Worlds to the scene's default state."""
+        """See ``Engine.reset``."""
         self.batch.reset(worlds, stage=mujoco.mjtStage.mjSTAGE_NONE)
         which = slice(None) if worlds is None else worlds
         self._frame[which] = np.concatenate([self._mocap_pos[which, 0], self._mocap_quat[which, 0]], axis=1)
@@ -89,18 +89,18 @@ class MujocoCpuEngine(MujocoArrays):
         self.batch.expand(change.field)[change.index] = change.values
 
     def _forward(self, worlds: np.ndarray | None = None) -> None:
-        """Sensors too: without contacts and their forces."""
+        """Update sensors too, except contacts and their forces."""
         self.batch.forward(worlds, stage=mujoco.mjtStage.mjSTAGE_VEL)
 
 
 def worlds_named(which: np.ndarray) -> str:
-    """Worlds in words: how many, and the first of them. which: shape [W] bool, at least one."""
+    """Return text with the number of worlds and the first of them. which: shape [W] bool, at least one."""
     ids = np.flatnonzero(which)
     first = ", ".join(map(str, ids[:8].tolist())) + (", ..." if len(ids) > 8 else "")
     return f"world {first}" if len(ids) == 1 else f"{len(ids)} of {len(which)} worlds ({first})"
 
 
 def _warned(text: str) -> None:
-    """Take a warning of MuJoCo's, which would print it and write a log file where the program runs. What is
-    unstable is told by ``MujocoCpuEngine.diverged`` and counted by who asks for that."""
+    """Log a warning of MuJoCo instead of printing it and writing a log file to the working directory.
+    Instability is reported by ``MujocoCpuEngine.diverged``."""
     _log.log(logging.DEBUG if "unstable" in text else logging.WARNING, "MuJoCo: %s", text)

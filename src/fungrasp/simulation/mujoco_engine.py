@@ -1,6 +1,6 @@
-"""What engines that keep MuJoCo's arrays have in common: how those are read, written and set up.
+"""Base class of engines with MuJoCo's arrays: setup, reading and writing.
 
-The arrays are NumPy's or torch's, whatever the device; the same code reads both.
+The same code works with NumPy and torch arrays.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from fungrasp.simulation.scene import HAND_PREFIX, WRIST_JOINTS, Scene
 from fungrasp.simulation.world_parameters import FieldChange, Parameters, WorldParameters
 
 Columns = Any
-"""Numbers of columns: a slice where they follow each other, else an array of the engine's library."""
+"""Column indices: a slice if they are consecutive, otherwise an array of the engine's library."""
 
 
 class MujocoArrays:
     """W worlds of a scene whose state is in MuJoCo's arrays; see ``fungrasp.simulation.engine.Engine``."""
 
     STATE: ClassVar[tuple[str, ...]] = ("qpos", "qvel", "ctrl", "mocap_pos", "mocap_quat", "qacc_warmstart")
-    """Arrays from which physics goes on."""
+    """Arrays of the physics state."""
     READ: ClassVar[tuple[str, ...]] = ("sensordata", "xfrc_applied", "xpos", "xquat", "xipos")
-    """Further arrays that are read or written here."""
+    """Other arrays that this class reads or writes."""
 
     scene: Scene
     object_index: np.ndarray
-    """Which of ``scene.objects`` each world holds, shape [W] int."""
+    """Index into ``scene.objects`` for each world, shape [W] int."""
 
     def _set_up(self, scene: Scene, count: int) -> None:
-        """Find everything's place in the arrays, which are there; parameters become the scene's."""
+        """Find the indices into the existing arrays, and set the scene's parameters."""
         self.scene, self.model = scene, scene.model
         self.object_index = np.zeros(count, dtype=int)
         model, hand = scene.model, scene.hand
@@ -55,7 +55,7 @@ class MujocoArrays:
         self._finger_qpos = self._columns(joint.qposadr[0] for joint in fingers)
         self._servos = self._columns([*scene.wrist_actuators, *scene.finger_actuators])
         self.lead = scene.settings.wrist_damping[0] / scene.settings.wrist_stiffness[0]
-        """Time by which the wrist's servos trail behind a moving setpoint [s]."""
+        """Lag of the wrist servos behind a moving setpoint [s]."""
         xp = array_namespace(self._qpos)
         self._frame = xp.zeros((count, 7), dtype=self._qpos.dtype, device=self._qpos.device)
         self._frame[:, 3] = 1.0
@@ -67,11 +67,11 @@ class MujocoArrays:
         self.set_parameters(object_index=self.object_index)
 
     def _array(self, name: str) -> Array:
-        """A field of MuJoCo's data, one row for each world, that shares memory with the physics."""
+        """Return a view of a field of MuJoCo's data, one row for each world."""
         raise NotImplementedError
 
     def _native(self, indices: np.ndarray | Array) -> Array:
-        """Indices as an array of the engine's library."""
+        """Return indices as an array of the engine's library."""
         raise NotImplementedError
 
     def _write(self, change: FieldChange) -> None:
@@ -79,7 +79,7 @@ class MujocoArrays:
         raise NotImplementedError
 
     def _forward(self, worlds: np.ndarray | None = None) -> None:
-        """Make body poses current after writing to the state."""
+        """Update body poses after changes of the state."""
         raise NotImplementedError
 
     def __len__(self) -> int:
@@ -96,7 +96,7 @@ class MujocoArrays:
     def object_velocity(self) -> Array:
         """Linear [m/s] and angular [rad/s], world frame, shape [W, 6]."""
         velocity = self._qvel[:, self._object_qvel]
-        # A free joint's angular velocity is in the body's frame.
+        # The angular velocity of a free joint is in the body frame.
         spin = rotate(self._qpos[:, self._object_qpos][:, 3:], velocity[:, 3:])
         return array_namespace(velocity).concat([velocity[:, :3], spin], axis=1)
 
@@ -153,7 +153,7 @@ class MujocoArrays:
 
     @property
     def wrist_frame(self) -> Array:
-        """Frame in which the wrist's joints count, world frame, shape [W, 7]."""
+        """Reference frame of the wrist's joints, world frame, shape [W, 7]."""
         return copied(self._frame)
 
     def set_state(
@@ -195,7 +195,7 @@ class MujocoArrays:
         object_index: np.ndarray | None = None,
         **parameters: Unpack[Parameters],
     ) -> None:
-        """See ``Engine.set_parameters``; always of NumPy arrays."""
+        """See ``Engine.set_parameters``. All values are NumPy arrays."""
         ids = np.arange(len(self)) if worlds is None else np.asarray(worlds)
         anew = object_index is not None
         if anew:
@@ -227,7 +227,7 @@ class MujocoArrays:
         return [self._qpos, self._qvel, self._ctrl, *wrist, self._warmstart]
 
     def _forces(self, links: list[tuple[Array, Array, Array]]) -> Array:
-        """Norm of the sum of the members' force vectors."""
+        """Return the norm of the sum of the member bodies' force vectors."""
         _, columns, used = links[0]
         total = self._sensors[:, columns] * used[:, None]
         for _, columns, used in links[1:]:
@@ -235,9 +235,9 @@ class MujocoArrays:
         return _length(total)
 
     def _link_sensors(self, other: str) -> list[tuple[Array, Array, Array]]:
-        """Where the sensors of the links are in sensordata: for the first members of all links, the second
-        and so on, the columns of their numbers of contacts, shape [L], and of their forces, [L, 3], and
-        whether a link has as many members, [L] bool."""
+        """Return the columns of link sensors in sensordata, one entry per member number k: columns of contact
+        counts, shape [L], columns of forces, shape [L, 3], and whether each link has a member k, shape [L]
+        bool."""
         links, result = self.scene.hand.links, []
         for k in range(max(len(members) for members in links)):
             names = [members[min(k, len(members) - 1)] for members in links]
@@ -248,7 +248,7 @@ class MujocoArrays:
         return result
 
     def _columns(self, numbers: Iterable[int]) -> Columns:
-        """Columns by number: a slice where they follow each other."""
+        """Return columns as a slice if they are consecutive, otherwise as an array."""
         found = np.array(list(numbers), dtype=int)
         if np.array_equal(found, found[0] + np.arange(len(found))):
             return slice(int(found[0]), int(found[0]) + len(found))
@@ -264,7 +264,7 @@ def _put(array: Array, ids: Any, columns: Columns, values: Array) -> None:
 
 
 def _length(vectors: Array) -> Array:
-    """Of vectors, shape [..., 3]; returns shape [...]."""
+    """Return the length of vectors, shape [...]. vectors: shape [..., 3]."""
     xp = array_namespace(vectors)
     return xp.sqrt(xp.sum(vectors * vectors, axis=-1))
 
@@ -272,12 +272,12 @@ def _length(vectors: Array) -> Array:
 def controls_of(
     frame: Array, lead: float, palm_pose: Array, palm_velocity: Array, finger_targets: Array
 ) -> Array:
-    """Controls of the servos, shape [..., W, 6 + U].
+    """Return the servo controls, shape [..., W, 6 + U].
 
     Args:
-        frame: in which the wrist's joints count, world frame, shape [W, 7].
-        lead: time by which the wrist's servos trail behind [s].
-        palm_pose, palm_velocity, finger_targets: as ``Engine.controls`` takes them.
+        frame: reference frame of the wrist's joints, world frame, shape [W, 7].
+        lead: lag of the wrist servos [s].
+        palm_pose, palm_velocity, finger_targets: as for ``Engine.controls``.
     """
     xp = array_namespace(palm_pose)
     place = palm_pose[..., :3] + lead * palm_velocity
@@ -286,10 +286,10 @@ def controls_of(
 
 
 def wrist_joints(frame: Array, palm_pose: Array) -> Array:
-    """Positions of the wrist's three slides [m] and three hinges [rad], shape [..., W, 6].
+    """Return the positions of the wrist's three slides [m] and three hinges [rad], shape [..., W, 6].
 
     Args:
-        frame: in which they count, world frame, shape [W, 7].
+        frame: reference frame of the wrist's joints, world frame, shape [W, 7].
         palm_pose: world frame, shape [..., W, 7].
     """
     seen = relative(frame, palm_pose)

@@ -1,8 +1,7 @@
-"""The GPU engine: worlds of one scene in MuJoCo Warp, on a GPU or on Warp's own CPU device, as torch tensors
-that share memory with the physics, or seen as NumPy arrays as those of all engines are.
+"""The GPU engine: worlds of one scene in MuJoCo Warp, on a GPU or on Warp's CPU device, as torch tensors that
+share memory with the physics or as copies in NumPy arrays.
 
-Physics is in single precision, and has no iterations against the creep of contacts
-(``SceneSettings.noslip_iterations``).
+Physics uses single precision and does not support ``SceneSettings.noslip_iterations``.
 """
 
 from __future__ import annotations
@@ -31,15 +30,14 @@ from fungrasp.simulation.warp_device import (
 from fungrasp.simulation.world_parameters import FieldChange
 
 MATCHES = 128
-"""Contacts that a contact sensor can gather; the handles of scissors have more than Warp's 64 of them."""
+"""Maximum number of contacts per contact sensor; the handles of scissors exceed Warp's default of 64."""
 
 FASTEST = 1e10
-"""Velocity beyond which a world's motion means nothing [m/s, rad/s]: MuJoCo's own bound."""
+"""Velocity at which a world counts as diverged [m/s, rad/s]: MuJoCo's own bound."""
 
 
 class MujocoWarpWorlds(MujocoArrays):
-    """W worlds as torch tensors on the device. Nothing but ``problems`` waits for the device or copies from
-    it."""
+    """W worlds as torch tensors on the device. Only ``problems`` waits for the device or copies from it."""
 
     def __init__(
         self,
@@ -50,13 +48,13 @@ class MujocoWarpWorlds(MujocoArrays):
     ):
         """
         Args:
-            scene: the scene; all worlds hold its first object until ``set_parameters`` says otherwise.
-            count: W, the number of worlds.
-            device: the GPU, or Warp's own CPU device.
-            sizes: of the buffers; found by a probe if None.
+            scene: the scene. All worlds start with its first object.
+            count: number of worlds W.
+            device: the GPU or Warp's CPU device.
+            sizes: buffer sizes; determined by a probe if None.
 
         Raises:
-            FungraspError: something that the device needs is missing, or there is too little memory.
+            FungraspError: a requirement of the device is missing, or there is too little memory.
         """
         self._lib = open_warp(device)
         warp, mjw, torch = self._lib.warp, self._lib.mujoco, self._lib.torch
@@ -67,9 +65,9 @@ class MujocoWarpWorlds(MujocoArrays):
         host = host_model(scene.model)
         with warp.ScopedDevice(self._lib.device):
             self.bytes_per_world = memory_of_world(scene, self.sizes, self._lib)
-            """What a further world takes of the device's memory."""
+            """Device memory of one additional world."""
             check_memory(count * self.bytes_per_world, count, self._lib)
-            # A field with one row is taken for the same in all worlds.
+            # Warp shares a field with one row among all worlds, so that one world needs two rows.
             self.warp_model = mjw.put_model(host, dict.fromkeys(PER_WORLD, max(count, 2)))
             self.warp_data = mjw.make_data(
                 host,
@@ -105,8 +103,8 @@ class MujocoWarpWorlds(MujocoArrays):
 
     @property
     def diverged(self) -> Array:
-        """Worlds whose physics has broken down since they were last reset, shape [W] bool. They are put back
-        to the scene's default and go on."""
+        """Worlds that became unstable since their last reset, shape [W] bool. They are reset to the scene's
+        default and continue."""
         return self._broken.clone()
 
     def problems(self) -> list[str]:
@@ -147,7 +145,7 @@ class MujocoWarpWorlds(MujocoArrays):
         return lines
 
     def reset(self, worlds: np.ndarray | None = None) -> None:
-        """Worlds to the scene's default state."""
+        """See ``Engine.reset``."""
         ids = slice(None) if worlds is None else self._native(worlds)
         self._to_default(ids)
         self._force[ids] = 0.0
@@ -157,15 +155,14 @@ class MujocoWarpWorlds(MujocoArrays):
         self._forward()
 
     def step(self, controls: Array, steps: int, worlds: np.ndarray | Array | None = None) -> None:
-        """See ``Engine.step``. worlds: ids, or a tensor on the device that says of each whether it moves,
-        shape [W] bool."""
+        """See ``Engine.step``. worlds: ids, or a mask of worlds to advance on the device, shape [W] bool."""
         torch = self._lib.torch
         self._ctrl[:, self._servos] = moved_to(self._ctrl, controls)
         no_number = ~torch.isfinite(self._ctrl).all(dim=1)
         moving = None if worlds is None else self._moving(worlds)
         if moving is not None:
             no_number = no_number & moving
-        # A force is cut to the servo's limits: a control that is no number does not show in the state.
+        # Forces are clipped to the servo limits, so that a NaN control would not show in the state.
         self._ctrl[:] = torch.nan_to_num(self._ctrl, nan=0.0, posinf=0.0, neginf=0.0)
         kept = None if moving is None else [array.clone() for array in self._moved]
         before = self._time.clone()
@@ -188,7 +185,7 @@ class MujocoWarpWorlds(MujocoArrays):
         self._forward()
 
     def wait(self) -> None:
-        """Until the device has done what it was given: for measurements."""
+        """Wait until the device has finished, for time measurements."""
         self._lib.warp.synchronize_device(self._lib.device)
         if self._device.type == "cuda":
             self._lib.torch.cuda.synchronize(self._device)
@@ -198,7 +195,7 @@ class MujocoWarpWorlds(MujocoArrays):
         return [self._qpos, self._qvel, self._warmstart, self._sensors, self._time]
 
     def _moving(self, worlds: np.ndarray | Array) -> Array:
-        """Which worlds move, shape [W] bool."""
+        """Return the mask of worlds to advance, shape [W] bool."""
         torch = self._lib.torch
         if isinstance(worlds, torch.Tensor):
             return worlds
@@ -207,7 +204,7 @@ class MujocoWarpWorlds(MujocoArrays):
         return moving
 
     def _advance(self, steps: int) -> None:
-        """Physics steps; on a GPU one launch of a graph that is captured once for each number of steps."""
+        """Advance physics; on a GPU launch a graph that is captured once for each number of steps."""
         warp, step = self._lib.warp, self._lib.mujoco.step
         with warp.ScopedDevice(self._lib.device):
             if self._device.type == "cpu":
@@ -215,7 +212,7 @@ class MujocoWarpWorlds(MujocoArrays):
                     step(self.warp_model, self.warp_data)
                 return
             if steps not in self._graphs:
-                # Kernels are compiled and loaded by a step outside the capture, which is taken back.
+                # A step outside the capture compiles and loads kernels; its effect is then undone.
                 kept = [array.clone() for array in (*self._state_arrays(), self._sensors, self._time)]
                 step(self.warp_model, self.warp_data)
                 for array, value in zip(
@@ -234,8 +231,8 @@ class MujocoWarpWorlds(MujocoArrays):
             array[ids] = 0.0
 
     def _put_back(self, broken: Array) -> None:
-        """Worlds that broke down to the scene's default, without asking the device whether there are any.
-        broken: shape [W] bool."""
+        """Reset diverged worlds to the scene's default, without waiting for the device. broken: shape [W]
+        bool."""
         torch = self._lib.torch
         torch.where(broken[:, None], self._default["qpos"], self._qpos, out=self._qpos)
         for name in ("qvel", "qacc_warmstart", "sensordata", "qacc", "qfrc_constraint"):
@@ -260,7 +257,7 @@ class MujocoWarpWorlds(MujocoArrays):
             self._pose_table(here[0])
 
     def _field(self, name: str) -> Array:
-        """A field of the model, one row for each world, in the shape that MuJoCo has it on the CPU."""
+        """Return a field of the model, one row for each world, each in the shape of MuJoCo on the CPU."""
         if name not in self._fields:
             whole = self._lib.warp.to_torch(getattr(self.warp_model, name))
             shape = getattr(self.model, name).shape
@@ -268,7 +265,7 @@ class MujocoWarpWorlds(MujocoArrays):
         return self._fields[name]
 
     def _pose_table(self, ids: Array) -> None:
-        """Geoms of the world body are posed once, when the data are made; the table moves."""
+        """Update the table's pose: Warp computes poses of world geoms only when it creates the data."""
         self._geom_xpos[ids, self._table] = self._field("geom_pos")[ids, self._table]
         self._geom_xmat[ids, self._table] = rotation_matrix(self._field("geom_quat")[ids, self._table])
 
@@ -279,13 +276,13 @@ class MujocoWarpWorlds(MujocoArrays):
 
 
 def _larger(number: float) -> int:
-    """Half as much again, in steps of 32."""
+    """Return 1.5 times a number, rounded up to a multiple of 32."""
     return int(np.ceil(1.5 * number / 32)) * 32
 
 
 class MujocoWarpEngine:
-    """W worlds; see ``fungrasp.simulation.engine.Engine``. What is read is copied from the device, in double
-    precision, what is given to it."""
+    """W worlds; see ``fungrasp.simulation.engine.Engine``. Arrays are copied from the device in double
+    precision, and arguments to the device."""
 
     def __init__(
         self,
@@ -302,7 +299,7 @@ class MujocoWarpEngine:
         return len(self.worlds)
 
     def __getattr__(self, name: str) -> Any:
-        """What the worlds have of this name; a copy of what is on the device."""
+        """Return the attribute of ``worlds``; arrays on the device are copied."""
         if name == "worlds":
             raise AttributeError(name)
         found = getattr(self.worlds, name)
@@ -311,7 +308,7 @@ class MujocoWarpEngine:
     def controls(
         self, palm_pose: np.ndarray, palm_velocity: np.ndarray, finger_targets: np.ndarray
     ) -> np.ndarray:
-        """See ``Engine.controls``; in double precision, on the processor."""
+        """See ``Engine.controls``. Computed on the CPU in double precision."""
         return controls_of(self.wrist_frame, self.worlds.lead, palm_pose, palm_velocity, finger_targets)
 
     def step(self, controls: np.ndarray, steps: int, worlds: np.ndarray | None = None) -> None:
@@ -321,6 +318,6 @@ class MujocoWarpEngine:
 
 
 def _host(array: Array) -> np.ndarray:
-    """A copy in the main memory, numbers in double precision."""
+    """Copy to host memory, with floating-point numbers in double precision."""
     values = array.cpu().numpy()
     return values.astype(np.float64 if values.dtype == np.float32 else values.dtype)

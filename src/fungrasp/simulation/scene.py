@@ -1,8 +1,7 @@
 """One scene for a hand and several objects: a table, a floating hand, an object with a fixed number of geom
 slots, sensors.
 
-The table of per-object model fields lets every world of a batch hold another object
-(``fungrasp.simulation.mujoco_cpu``).
+The table of per-object model fields allows a different object in each world of a batch.
 """
 
 from __future__ import annotations
@@ -49,8 +48,8 @@ class SceneSettings:
     iterations: int = 10
     """Largest number of Newton iterations per step."""
     noslip_iterations: int = 0
-    """Iterations that reduce creep in friction. They slow physics down and change few outcomes
-    (docs/how-it-works.md). Not on a GPU."""
+    """Iterations that reduce frictional creep. They slow down physics and change few outcomes
+    (docs/how-it-works.md). Not available on a GPU."""
     wrist_stiffness: tuple[float, float] = (2000.0, 100.0)
     """Stiffness of the wrist servo for position [N/m] and rotation [N m/rad]. A robot arm is stiffer; this
     keeps collisions soft."""
@@ -61,14 +60,16 @@ class SceneSettings:
     device: Device = "cpu"
     """Device of the simulation (docs/train.md)."""
     buffers: BufferSizes | None = None
-    """Contact buffers on a GPU; found by a probe if None."""
+    """Contact buffers on a GPU; determined by a probe if None."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A compiled scene. Sensors (per world, in ``sensordata``): for each member body of each contact link the
-    number of its contacts with the object and their net force on the link; for each the force from the table;
-    object on table; hand on hand."""
+    """A compiled scene.
+
+    Sensors in ``sensordata`` of each world: contact count and net force between each member body of each
+    contact link and the object, then the same with the table, then of the object with the table, then of the
+    hand with itself."""
 
     hand: Hand
     """The robot hand."""
@@ -84,7 +85,7 @@ class Scene:
     """The objects, in the order of ``objects``."""
 
     def indices(self, names: Iterable[str]) -> np.ndarray:
-        """Indices of objects by name (``object_index`` of engines), shape [N] int.
+        """Return indices of objects by name (``object_index`` of engines), shape [N] int.
 
         Raises:
             FungraspError: an object is not in the scene.
@@ -118,7 +119,7 @@ def build_scene(
     """Compile a scene with a hand and objects.
 
     Args:
-        hand: any hand, or its name.
+        hand: a hand or its name.
 
     Raises:
         FungraspError: no object, or the scene does not compile.
@@ -186,8 +187,8 @@ def _add_object(
             mesh = spec.add_mesh(name=f"{name}/{i}")
             mesh.uservert = piece.vertices.ravel().tolist()
             mesh.userface = piece.faces.ravel().tolist()
-            # MuJoCo makes hulls, without which a pair of geoms has one contact point at most, only of meshes
-            # that a geom of this model shows, or that say so.
+            # MuJoCo creates convex hulls only for meshes of this model's geoms or with convex inertia.
+            # Without hulls, a pair of geoms has at most one contact.
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
     model = objects[shown]
     body = spec.worldbody.add_body(name="object", pos=[0.0, 0.0, 0.5])
@@ -216,10 +217,10 @@ def _add_object(
 
 
 def _off_origin(center: np.ndarray) -> np.ndarray:
-    """The center of mass, but never within a micrometre of the body's origin.
+    """Return the center of mass, moved at least a micrometer away from the body's origin.
 
-    MuJoCo stores the inertia of a body with its center of mass at its origin in another, smaller layout,
-    which can't differ between worlds.
+    MuJoCo stores the inertia of a body with its center of mass at its origin in a smaller layout, which can't
+    differ between worlds.
     """
     return center if np.linalg.norm(center) > 1e-6 else np.array([1e-6, 0.0, 0.0])
 
@@ -232,9 +233,9 @@ def _add_hand(spec: mujoco.MjSpec, hand: Hand, settings: SceneSettings, friction
     for i, name in enumerate(WRIST_JOINTS):
         joint_type = mujoco.mjtJoint.mjJNT_SLIDE if i < 3 else mujoco.mjtJoint.mjJNT_HINGE
         part = 0 if i < 3 else 1
-        # MuJoCo finds contact forces as if nothing were damped, and damps afterwards, implicitly: as if there
-        # were more inertia, by the damping times the step. Where that is more than there is, contacts push
-        # what is held ahead of the hand as this speeds up. An arm has that much.
+        # MuJoCo computes contact forces without damping and then adds damping implicitly, which acts like an
+        # additional inertia of damping times timestep. If that exceeds the real inertia, contacts push a held
+        # object ahead of the accelerating hand. An arm has this much inertia.
         inertia = settings.timestep * settings.wrist_damping[part]
         wrist.add_joint(name=name, type=joint_type, axis=axes[i % 3], armature=inertia)
         actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -290,7 +291,7 @@ def _contact_sensor(
 
 
 def _differing_fields(whole: mujoco.MjModel, models: list[mujoco.MjModel]) -> dict[str, np.ndarray]:
-    """Fields of the object's compile that are not the same for all objects and can be given per world."""
+    """Return the model fields that differ between objects and can differ between worlds."""
     result = {}
     for name in sorted(MODEL_FIELDS):
         if name.startswith(("opt.", "mesh_", "bvh_", "body_bvh", "name_")) or not hasattr(whole, name):

@@ -1,9 +1,9 @@
-"""What is needed to simulate on a GPU: packages that fit together, a driver, a cache of compiled kernels,
-memory and buffers.
+"""Requirements of simulation on a GPU: compatible packages, a driver, a cache of compiled kernels, memory and
+buffers.
 
-MuJoCo on the CPU takes the memory that a step needs; on a GPU the buffers for contacts and for rows of
-constraints are made once. What does not fit is left out, so they are made from what a hand that closes at
-random around each of the scene's objects needs, with room to spare.
+MuJoCo on the CPU allocates memory as needed. On a GPU the buffers for contacts and constraint rows have a
+fixed size, and contacts beyond it are lost. A probe that closes the hand at random poses around each object
+of the scene determines the sizes, with a reserve.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _log = logging.getLogger(__name__)
 
 INSTALL = 'pip install ".[gpu]"'
 KERNELS = "kernels"
-"""Kind of the compiled kernels in the package's cache."""
+"""Folder of compiled kernels in the package's cache."""
 VERSIONS = "versions.json"
-"""File beside kernels that says what compiled them."""
+"""File beside kernels with the versions that compiled them."""
 SPARE_MEMORY = 0.9
-"""Share of a GPU's free memory that worlds may take; the rest is for what learns."""
+"""Share of a GPU's free memory that worlds may use; the rest is for training."""
 PER_WORLD = (
     "geom_dataid",
     "geom_size",
@@ -72,23 +72,23 @@ UNNEEDED = (
     "geom_contype",
     "geom_conaffinity",
 )
-"""Fields of MuJoCo on the CPU that have no counterpart: inertia and poses of geoms are always computed in
-full, nothing sleeps or is drawn, and a geom that collides with nothing has no mesh instead."""
+"""Fields of MuJoCo on the CPU that the GPU engine ignores: it always computes inertial and geom poses in
+full, has no sleep and no rendering, and unused geom slots have no mesh instead of disabled collisions."""
 HANDS = 8
-"""Random hands around each object."""
+"""Random hand poses per object."""
 MOST_WORLDS = 256
-"""Of a probe; of more objects, some are tried."""
+"""Maximum number of worlds of a probe; with more, a random subset is used."""
 STEPS = 40
-"""Times that the fingers move on, two physics steps each; they are closed after the first half."""
+"""Number of finger motions of two physics steps each; the fingers are closed after the first half."""
 NEAR = 0.06
-"""Distance of palm and object [m]: fingers reach it from there."""
+"""Distance of the palm from the object's origin [m]; the fingers reach the object from there."""
 SPARE = 2.0
-"""Factor on what the probe finds: whole episodes of Allegro had up to 71 contacts and 300 rows, and the probe
-finds 40 contacts in all but 1 % of the worlds and up to 304 rows."""
+"""Factor on the probe's results. Whole episodes of Allegro had up to 71 contacts and 300 rows; the probe
+finds 40 contacts (99th percentile) and up to 304 rows."""
 
 
 class Warp(NamedTuple):
-    """The libraries, ready."""
+    """The imported libraries and the device."""
 
     warp: ModuleType
     """``warp``."""
@@ -97,19 +97,19 @@ class Warp(NamedTuple):
     torch: ModuleType
     """``torch``."""
     device: str
-    """Warp's and torch's name of the device."""
+    """Name of the device in Warp and torch."""
 
 
 @cache
 def open_warp(device: Device) -> Warp:
-    """Import and check what a device needs.
+    """Import the packages of a device and check its requirements.
 
     Raises:
-        FungraspError: a package is missing or of another version, there is no GPU, or its driver does not do;
-            one line that says what to do.
+        FungraspError: a package is missing or has a wrong version, there is no GPU, or its driver is too old.
+            The message has the remedy.
     """
     check_warp_packages(device)
-    # Before Warp is imported, which would say so in more words.
+    # Check before importing Warp, whose error message is longer.
     if device == "cuda" and cuda_devices() == 0:
         raise FungraspError(f"--device cuda: {why_no_cuda()}; --device cpu works without a GPU")
     import mujoco_warp  # pyright: ignore[reportMissingImports]
@@ -128,20 +128,20 @@ def open_warp(device: Device) -> Warp:
             "https://pytorch.org/get-started for your CUDA"
         )
     _prepare_cache(warp)
-    # Of processes that torchrun starts, each has a GPU of its own.
+    # Each process of torchrun has its own GPU.
     return Warp(warp, mujoco_warp, torch, f"cuda:{os.environ.get('LOCAL_RANK', 0)}")
 
 
 def check_memory(needed: int, worlds: int, warp: Warp) -> None:
-    """Complain before worlds are made that will not fit.
+    """Check the GPU's free memory before creating worlds.
 
     Args:
-        needed: by all worlds together [bytes].
-        worlds: how many.
-        warp: with the device.
+        needed: memory of all worlds [bytes].
+        worlds: number of worlds.
+        warp: libraries and device.
 
     Raises:
-        FungraspError: they need more than the GPU has left.
+        FungraspError: the worlds need more memory than is free.
     """
     device = warp.warp.get_device(warp.device)
     if not device.is_cuda:
@@ -156,10 +156,10 @@ def check_memory(needed: int, worlds: int, warp: Warp) -> None:
 
 
 def check_warp_packages(device: Device) -> None:
-    """Complain about packages that are missing or do not fit together.
+    """Check that required packages are installed and compatible.
 
     Raises:
-        FungraspError: some are.
+        FungraspError: a package is missing or incompatible.
     """
     for name in ("warp", "mujoco_warp", "torch"):
         if find_spec(name) is None:
@@ -175,7 +175,7 @@ def check_warp_packages(device: Device) -> None:
             raise FungraspError(
                 f"--device {device} needs {name} {start}x, not {found[name]}: {INSTALL} --force-reinstall"
             )
-    # Both fill the folder mujoco/, and whichever was installed last wins.
+    # Both install to the folder mujoco/, and the last one overwrites the other.
     core = version("mujoco-core")
     if core != found["mujoco"]:
         raise FungraspError(
@@ -185,7 +185,7 @@ def check_warp_packages(device: Device) -> None:
 
 
 def _prepare_cache(warp: ModuleType) -> None:
-    """Keep kernels in the package's cache unless Warp is told of another place, and say if they must be
+    """Put kernels into the package's cache unless Warp has another cache folder, and warn if they must be
     compiled."""
     told = os.environ.get("WARP_CACHE_PATH") or warp.config.kernel_cache_dir
     made_by = {"warp-lang": version("warp-lang"), "mujoco-warp": version("mujoco-warp")}
@@ -231,7 +231,7 @@ def _stamp(path: Path) -> dict[str, str] | None:
 
 
 def why_no_cuda() -> str:
-    """Why Warp finds no GPU, and what to do."""
+    """Return why Warp finds no GPU, with a remedy."""
     driver, number = cuda_driver(), ctypes.c_int(0)
     if driver is None:
         return "there is no NVIDIA driver"
@@ -245,7 +245,7 @@ def why_no_cuda() -> str:
 
 
 def memory_of_world(scene: Scene, sizes: BufferSizes, lib: Warp) -> int:
-    """Bytes that each further world takes on the device."""
+    """Return the device memory of each additional world [bytes]."""
     warp, mjw, host = lib.warp, lib.mujoco, host_model(scene.model)
     with warp.ScopedDevice("cpu"):
         data = mjw.make_data(host, 1, njmax=sizes.rows, naconmax=sizes.contacts, nconmax=sizes.contacts)
@@ -255,7 +255,7 @@ def memory_of_world(scene: Scene, sizes: BufferSizes, lib: Warp) -> int:
 
 
 def _bytes_of(record: Any, warp: Any) -> int:
-    """Memory of all arrays in a record and the records in it."""
+    """Return the memory of all arrays in a record and its nested records."""
     total = 0
     for field in fields(record):
         value = getattr(record, field.name)
@@ -267,8 +267,8 @@ def _bytes_of(record: Any, warp: Any) -> int:
 
 
 def unused_slots(scene: Scene) -> np.ndarray | None:
-    """Slots for pieces that an object leaves empty, one row for each object, shape [N, G] bool; None where
-    all objects have as many pieces."""
+    """Return the geom slots that each object leaves unused, shape [N, G] bool; None if all objects have the
+    same number of pieces."""
     collides = scene.fields.get("geom_contype")
     if collides is None:
         return None
@@ -276,8 +276,7 @@ def unused_slots(scene: Scene) -> np.ndarray | None:
 
 
 def host_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy that MuJoCo Warp takes: it knows no other way than without the middle phase, and no flag for
-    it."""
+    """Return a copy without the midphase flag, which MuJoCo Warp does not accept: it never has a midphase."""
     host = copy.copy(model)
     host.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     return host
@@ -287,7 +286,7 @@ _known: WeakKeyDictionary[Scene, BufferSizes] = WeakKeyDictionary()
 
 
 def probe_buffer_sizes(scene: Scene) -> BufferSizes:
-    """What the hand and the objects of a scene need; it takes about a second, once for each scene."""
+    """Return buffer sizes for the hand and objects of a scene. Takes about a second, once per scene."""
     if scene not in _known:
         _known[scene] = _probe(scene)
     return _known[scene]

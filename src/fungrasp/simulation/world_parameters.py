@@ -1,7 +1,6 @@
-"""The physical parameters of worlds as fields of MuJoCo's model: one table for all engines.
+"""Physical parameters of worlds as changes of MuJoCo model fields, shared by all engines.
 
-What an object, a mass, a table or a servo's factor changes in the model is the same on every device; an
-engine writes the changes to where its fields are.
+The changes are the same on every device; each engine writes them to its own arrays.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ INERTIAL = (
     "dof_invweight0",
     "dof_M0",
 )
-"""Model fields that follow from the object's mass and where it is."""
+"""Model fields that depend on the object's mass and center of mass."""
 
 _SAMEFRAME_NONE = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
 
 class Parameters(TypedDict, total=False):
-    """What ``Engine.set_parameters`` takes of I worlds besides the objects that they hold."""
+    """Physical parameters of I worlds for ``Engine.set_parameters``."""
 
     object_mass: np.ndarray | None
-    """Mass of the object [kg], shape [I]; its inertia scales along, and its center of mass is the scene's
+    """Mass of the object [kg], shape [I]. Its inertia scales with it; its center of mass is the scene's
     unless given."""
     object_center: np.ndarray | None
-    """Center of mass [m], object frame, shape [I, 3]; given with ``object_mass`` and ``object_inertia``."""
+    """Center of mass [m], object frame, shape [I, 3]; requires ``object_mass`` and ``object_inertia``."""
     object_inertia: np.ndarray | None
-    """Inertia about that center, axes of the object frame [kg m2], shape [I, 3, 3]."""
+    """Inertia about the center of mass, axes of the object frame [kg m2], shape [I, 3, 3]."""
     friction: np.ndarray | None
     """Sliding friction of hand, object and table, shape [I]."""
     table_height: np.ndarray | None
@@ -48,7 +47,7 @@ class Parameters(TypedDict, total=False):
     table_tilt: np.ndarray | None
     """Rotation vector of the table top, world frame x and y [rad], shape [I, 2]."""
     joint_friction: np.ndarray | None
-    """Dry friction of each joint of the hand, beyond the scene's [N m], shape [I, M]."""
+    """Dry friction of each joint of the hand in addition to the scene's [N m], shape [I, M]."""
     joint_damping: np.ndarray | None
     """Factor on the scene's damping of each joint, shape [I, M]."""
     servo_stiffness: np.ndarray | None
@@ -60,18 +59,18 @@ class Parameters(TypedDict, total=False):
 
 
 class FieldChange(NamedTuple):
-    """Numbers of a model field in some worlds."""
+    """New values of a model field in some worlds."""
 
     field: str
-    """Its name in MuJoCo's model."""
+    """Name of the field in MuJoCo's model."""
     index: tuple[np.ndarray | int | slice, ...]
-    """Which of its numbers, worlds first, as indices that broadcast."""
+    """Broadcasting indices into the field, worlds first."""
     values: np.ndarray | float
-    """What they become."""
+    """New values."""
 
 
 class WorldParameters:
-    """What parameters change in the model of a scene. It remembers nothing of the worlds."""
+    """Converts parameters to changes of a scene's model. It keeps no state of the worlds."""
 
     def __init__(self, scene: Scene):
         model, hand = scene.model, scene.hand
@@ -86,16 +85,16 @@ class WorldParameters:
     def changes(
         self, ids: np.ndarray, held: np.ndarray, parameters: Parameters, anew: bool = False
     ) -> Iterator[FieldChange]:
-        """What parameters change, in the order in which it is to be written.
+        """Yield field changes, in the order in which they must be written.
 
         Args:
             ids: worlds, shape [I].
-            held: index of the object that each of them holds, shape [I].
-            parameters: as ``Engine.set_parameters`` takes them; those that are None stay.
-            anew: whether the worlds are given these objects now.
+            held: object index of each of these worlds, shape [I].
+            parameters: as for ``Engine.set_parameters``; None leaves a parameter unchanged.
+            anew: whether the worlds receive these objects now.
 
         Raises:
-            FungraspError: a center of mass without mass and inertia.
+            FungraspError: a center of mass is given without mass and inertia.
         """
         given = {name: np.asarray(v, dtype=float) for name, v in parameters.items() if v is not None}
         if anew:
@@ -115,8 +114,7 @@ class WorldParameters:
         yield from self._table_top(ids, given)
 
     def _mass(self, ids: np.ndarray, held: np.ndarray, mass: np.ndarray) -> Iterator[FieldChange]:
-        """Inertial fields scale with the mass; everything derived from them scales along, as the body floats
-        freely."""
+        """Scale inertial fields with the mass, and derived fields too, because the body floats freely."""
         body, dofs = self._object, self._object_dofs
         nominal = {name: self._nominal(name, held) for name in INERTIAL}
         own = nominal["body_mass"][:, body].copy()
@@ -131,27 +129,27 @@ class WorldParameters:
             yield FieldChange(name, (ids,), values)
 
     def _center(self, ids: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[FieldChange]:
-        """Where the object's mass is, and its inertia about there."""
+        """Set the object's center of mass and its inertia about it."""
         fields = floating_body_fields(given["object_mass"], given["object_center"], given["object_inertia"])
         body, joint = fields
         for name, values in body.items():
             yield FieldChange(name, (ids, self._object), values)
         for name, values in joint.items():
             yield FieldChange(name, (ids[:, None], self._object_dofs), values)
-        # MuJoCo skips the frame of an inertia that the compiler found aligned with its body, and turns geoms
-        # that it found aligned with the inertia along with that.
+        # MuJoCo ignores the inertial frame if the compiler found it aligned with the body, and rotates geoms
+        # with it that the compiler found aligned with it.
         yield FieldChange("body_sameframe", (ids, self._object), _SAMEFRAME_NONE)
         yield FieldChange("geom_sameframe", (ids[:, None], self._object_geoms), _SAMEFRAME_NONE)
 
     def _joints_and_servos(self, rows: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[FieldChange]:
-        """Fields of the fingers' joints and of all servos. rows: worlds, shape [I, 1]."""
+        """Set fields of finger joints and of all servos. rows: worlds, shape [I, 1]."""
         model, dofs = self._model, self._finger_dofs
         if "joint_friction" in given:
             total = model.dof_frictionloss[dofs] + given["joint_friction"]
             yield FieldChange("dof_frictionloss", (rows, dofs), total)
         if "joint_damping" in given:
             yield self._scaled("dof_damping", rows, (dofs,), given["joint_damping"])
-        # A position servo pulls with gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.
+        # The force of a position servo is gain[0] * ctrl + bias[1] * angle + bias[2] * velocity.
         fingers, wrist = self._scene.finger_actuators, self._scene.wrist_actuators
         stiffness = (("actuator_gainprm", 0), ("actuator_biasprm", 1))
         damping = (("actuator_biasprm", 2),)
@@ -174,7 +172,7 @@ class WorldParameters:
             turn = np.concatenate([given["table_tilt"], np.zeros((len(ids), 1))], axis=1)
             yield FieldChange("geom_quat", (ids, table), quaternion_from_rotation_vector(turn))
         if {"table_height", "table_tilt"} & set(given):
-            # MuJoCo skips the pose of a geom that the compiler found at its body's origin.
+            # MuJoCo ignores the pose of a geom that the compiler found at its body's origin.
             yield FieldChange("geom_sameframe", (ids, table), _SAMEFRAME_NONE)
 
     def _scaled(
@@ -184,11 +182,11 @@ class WorldParameters:
         index: tuple[np.ndarray] | tuple[np.ndarray, int],
         factor: np.ndarray,
     ) -> FieldChange:
-        """The scene's values of a field, times factors, shape [I, ...]."""
+        """Multiply the scene's values of a field by factors, shape [I, ...]."""
         return FieldChange(name, (rows, *index), getattr(self._model, name)[index] * factor)
 
     def _nominal(self, name: str, held: np.ndarray) -> np.ndarray:
-        """A model field with the objects' own masses, one row for each object index given."""
+        """Return the scene's values of a model field, one row for each object index in ``held``."""
         table = self._scene.fields.get(name)
         if table is not None:
             return table[held].copy()
@@ -199,22 +197,22 @@ class WorldParameters:
 def floating_body_fields(
     mass: np.ndarray, center: np.ndarray, inertia: np.ndarray
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Fields of I bodies with a free joint, as MuJoCo's compiler derives them.
+    """Return the fields of I bodies with a free joint, as MuJoCo's compiler derives them.
 
-    A free joint moves the body's origin along the world's axes and turns the body about its own, so that in
+    A free joint translates the body's origin along the world axes and rotates the body about its own axes. In
     these coordinates ``M^-1`` has the blocks ``1/m - c^ J^-1 c^`` (linear) and ``J^-1`` (angular), with
-    ``c^`` the matrix of the cross product with the center of mass. MuJoCo's inverse weights are means of
-    their diagonals.
+    ``c^`` the cross product matrix of the center of mass. MuJoCo's inverse weights are the means of their
+    diagonals.
 
     Args:
         mass: [kg], shape [I].
-        center: of mass [m], body frame, shape [I, 3].
-        inertia: about it, axes of the body frame [kg m2], shape [I, 3, 3].
+        center: center of mass [m], body frame, shape [I, 3].
+        inertia: about the center of mass, axes of the body frame [kg m2], shape [I, 3, 3].
 
     Returns:
-        Fields of the body by name, one row each; fields of its six degrees of freedom, shape [I, 6].
+        fields of the body by name, one row each; fields of its six degrees of freedom, shape [I, 6].
     """
-    # The axes of eigh are those of a rotation only if their determinant is positive.
+    # The axes of eigh form a rotation only if their determinant is positive.
     moments, axes = np.linalg.eigh(inertia)
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
     turns = np.zeros((len(mass), 4))

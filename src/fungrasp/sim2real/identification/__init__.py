@@ -1,1 +1,1 @@
-"""Identifies the dynamics of a hand's joints from a log of commands and positions (paper section IV.C.2)."""
+"""Identification of a hand's joint dynamics from a log of commands and positions (paper section IV.C.2)."""

@@ -1,10 +1,9 @@
 """Excitation of a hand's joints for identification: sums of sines, one finger after the other.
 
-Lines of one period: multiples of the slowest frequency up to the fastest, evenly spread on a logarithmic
-scale, dealt in turn to the joints of a finger, so that no two of them share one. Amplitudes fall with the
-frequency: every line moves at the same speed, which is what limits them. Phases are Schroeder's, which keep
-the peak of a sum of sines low:
-``phase_k = -2 pi sum_{i<k} (k - i) power_i`` (M. R. Schroeder, Synthesis of low-peak-factor signals and
+Frequencies are multiples of the slowest one, logarithmically spaced up to the fastest, and distributed among
+the joints of a finger so that no two joints share one. Amplitudes are inversely proportional to frequency, so
+that all sines have the same speed, which is the limiting factor. Schroeder phases keep the peak of the sum
+low: ``phase_k = -2 pi sum_{i<k} (k - i) power_i`` (M. R. Schroeder, Synthesis of low-peak-factor signals and
 binary sequences with low autocorrelation, IEEE Trans. Inf. Theory 16, 1970).
 """
 
@@ -23,31 +22,29 @@ from fungrasp.sim2real.identification.motion_log import MotionLog, joint_samples
 from fungrasp.sim2real.joint_dynamics import model_dynamics
 
 REST = 0.5
-"""Before and after each finger's motion [s]: it begins and ends at rest."""
+"""Rest before and after each finger's motion [s]."""
 
 RAMP = 1.0
-"""From rest to full swing, and back [s]."""
+"""Duration of the ramp from rest to full amplitude and of the ramp back [s]."""
 
 LINES = 8
-"""Of each joint, about; more of them leave less amplitude for each."""
+"""Approximate number of sines per joint; more sines have smaller amplitudes."""
 
 SMALLEST_SHARE = 0.2
-"""A motion that must be made smaller than this share of itself so that the hand doesn't touch itself shows
-nothing."""
+"""Smallest useful share of an amplitude; excitation fails if avoiding self-contact requires less."""
 
 SIZINGS = 3
-"""Simulations in which amplitudes are made smaller until no servo needs more torque than it may."""
+"""Number of simulations that reduce amplitudes to the torque limits."""
 
 CHECKED_EVERY = 2
-"""Commands between two postures that are checked for contacts."""
+"""Every how many commands the posture is checked for contacts."""
 
 
 @dataclass(frozen=True)
 class Excitation:
     """Settings of the excitation: one finger at a time, from rest to rest, while the others hold.
 
-    The amplitude of a joint is the largest that keeps its reach, the speed and, where ``safe_motion`` makes
-    the motion, the torque.
+    Amplitudes are the largest within the limits of reach, speed and, in ``safe_motion``, torque.
     """
 
     seconds: float = 8.0
@@ -79,16 +76,16 @@ class Excitation:
 
 
 class ExcitationLimits(NamedTuple):
-    """What U joints may do."""
+    """Limits of U joints."""
 
     lower: np.ndarray
-    """Limits [rad], shape [U]."""
+    """Lower position limits [rad], shape [U]."""
     upper: np.ndarray
-    """Limits [rad], shape [U]."""
+    """Upper position limits [rad], shape [U]."""
     speed: np.ndarray | float = np.inf
-    """Of the driver's setpoints at most [rad/s], shape [U]."""
+    """Speed limits of the driver's setpoints [rad/s], shape [U]."""
     torque: np.ndarray | float = np.inf
-    """That the driver asks for at most [N m], shape [U]; infinite where it leaves that to the hand."""
+    """Torque limits that the driver sets [N m], shape [U]; infinite if it sets none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ class ExcitationMotion:
     commands: np.ndarray
     """Goals [rad], shape [T, U]."""
     moving: np.ndarray
-    """Which joints are excited at each, shape [T, U]; the others stay at rest."""
+    """Whether each joint is excited, shape [T, U] bool; other joints stay at rest."""
 
 
 def excitation_motion(
@@ -108,12 +105,12 @@ def excitation_motion(
     finger: np.ndarray,
     share: np.ndarray | None = None,
 ) -> ExcitationMotion:
-    """Commands of joints within their limits; the first and the last are ``rest``.
+    """Return commands within the joints' limits that begin and end at ``rest``.
 
     Args:
-        rest: where the joints begin [rad], shape [U].
-        finger: number of the finger that each joint belongs to, shape [U].
-        share: of the amplitude that is left of each joint's, shape [U]; all if None.
+        rest: initial positions [rad], shape [U].
+        finger: finger number of each joint, shape [U].
+        share: factor on the amplitude of each joint, shape [U]; 1 if None.
     """
     e, rng = excitation, np.random.default_rng(excitation.seed)
     lower, upper, speed = room.lower, room.upper, np.broadcast_to(room.speed, rest.shape)
@@ -139,10 +136,10 @@ def excitation_motion(
 
 
 def _wave(e: Excitation, times: np.ndarray, place: int, joints: int, begin: float) -> np.ndarray:
-    """The lines of one of a finger's joints, largest value 1, shape [T]. begin: of the period, 0 to 1."""
+    """Return the sum of sines of one joint of a finger, peak 1, shape [T]. begin: share of the period."""
     last = int(e.fastest / e.slowest + 1e-6)
     chosen = np.unique(np.rint(np.geomspace(1, last, LINES * joints)).astype(int))
-    # Dealt to and fro, so that every joint has slow ones and fast ones.
+    # Distribute frequencies back and forth, so that every joint has slow and fast ones.
     dealt = np.arange(len(chosen)) % (2 * joints)
     dealt = np.minimum(dealt, 2 * joints - 1 - dealt)
     own = chosen[dealt == place] if (dealt == place).any() else chosen
@@ -162,15 +159,15 @@ def safe_motion(
     room: ExcitationLimits,
     gravity: np.ndarray,
 ) -> ExcitationMotion:
-    """The excitation of a hand's independent joints from where it is, with amplitudes so small that it
-    doesn't touch itself and no servo needs all its torque.
+    """Return the excitation of a hand's independent joints, with amplitudes small enough to avoid
+    self-contact and to respect torque limits.
 
     Args:
-        rest: where it is [rad], shape [U].
-        gravity: in the palm's frame [m/s^2], shape [3].
+        rest: current positions [rad], shape [U].
+        gravity: in the palm frame [m/s^2], shape [3].
 
     Raises:
-        FungraspError: the hand touches itself in every motion from this place.
+        FungraspError: every useful motion from these positions has self-contact.
     """
     joints = tuple(hand.actuators)
     finger = chain_of(hand, joints)
@@ -204,7 +201,7 @@ def safe_motion(
 
 
 def _torques(hand: Hand, motion: ExcitationMotion, rate: float, gravity: np.ndarray) -> np.ndarray:
-    """Largest torques of the servos by the hand's model [N m], shape [U]."""
+    """Return the largest servo torques according to the hand's model [N m], shape [U]."""
     times = np.arange(len(motion.commands)) / rate
     dynamics = model_dynamics(hand)
     log = MotionLog(dynamics.joints, times, motion.commands, motion.commands, gravity, moving=motion.moving)

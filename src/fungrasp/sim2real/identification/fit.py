@@ -3,9 +3,9 @@
 minimize over (delay; logarithms of stiffness, damping, friction, armature of each joint; its drive's errors)
     sum (q_simulated(t) - q_measured(t))^2 / sigma^2 + sum (log factor)^2 / prior^2
 
-The simulation is the hand's model from the log's first position, at rest, under the log's commands. Where the
-links are light against the drives, the scale of all quantities of a joint is seen in nothing but its weight,
-in logs with gravity from several sides, and the model's values, as a prior, say the rest.
+The hand's model is simulated from the log's first position, at rest, under the log's commands. If links are
+light compared with their drives, the common scale of a joint's quantities is observable only through its
+weight, in logs with different gravity directions; a prior at the model's values determines the rest.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ class FitSettings:
     """Settings of the fit."""
 
     fixed: tuple[str, ...] = ()
-    """Quantities that keep the model's values: "stiffness" if the computer controls the torques."""
+    """Quantities that keep the model's values, for example "stiffness" if the computer controls torques."""
     range: float = 30.0
     """Each quantity stays within this factor of the model's value."""
     longest_delay: float = 0.15
-    """[s]."""
+    """Upper bound of the delay [s]."""
     errors: tuple[str, ...] = ()
     """Drive errors to fit too: "offset" (of the encoders), "backlash"."""
     largest_error: float = 0.05
-    """Bound of both [rad]."""
+    """Bound of both drive errors [rad]."""
     bound: float = 0.5
     """Largest relative standard deviation of an identified quantity. Other quantities keep the model's
     values."""
     prior: float = float("inf")
     """Prior: standard deviation of the logarithms of factors on the model's values; infinite for no prior. It
-    decides what the log does not determine."""
+    matters for quantities that the log does not determine."""
     least: float = 1e-4
     """Start value of quantities that are zero in the model."""
     noise: float = 1e-3
@@ -73,20 +73,20 @@ class IdentifiedDynamics:
     """Result of a fit."""
 
     dynamics: JointDynamics
-    """Of the joints of the log."""
+    """Dynamics of the log's joints."""
     relative_error: dict[str, np.ndarray]
-    """Standard deviation by quantity, relative to it, shape [J], by the curvature; delay: [s]. Of what is not
-    identified: by the log alone; what stands beside it is as good as the model's value."""
+    """Relative standard deviation of each quantity, shape [J], from the curvature; absolute for the delay
+    [s]. For unidentified quantities it is that of the log alone, although they have the model's values."""
     identified: dict[str, np.ndarray]
-    """By quantity, which joints' the logs tell, shape [J]; the others have the model's values."""
+    """Whether the logs determine each quantity, shape [J]; other quantities have the model's values."""
     rms: float
-    """Of positions on the log that was fitted [rad]."""
+    """RMS position error on the fitted logs [rad]."""
     simulations: int
-    """Simulated motions."""
+    """Number of simulated motions."""
     seconds: float
-    """Time the fit took [s]."""
+    """Duration of the fit [s]."""
     errors: DriveErrors
-    """Of the drives of the joints of the log; zero where they were not fitted."""
+    """Errors of the drives of the log's joints; zero if not fitted."""
 
 
 def fit_dynamics(
@@ -95,9 +95,9 @@ def fit_dynamics(
     """Fit joint dynamics to a log, or to several logs of the same joints, for example with different
     directions of gravity.
 
-    Where some of the logs are with weights on the fingertips and some without, each kind is fitted by itself:
-    those with weights tell the stiffness, those without the ratios of all else to it. (In one fit of both,
-    friction that falls with speed, which the model has not, is paid for by inertia.)
+    If only some logs have weights on the fingertips, the two kinds are fitted separately: logs with weights
+    determine the stiffness, logs without weights the ratios of the other quantities to it. (In a common fit,
+    inertia would compensate for friction that decreases with speed, which the model lacks.)
 
     Raises:
         FungraspError: a log is too short, does not excite a joint, or has unknown joints.
@@ -140,13 +140,14 @@ def _fit(hand: Hand, logs: Sequence[MotionLog], settings: FitSettings) -> Identi
 
 
 def _withhold(problem: _Problem, best: np.ndarray) -> np.ndarray:
-    """Decide at a solution which quantities the logs do not tell, and mark them: of each joint the stiffness
-    first, because where the scale of a joint's dynamics is not seen the ratios to it are, then the worst one,
-    until the others are known.
+    """Withhold quantities that the logs do not determine at a solution.
+
+    For each joint the stiffness is withheld first, because the ratios to it may be observable if the scale is
+    not, then the most uncertain quantity, until the others are determined.
 
     Returns:
-        the standard deviations, shape [P]: with stiffnesses that are withheld as they are, and other
-        quantities that are withheld as uncertain as the model; of those withheld, what they were by the logs.
+        standard deviations, shape [P], if withheld stiffnesses are exact and other withheld quantities as
+        uncertain as the model; those of withheld quantities are from the logs alone.
     """
     information = problem.information(best)
     joints, factors = problem.joint_of_factor, slice(1, 1 + problem.factors)
@@ -174,8 +175,8 @@ def _withhold(problem: _Problem, best: np.ndarray) -> np.ndarray:
 def _rescaled(
     light: IdentifiedDynamics, heavy: IdentifiedDynamics, settings: FitSettings
 ) -> IdentifiedDynamics:
-    """The ratios of one fit with the stiffness of another. Of the standard deviations of all else, what they
-    share with that of the stiffness is taken for the scale's."""
+    """Combine the ratios of ``light`` with the stiffness of ``heavy``. The part of the standard deviations
+    shared with the stiffness is attributed to the scale."""
     scale = heavy.dynamics.stiffness / light.dynamics.stiffness
     free = [name for name in QUANTITIES if name not in settings.fixed]
     scaled = {}
@@ -186,7 +187,7 @@ def _rescaled(
     errors, identified = dict(light.relative_error), dict(light.identified)
     if "stiffness" in free:
         new, identified["stiffness"] = heavy.relative_error["stiffness"], heavy.identified["stiffness"]
-        # Where the stiffness was withheld, the others' are those of ratios to it already.
+        # If the stiffness was withheld, the other deviations already are those of ratios to it.
         shared = np.where(light.identified["stiffness"], errors["stiffness"] ** 2, 0.0)
         for name in free:
             ratio = np.maximum(errors[name] ** 2 - shared, 0.0) * (name != "stiffness")
@@ -222,7 +223,7 @@ class _Problem:
         reach = np.log(settings.range)
         highest_factor = np.full(self.factors, reach)
         if "friction" in self.free:
-            # The model's may be next to nothing.
+            # The model's friction may be almost zero.
             limits = np.array([hand.actuators[joint].force_limit for joint in joints])
             most = np.log(MOST_FRICTION * limits / self.nominal["friction"])
             begin = self.free.index("friction") * len(joints)
@@ -252,11 +253,11 @@ class _Problem:
         return DriveErrors(**found)
 
     def _part(self, parameters: np.ndarray, number: int) -> np.ndarray:
-        """One kind of parameters of all joints, shape [J]."""
+        """Return one kind of parameter of all joints, shape [J]."""
         return parameters[1 + number * len(self._joints) :][: len(self._joints)]
 
     def residuals(self, parameters: np.ndarray) -> np.ndarray:
-        """Of the logs, then of the prior, shape [R, W]; parameters: shape [P, W]."""
+        """Return residuals of the logs, then of the prior, shape [R, W]. parameters: shape [P, W]."""
         worlds = parameters.shape[1]
         self.simulations += worlds * len(self._samples)
         dynamics = [self.dynamics(column) for column in parameters.T]
@@ -271,15 +272,15 @@ class _Problem:
         return np.concatenate(parts)
 
     def jacobian(self, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """By differences. The palm stands still, so that joints of one finger do not move another: one
-        simulation serves a joint of each finger."""
+        """Return the Jacobian by finite differences. With a fixed palm, fingers do not affect each other, so
+        that one simulation serves one joint of each finger."""
         joints, step = len(self._joints), 1e-3
         finger, place = self._fingers, self._places
         kinds = (self.count - 1) // joints
         x, groups = parameters.reshape(-1), [np.array([0])]
         for kind in range(kinds):
             groups += [1 + kind * joints + np.flatnonzero(place == p) for p in range(place.max() + 1)]
-        # At an upper bound the step goes back.
+        # At an upper bound the step is negative.
         signs = np.where(x + step > self.upper, -step, step)
         moved = np.tile(x[:, None], (1, len(groups)))
         for column, group in enumerate(groups):
@@ -300,8 +301,8 @@ class _Problem:
         return jacobian
 
     def start(self, gain: float) -> np.ndarray:
-        """The model's values, stiffness and damping times a gain, with the best of some delays: in the delay
-        the fit has several minima."""
+        """Return the model's values with stiffness and damping times a gain and the best of 16 delays: the
+        objective has several minima in the delay."""
         tries = np.zeros((self.count, 16))
         tries[0] = np.linspace(self.lower[0], self.upper[0], 16)
         for i, name in enumerate(self.free):
@@ -310,9 +311,9 @@ class _Problem:
         return tries[:, np.argmin((self.residuals(tries) ** 2).sum(axis=0))]
 
     def information(self, best: np.ndarray) -> np.ndarray:
-        """What the logs alone say of the parameters at a solution: inverse of their covariance, shape [P, P].
+        """Return the information matrix of the logs alone at a solution (inverse covariance), shape [P, P].
 
-        What the simulation misses is no white noise: samples that miss alike count as one.
+        Residuals are not white noise: the variance is scaled by their integrated autocorrelation.
         """
         residual = self.residuals(best[:, None])
         data = self.jacobian(best, residual)[: self.measured]
@@ -324,7 +325,7 @@ class _Problem:
         return data.T @ data / variance + np.diag(widest**-2.0)
 
     def _alike(self, misses: np.ndarray) -> float:
-        """How many samples of a joint in a row miss alike: its integrated autocorrelation, mean of all."""
+        """Return the integrated autocorrelation of the residuals, in samples, averaged over joints."""
         begin, times = 0, []
         for one in self._samples:
             grid = np.zeros(one.positions.shape)
@@ -333,44 +334,43 @@ class _Problem:
             spectrum = np.abs(np.fft.rfft(grid, 2 * len(grid), axis=0)) ** 2
             correlation = np.fft.irfft(spectrum, axis=0)[: len(grid)]
             correlation /= np.maximum(correlation[0], 1e-12)
-            # Up to where it first is lost in the noise.
+            # Sum up to the first value below the noise level.
             lost = np.argmax(correlation < CORRELATED, axis=0)
             times += [1.0 + 2.0 * c[1:end].sum() for c, end in zip(correlation.T, lost, strict=True)]
         return max(1.0, float(np.mean(times)))
 
     def by_quantity(self, values: np.ndarray) -> dict[str, np.ndarray]:
-        """Values of parameters, shape [P], by quantity, shape [J], and of the delay [s], shape [1]."""
+        """Split parameter values, shape [P], by quantity, shape [J], and the delay [s], shape [1]."""
         parts = {name: self._part(values, i) for i, name in enumerate(self.free)}
         return parts | {"delay": values[:1] * DELAY_UNIT}
 
 
 MODEL_DEVIATION = 0.5
-"""Standard deviation of the logarithm of the model's own quantities: those of twins are drawn about so."""
+"""Standard deviation of the logarithms of the model's quantities, about that of randomized twins."""
 
 WIDEST = 3.0
-"""Standard deviation of the logarithm of a quantity of which nothing is known: a factor of 20."""
+"""Standard deviation of the logarithm of an unknown quantity: a factor of 20."""
 
 CORRELATED = 0.05
-"""Correlation below which two samples count as different."""
+"""Correlation below which samples count as uncorrelated."""
 
 STARTING_GAINS = (1.0, 0.25, 0.5, 2.0)
-"""Common factors on stiffness and damping of the model that a fit starts from, one after the other until it
-is good enough: hands are driven with gains that differ by as much, and from far off joints end in minima in
-which friction holds them."""
+"""Initial factors on the model's stiffness and damping, tried until a fit is good enough. Gains of real hands
+differ by such factors, and a poor initial value leads to minima in which friction holds the joints."""
 
 GOOD_FIT = 5.0
-"""Times the noise of measured positions: a fit that misses by less is good enough. Good ones of twins miss by
-0.6 to 2 times, those in wrong minima by more than 15."""
+"""Maximum RMS error of a good fit, in units of the measurement noise. Good fits of twins have 0.6 to 2, wrong
+minima more than 15."""
 
 MOST_FRICTION = 0.2
-"""Of a servo's torque limit."""
+"""Maximum friction as a share of a servo's torque limit."""
 
 DELAY_UNIT, ERROR_UNIT = 0.01, 0.01
-"""[s] and [rad]: parameters of about the size of the others."""
+"""Units of the delay [s] and of drive errors [rad], which scale them like the other parameters."""
 
 
 def _gauss_newton(problem: _Problem, start: np.ndarray) -> np.ndarray:
-    """Bounded Gauss-Newton of mujoco.minimize with finite differences; what is withheld stays at zero."""
+    """Minimize by the bounded Gauss-Newton of mujoco.minimize; withheld parameters stay zero."""
     free = ~problem.withheld
 
     def full(some: np.ndarray) -> np.ndarray:
@@ -394,7 +394,7 @@ def _gauss_newton(problem: _Problem, start: np.ndarray) -> np.ndarray:
 
 
 def _from_gains(problem: _Problem) -> np.ndarray:
-    """The best fit from some gains, the first one that is good enough."""
+    """Return the first good fit over the starting gains, or the best one."""
     best, least = np.zeros(0), np.inf
     for gain in STARTING_GAINS:
         found = _gauss_newton(problem, problem.start(gain))

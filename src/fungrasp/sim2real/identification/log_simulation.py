@@ -1,4 +1,4 @@
-"""A log's motion, simulated with the hand's model, its palm fixed; many dynamics at once."""
+"""Simulation of a log's motion with the hand's model and a fixed palm, for many dynamics at once."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from fungrasp.sim2real.identification.motion_log import JointSamples, MotionLog,
 from fungrasp.sim2real.joint_dynamics import JointDynamics, set_dynamics
 
 STEP = 0.002
-"""Of the integration [s]."""
+"""Timestep [s]."""
 
 NOSLIP = 5
-"""Iterations that take the creep out of dry friction."""
+"""Iterations that remove creep from dry friction."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveErrors:
-    """What differs between a joint's drive and encoder and the joint, for J joints of a log."""
+    """Errors of the drives and encoders of J joints."""
 
     offset: np.ndarray
-    """What the encoder says less the joint's position [rad], shape [J]."""
+    """Encoder reading minus joint position [rad], shape [J]."""
     backlash: np.ndarray
-    """Lost motion of the drive to each side [rad], shape [J]: what is commanded may run ahead of what moves
-    the joint by so much (the play operator)."""
+    """Backlash of the drive in each direction [rad], shape [J], by which the command may run ahead of the
+    drive's output (the play operator)."""
 
 
 def simulate_log(
@@ -41,22 +41,21 @@ def simulate_log(
     start: np.ndarray | None = None,
     errors: Sequence[DriveErrors] | None = None,
 ) -> np.ndarray:
-    """What the log's joints would measure, at the times at which they were measured, shape [W, T, J], for W
-    dynamics of those joints; T of the log's samples side by side (``joint_samples``), which are its rows
-    where all joints move at once.
+    """Return simulated measurements of a log's joints at its measurement times [rad], shape [W, T, J], for W
+    dynamics. T is the number of rows of ``joint_samples``.
 
-    The delay shifts the response: the joints do not change with time, and the log begins at rest. Shifting
-    the commands would give a staircase in the delay, as a step drives a servo to its force limit.
+    The delay shifts the response, because the system is time-invariant and the log begins at rest. Shifting
+    the commands would make the result a staircase function of the delay.
 
     Args:
-        dynamics: of the joints of the log, length W.
-        start: first positions of the log's joints [rad], shape [J]; measured ones by default.
-        errors: of their drives, length W; none by default.
+        dynamics: dynamics of the log's joints, length W.
+        start: initial positions of the log's joints [rad], shape [J]; the measured ones by default.
+        errors: errors of their drives, length W; none by default.
     """
     samples = joint_samples(log) if isinstance(log, MotionLog) else log
     model = copy.copy(hand.model)
     model.opt.timestep = STEP
-    # Dry friction holds a joint: without these it creeps.
+    # Without these iterations, joints held by dry friction creep.
     model.opt.noslip_iterations = NOSLIP
     model.opt.gravity = samples.gravity
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -96,14 +95,14 @@ def joint_response(
     controls: np.ndarray,
     every: int = 1,
 ) -> np.ndarray:
-    """Positions of all joints, shape [W, S // every, M].
+    """Return positions of all joints [rad], shape [W, S // every, M].
 
     Args:
-        model: a hand with position servos, its palm fixed.
-        changes: made to each world's copy of the model, length W.
-        start: positions of all joints [rad], shape [M] or, one for each world, [W, M]; at rest.
-        controls: of the servos at each step of the model [rad], shape [W, S, U].
-        every: positions are returned every so many steps, the first after so many.
+        model: a hand with position servos and a fixed palm.
+        changes: functions that change each world's copy of the model, length W.
+        start: initial positions of all joints, at rest [rad], shape [M] or, for each world, [W, M].
+        controls: servo controls at each timestep of the model [rad], shape [W, S, U].
+        every: number of timesteps between returned positions.
     """
     models = []
     for change in changes:
@@ -118,19 +117,19 @@ def joint_response(
         mujoco.mj_getState(model, data, begin[world], kind)
     threads = [mujoco.MjData(model) for _ in range(min(len(models), os.cpu_count() or 1))]
     states, _ = rollout.rollout(models, threads, begin, controls)
-    # Full physics begins with the time, then the positions.
+    # The full physics state begins with the time and the positions.
     return states[:, every - 1 :: every, 1 : 1 + model.nq]
 
 
 def prediction_rms(
     hand: Hand, logs: Sequence[MotionLog], dynamics: JointDynamics, errors: DriveErrors | None, after: float
 ) -> float:
-    """Root mean square of what a simulation of logs misses after a share of each segment [rad].
+    """Return the RMS error of simulated logs after a share of each segment [rad].
 
     Args:
-        logs: of the joints of the dynamics.
-        errors: of their drives; None for none.
-        after: 0 to 1.
+        logs: logs of the joints in ``dynamics``.
+        errors: errors of their drives; None for none.
+        after: share of a segment, 0 to 1.
     """
     missed = []
     for log in logs:
@@ -141,10 +140,10 @@ def prediction_rms(
 
 
 def driver_setpoints(samples: JointSamples, times: np.ndarray) -> np.ndarray:
-    """Where a driver's setpoints are that run to the commands no faster than its limit [rad], shape [S, J].
+    """Return the setpoints of a driver that follows the commands within its speed limit [rad], shape [S, J].
 
     Args:
-        samples: with commands and speed.
+        samples: commands and speed limits.
         times: evenly spaced, shape [S].
     """
     held = np.stack(
@@ -162,14 +161,13 @@ def driver_setpoints(samples: JointSamples, times: np.ndarray) -> np.ndarray:
 
 
 def play_operator(commands: np.ndarray, slack: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """What moves joints whose drives have lost motion, shape [W, T, J]: it stays until the command has gone
+    """Return the output of drives with backlash, shape [W, T, J]. It stays constant until the command is
     ahead by the slack, then follows at that distance.
 
     Args:
         commands: shape [T, J].
         slack: shape [W, J].
-        start: where the joints rest before [rad], shape [W, J]: there, as far as the slack allows, their
-            drives rest as well.
+        start: initial joint positions [rad], shape [W, J]; drives begin there as far as the slack allows.
     """
     moved = np.empty((len(slack), *commands.shape))
     last = start
@@ -185,16 +183,16 @@ def _limits(hand: Hand) -> tuple[np.ndarray, np.ndarray]:
 
 
 def hang_weights(model: mujoco.MjModel, hand: Hand, mass: float) -> None:
-    """Fix a point mass to the middle of each fingertip, in place.
+    """Add a point mass to the middle of each fingertip, in place.
 
-    Stiffness, damping, friction and drive inertia of a joint may be scaled together and move it the same, but
-    for the weight and inertia of what it carries. Where links are light against their drives only a known
-    weight adds enough: 0.2 kg on a fingertip add half the drive inertia of an Inspire's joint, and 0.15 N m
-    of weight.
+    Scaling stiffness, damping, friction and armature of a joint together changes its motion only through the
+    weight and inertia of its links. If links are light compared with their drives, only a known weight makes
+    the scale observable: 0.2 kg on a fingertip add half the armature of an Inspire's joint and 0.15 N m of
+    weight.
 
     Args:
-        model: compiled, of the hand or of a scene with it.
-        mass: of each [kg].
+        model: compiled model of the hand or of a scene with it.
+        mass: mass on each fingertip [kg].
     """
     for finger in hand.fingers.values():
         body, site = (
@@ -218,13 +216,13 @@ def hang_weights(model: mujoco.MjModel, hand: Hand, mass: float) -> None:
 
 
 def _about(mass: float, offset: np.ndarray) -> np.ndarray:
-    """Inertia of a point mass about a place [kg m^2], shape [3, 3]. offset: from there [m], shape [3]."""
+    """Return the inertia of a point mass at an offset [kg m^2], shape [3, 3]. offset: [m], shape [3]."""
     return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
 
 
 def chain_of(hand: Hand, joints: Sequence[str]) -> np.ndarray:
-    """Number of the chain from the palm that each joint belongs to, shape [J]: with the palm held still, no
-    joint moves those of another chain."""
+    """Return the number of each joint's chain from the palm, shape [J]. With a fixed palm, joints of
+    different chains do not affect each other."""
     model, roots = hand.model, []
     palm = model.body(hand.palm).id
     for joint in joints:
@@ -236,7 +234,7 @@ def chain_of(hand: Hand, joints: Sequence[str]) -> np.ndarray:
 
 
 def place_in_finger(hand: Hand, joints: Sequence[str]) -> np.ndarray:
-    """Number of each joint among those of its chain, from the palm, shape [J]. Where joints with one place
-    move alike, fingers stay side by side."""
+    """Return the number of each joint within its chain, counted from the palm, shape [J]. If joints with the
+    same number move equally, fingers stay side by side."""
     finger = chain_of(hand, joints)
     return np.array([np.sum(finger[:j] == finger[j]) for j in range(len(joints))])

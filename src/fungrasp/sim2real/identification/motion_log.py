@@ -1,7 +1,7 @@
-"""A log of a hand's motion: commands and measurements with their times.
+"""Log of a hand's motion: commands and measurements with timestamps.
 
-Fingers that were excited one after the other are simulated at the same time, as with the palm held still none
-moves another: the segments of a log are put side by side (``JointSamples``).
+Fingers that were excited one after the other are simulated at the same time (``JointSamples``), because with
+a fixed palm they do not affect each other.
 """
 
 from __future__ import annotations
@@ -18,45 +18,45 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import check_file, read_bytes
 
 SHORTEST = 0.5
-"""Of a log [s]."""
+"""Minimum duration of a joint's excitation [s]."""
 LARGEST_TEXT = 50_000_000
-"""Of a file [bytes]."""
+"""Maximum size of a file [bytes]."""
 HEAVIEST = 2.0
-"""Of the masses on fingertips [kg]."""
+"""Upper bound of the mass on each fingertip [kg]."""
 LEAST_MOTION = 0.05
-"""A joint that moves less is not identified [rad]."""
+"""Minimum motion of a joint for identification [rad]."""
 LARGEST_LATENCY = 0.05
-"""A device whose own clock seems to deliver states later than this has no clock to go by [s]."""
+"""Maximum plausible latency according to a device's clock [s]; beyond it the clock is ignored."""
 POLLED = 0.9
-"""Where fewer of a log's rows than this share are new measurements, the device is polled less often than it
-is commanded."""
+"""If the share of new measurements among a log's rows is lower, the device is polled less often than
+commanded."""
 KIND = "fungrasp motion log"
-"""What the first line of a file says it is."""
+"""Value of "kind" in the first line of a file."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLog:
-    """Commands and positions, T rows of J joints."""
+    """T rows of commands and positions of J joints."""
 
     joints: tuple[str, ...]
     """Names of the joints, length J."""
     times: np.ndarray
-    """When each row was commanded [s], shape [T], increasing."""
+    """Command times [s], shape [T], increasing."""
     commands: np.ndarray
     """Goals of the joints from each time on [rad], shape [T, J]."""
     positions: np.ndarray
     """Measured positions [rad], shape [T, J]."""
     gravity: np.ndarray
-    """Gravity in the palm's frame [m/s^2], shape [3]; zero where it is to be left out."""
+    """Gravity in the palm frame [m/s^2], shape [3]; zero to ignore it."""
     weight: float = 0.0
-    """Mass that was fixed to each fingertip [kg]."""
+    """Mass attached to each fingertip [kg]."""
     measured: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """When the device measured each row's positions, in the time of ``times`` [s], shape [T]; the same again
-    where it had measured nothing new. As ``times`` if not given."""
+    """Measurement times of the positions, on the clock of ``times`` [s], shape [T]; repeated without a new
+    measurement. Default: ``times``."""
     speed: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """At which the driver's setpoints run to the commands [rad/s], shape [J]; unlimited if not given."""
+    """Speed limits of the driver's setpoints [rad/s], shape [J]; unlimited by default."""
     moving: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
-    """Which joints are excited in each row, the others hold, shape [T, J]; all if not given."""
+    """Whether each joint is excited, shape [T, J]; other joints hold. All by default."""
 
     def __post_init__(self) -> None:
         shape = (len(self.times), len(self.joints))
@@ -86,12 +86,12 @@ class MotionLog:
 
     @property
     def segments(self) -> list[np.ndarray]:
-        """Rows of each part of the log in which the same joints are excited."""
+        """Rows of each part of the log during which the same joints are excited."""
         changes = (self.moving[1:] != self.moving[:-1]).any(axis=1)
         return np.split(np.arange(len(self.times)), np.flatnonzero(changes) + 1)
 
     def part(self, begin: float, end: float) -> MotionLog:
-        """The rows between two shares of the duration, 0 to 1, of each segment."""
+        """Return the rows between two shares, 0 to 1, of each segment's duration."""
         rows = []
         for segment in self.segments:
             times = self.times[segment]
@@ -100,15 +100,15 @@ class MotionLog:
         return self.rows(np.concatenate(rows))
 
     def rows(self, rows: np.ndarray) -> MotionLog:
-        """Some rows, shape [R]."""
+        """Return the log of some rows, shape [R]."""
         per_row = ("times", "commands", "positions", "measured", "moving")
         return replace(self, **{name: getattr(self, name)[rows] for name in per_row})
 
     def excited(self) -> MotionLog:
-        """The joints that were excited; of a log that was broken off, some were not.
+        """Return the log of the joints that were excited, for logs that were aborted.
 
         Raises:
-            FungraspError: none was.
+            FungraspError: no joint was excited.
         """
         kept = np.flatnonzero([not self._too_little(joint) for joint in range(len(self.joints))])
         if not len(kept):
@@ -116,7 +116,7 @@ class MotionLog:
         return self.of_joints([self.joints[joint] for joint in kept])
 
     def of_joints(self, joints: Sequence[str]) -> MotionLog:
-        """Some joints, and the rows in which one of them is excited."""
+        """Return the log of some joints, with the rows in which one of them is excited."""
         kept = [self.joints.index(joint) for joint in joints]
         per_joint = ("commands", "positions", "moving")
         some = replace(
@@ -128,14 +128,18 @@ class MotionLog:
         return some.rows(np.flatnonzero(some.moving.any(axis=1)))
 
     def check_excitation(self) -> None:
-        """Raises FungraspError: the log is too short, or a joint hardly moves."""
+        """Check the excitation of all joints.
+
+        Raises:
+            FungraspError: a joint is excited too briefly or hardly moves.
+        """
         for joint in range(len(self.joints)):
             problem = self._too_little(joint)
             if problem:
                 raise FungraspError(problem)
 
     def _too_little(self, joint: int) -> str:
-        """What is missing of a joint's motion; "" for nothing."""
+        """Return the problem with a joint's excitation, or ""."""
         rows = np.flatnonzero(self.moving[:, joint])
         duration = self.times[rows[-1]] - self.times[rows[0]] if len(rows) else 0.0
         if duration < SHORTEST:
@@ -151,29 +155,29 @@ class MotionLog:
 
 @dataclass(frozen=True, eq=False)
 class MotionHeader:
-    """What holds for a whole log; see ``MotionLog``."""
+    """Constant data of a log; see ``MotionLog``."""
 
     joints: tuple[str, ...]
     """Names of the joints, length J."""
     gravity: np.ndarray
-    """[m/s^2], shape [3]."""
+    """Gravity in the palm frame [m/s^2], shape [3]."""
     weight: float
-    """[kg]."""
+    """Mass on each fingertip [kg]."""
     speed: np.ndarray
-    """[rad/s], shape [J]."""
+    """Speed limits [rad/s], shape [J]."""
 
 
 class MotionSample(NamedTuple):
-    """A row as it is recorded."""
+    """A recorded row of a log."""
 
     commanded: float
-    """Host time of the command, since the log began [s]."""
+    """Host time of the command since the start of the log [s]."""
     device_time: float
-    """The device's stamp of the positions [s], of its own clock."""
+    """Timestamp of the positions on the device's clock [s]."""
     received: float
-    """Host time at which they were received, since the log began [s]."""
+    """Host time at which the positions were received, since the start of the log [s]."""
     moving: tuple[int, ...]
-    """Numbers of the joints that are excited."""
+    """Indices of the excited joints."""
     command: np.ndarray | Sequence[float]
     """Goals that were sent [rad], length J."""
     position: np.ndarray | Sequence[float]
@@ -181,13 +185,11 @@ class MotionSample(NamedTuple):
 
 
 class MotionLogWriter:
-    """Writes a log line by line, each of them at once on its way to the disk: a file whose writer was killed
-    holds all lines but perhaps the last. A context manager; the file is made with the first row, and one that
-    is there already is not touched."""
+    """Writes a log line by line, so that at most the last line is lost if the process is killed. A context
+    manager; the file is created with the first row, and an existing file is not changed."""
 
     def __init__(self, path: str | Path):
         """
-
         Raises:
             FungraspError: the file exists.
         """
@@ -197,7 +199,7 @@ class MotionLogWriter:
             raise FungraspError(f"the log {path} already exists: give another name")
 
     def add(self, header: MotionHeader, sample: MotionSample) -> None:
-        """Write a row, before the first one the header. Raises: FungraspError: it can't be written."""
+        """Write a row, and the header before the first one. Raises: FungraspError: it can't be written."""
         row = [*np.round(sample[:3], 6).tolist(), list(sample.moving)]
         row += [np.round(values, 7).tolist() for values in sample[4:]]
         try:
@@ -219,13 +221,13 @@ class MotionLogWriter:
 
 
 def motion_log(header: MotionHeader, samples: Sequence[MotionSample]) -> MotionLog:
-    """The log of some samples.
+    """Create a log from samples.
 
-    The device's clock is put beside the host's by the state that came fastest; of a device whose clock runs
-    otherwise, times of receipt are taken.
+    The state with the smallest latency aligns the device's clock with the host's. If the clocks are
+    inconsistent, times of receipt are used.
 
     Raises:
-        FungraspError: they are inconsistent.
+        FungraspError: the samples are inconsistent.
     """
     count = len(header.joints)
     times, device, received = (np.array([sample[i] for sample in samples], dtype=float) for i in range(3))
@@ -252,10 +254,10 @@ def motion_log(header: MotionHeader, samples: Sequence[MotionSample]) -> MotionL
 
 
 def load_motion_log(path: str | Path) -> MotionLog:
-    """Read a log of ``MotionLogWriter``, complete or not.
+    """Read a log of ``MotionLogWriter``, complete or truncated.
 
     Raises:
-        FungraspError: the file is missing, of another kind or inconsistent.
+        FungraspError: the file is missing, of a different kind or inconsistent.
     """
     lines = read_bytes(path, "motion log", LARGEST_TEXT).split(b"\n")
     try:
@@ -268,7 +270,7 @@ def load_motion_log(path: str | Path) -> MotionLog:
             float(about["weight"]),
             np.array([np.inf if v is None else v for v in about["speed"]], dtype=float),
         )
-        # What a killed writer has left ends within a line; a whole file ends with an empty one.
+        # Drop the last line: it is empty, or truncated if the writer was killed.
         samples = [MotionSample(*json.loads(line)) for line in lines[1:-1]]
         return motion_log(header, samples)
     except FungraspError as error:
@@ -288,12 +290,12 @@ def _header_words(header: MotionHeader) -> dict[str, Any]:
 
 
 def read_step_csv(path: str | Path, joint: str, open_position: float, closed_position: float) -> MotionLog:
-    """Log of one motor of an Inspire hand: columns time_s, target_value and measured_value, the latter two
-    from 1000 (open) to 0 (closed).
+    """Read the log of one motor of an Inspire hand: columns time_s, target_value and measured_value, with
+    values from 1000 (open) to 0 (closed).
 
     Args:
-        open_position: of the joint at 1000 [rad].
-        closed_position: at 0 [rad].
+        open_position: joint position at 1000 [rad].
+        closed_position: joint position at 0 [rad].
     """
     path = check_file(path, "step response", LARGEST_TEXT)
     try:
@@ -305,48 +307,48 @@ def read_step_csv(path: str | Path, joint: str, open_position: float, closed_pos
     def radians(units: np.ndarray) -> np.ndarray:
         return (closed_position + units / 1000 * (open_position - closed_position))[:, None]
 
-    # Several rows may have one time, where the recorder read faster than its clock told.
+    # Rows may share a time if the recorder was faster than its clock's resolution.
     rows = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0)
     return MotionLog((joint,), times[rows], radians(targets[rows]), radians(measured[rows]), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
 class JointSamples:
-    """What a simulation needs of a log, each joint with times of its own: T samples of J joints."""
+    """T samples of J joints for simulation, with separate times for each joint."""
 
     joints: tuple[str, ...]
     """Names of the joints, length J."""
     times: np.ndarray
-    """When the driver took each command [s], shape [T, J]; every joint begins at 0, at rest."""
+    """Times at which the driver accepted each command [s], shape [T, J]; every joint begins at 0, at rest."""
     commands: np.ndarray
-    """[rad], shape [T, J]."""
+    """Goals [rad], shape [T, J]."""
     measured: np.ndarray
-    """When the positions were measured [s], shape [T, J]."""
+    """Measurement times of the positions [s], shape [T, J]."""
     positions: np.ndarray
-    """[rad], shape [T, J]; not a number where nothing new was measured."""
+    """Measured positions [rad], shape [T, J]; NaN without a new measurement."""
     speed: np.ndarray
-    """Of the driver's setpoints [rad/s], shape [J]."""
+    """Speed limits of the driver's setpoints [rad/s], shape [J]."""
     gravity: np.ndarray
-    """In the palm's frame [m/s^2], shape [3]."""
+    """Gravity in the palm frame [m/s^2], shape [3]."""
     weight: float
-    """On each fingertip [kg]."""
+    """Mass on each fingertip [kg]."""
 
     @property
     def known(self) -> np.ndarray:
-        """Where there is a new measurement, shape [T, J]."""
+        """Mask of new measurements, shape [T, J]."""
         return np.isfinite(self.positions)
 
     @property
     def share(self) -> np.ndarray:
-        """How much of its segment is over at each sample, 0 to 1, shape [T, J]."""
+        """Elapsed share of the segment at each sample, 0 to 1, shape [T, J]."""
         last = np.where(self.known, self.times, 0.0).max(axis=0)
         return self.times / np.maximum(last, 1e-9)
 
 
 def joint_samples(log: MotionLog) -> JointSamples:
-    """The segments of a log, side by side.
+    """Arrange the segments of a log side by side.
 
-    A polled device takes a command when it is polled next, and measures then: its delay counts from there.
+    A polled device accepts a command at the next poll and measures then, so that its delay begins there.
     """
     segments = [segment for segment in log.segments if log.moving[segment[0]].any()]
     longest, count = max(len(segment) for segment in segments), len(log.joints)
@@ -371,7 +373,7 @@ def joint_samples(log: MotionLog) -> JointSamples:
 
 
 def _taken(times: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """When a driver took commands that were given at some times [s], shape [T]."""
+    """Return the times at which a driver accepted the commands given at ``times`` [s], shape [T]."""
     stamps = measured[np.diff(measured, prepend=-np.inf) > 0]
     if len(stamps) > POLLED * len(times) or len(stamps) < 2:
         return times
