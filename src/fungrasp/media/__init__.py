@@ -1,4 +1,4 @@
-"""Pictures of MuJoCo models and captures by ray tracing, without GPU, display or OpenGL."""
+"""Rendering of MuJoCo models and captures by ray tracing, without GPU, display or OpenGL."""
 
 from fungrasp.media.camera import Camera, orbit_camera
 from fungrasp.media.grasp_scenes import grasp_scene, look_at_grasp

@@ -1,4 +1,4 @@
-"""Pinhole cameras: where a pixel looks, where a point appears, and cameras that frame a thing."""
+"""Pinhole cameras: view rays, projection, and cameras that frame points."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from fungrasp.media.ray_tracing import PixelRays
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels and the principal point in the middle of the picture.
+    """A pinhole camera with square pixels and the principal point in the middle of the image.
 
     Camera frame: OpenCV (x right, y down, z forward). The center of pixel (column u, row v) has image
-        coordinates (u, v).
+    coordinates (u, v).
     """
 
     position: tuple[float, float, float]
     """Position of the camera [m], world frame."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point in the middle of the picture [m], world frame."""
+    """Point in the middle of the image [m], world frame."""
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Direction that points up in the picture, world frame; any length, not along the view."""
+    """Direction that points up in the image, world frame, of any length and not along the view."""
     fov_y: float = 35.0
     """Vertical field of view [degrees], between 0 and 180."""
     width: int = 640
@@ -60,9 +60,8 @@ class Camera:
         return np.stack([right, np.cross(forward, right), forward], axis=1)
 
     def directions(self, pixels: np.ndarray) -> np.ndarray:
-        """Unit view directions through image points. pixels: (u, v), shape [..., 2]. Returns world frame,
-        shape [..., 3].
-        """
+        """Return unit view directions through image points, world frame, shape [..., 3]. pixels: (u, v),
+        shape [..., 2]."""
         x = (pixels[..., 0] - 0.5 * (self.width - 1)) / self.focal
         y = (pixels[..., 1] - 0.5 * (self.height - 1)) / self.focal
         size = 1.0 / np.sqrt(x * x + y * y + 1.0)
@@ -73,18 +72,17 @@ class Camera:
         return result
 
     def rays(self) -> PixelRays:
-        """Parameters for the ray tracer."""
+        """Return the parameters for the ray tracer."""
         return _rays(self)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where points appear.
+        """Project points to the image.
 
         Args:
             points: [m], world frame, shape [..., 3].
 
         Returns:
-            pixels: (u, v), shape [..., 2]; depth: along the view [m], shape [...] (negative behind the
-                camera).
+            pixels (u, v), shape [..., 2]; depth along the view [m], shape [...], negative behind the camera.
         """
         local = (np.asarray(points, dtype=float) - self.position) @ self.rotation
         depth = local[..., 2]
@@ -95,7 +93,7 @@ class Camera:
 
 @lru_cache(maxsize=4)
 def _rays(camera: Camera) -> PixelRays:
-    """A film's camera stands still most of the time."""
+    """Cache rays, because most cameras of a video are equal."""
     position = np.array(camera.position, dtype=float)
     return PixelRays(camera.width, camera.height, position, camera.focal, camera.directions)
 
@@ -110,13 +108,13 @@ def orbit_camera(
     width: int = 640,
     height: int = 480,
 ) -> Camera:
-    """A camera on a sphere around ``target``.
+    """Return a camera on a sphere around ``target``.
 
     Args:
         target: [m], world frame, length 3.
-        distance: from the target [m].
-        azimuth: of the camera seen from the target, from the world's x towards y [degrees].
-        elevation: of the camera above the horizontal [degrees], below 90.
+        distance: distance from the target [m].
+        azimuth: azimuth of the camera seen from the target, from the world's x toward y [degrees].
+        elevation: elevation of the camera above the horizontal [degrees], below 90.
     """
     a, e = np.radians(azimuth), np.radians(elevation)
     offset = distance * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
@@ -135,13 +133,13 @@ def fit_camera(
     height: int = 480,
     margin: float = 1.12,
 ) -> Camera:
-    """The nearest orbit camera with some points in the middle of its picture.
+    """Return the nearest orbit camera that frames all points, centered.
 
     Args:
         points: [m], world frame, shape [P, 3].
-        azimuth: as ``orbit_camera`` [degrees].
-        elevation: as ``orbit_camera`` [degrees].
-        margin: how much larger than what is seen the picture is.
+        azimuth: as for ``orbit_camera`` [degrees].
+        elevation: as for ``orbit_camera`` [degrees].
+        margin: ratio of the image size to the size of the contents.
     """
     probe = orbit_camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation, fov_y=fov_y, width=width, height=height)
     axes = probe.rotation

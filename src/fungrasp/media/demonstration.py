@@ -1,4 +1,4 @@
-"""Grasps from the human hand to the lift and the use, with a film and a page."""
+"""Demonstration: human grasps are retargeted, tested and used, with a video and a page."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
 
 FILM = FilmSettings(fps=8.0, speed=2.5, width=576, height=324)
-"""Of the demonstration: drawing it is a third of the time that it takes."""
+"""Video settings of the demonstration; rendering takes a third of its time."""
 
 INSET = 0.24
-"""Width of the picture of the person's grasp in the film's corner, in widths of the film."""
+"""Width of the inset with the human grasp, relative to the video's width."""
 
 TITLE = "Human grasps, taken over by a robot hand"
 
@@ -52,39 +52,40 @@ INTRODUCTION = (
 )
 
 Stages = Callable[[str, float], AbstractContextManager[Callable[[float], None]]]
-"""Begins a stage: its name and how much there is to do; gives what is called with how much is done."""
+"""Context manager of a stage, called with its name and total amount of work; yields a function that reports
+the amount done."""
 
 
 @contextmanager
 def no_stages(name: str, total: float) -> Iterator[Callable[[float], None]]:
-    """Says nothing of a stage."""
+    """Report nothing."""
     yield lambda done: None
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """What was made."""
+    """Results of a demonstration."""
 
     film: Path
-    """Of all episodes."""
+    """Video of all episodes."""
     page: Path
-    """Of everything."""
+    """Page with all results."""
     grasps: list[GraspReport]
-    """What the page says of each grasp."""
+    """The page's report of each grasp."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Grasps to be shown."""
+    """Grasps to demonstrate."""
 
     human: HumanGraspSet
     """N grasps."""
     objects: Mapping[str, ObjectModel]
-    """Theirs, by name."""
+    """Objects of the grasps by name."""
     source: Mapping[str, str]
-    """Where they come from, by what kind of thing that is."""
+    """Provenance of the grasps: label and value."""
     before: Mapping[int, Sequence[str]] = field(default_factory=dict)
-    """HTML that comes before what the page says of a grasp, by its row: of the image that shows it."""
+    """HTML before a grasp's report, by row: about the image that shows the grasp."""
 
 
 def demonstrate(
@@ -97,16 +98,16 @@ def demonstrate(
     threads: int = 0,
     stages: Stages = no_stages,
 ) -> Demonstration:
-    """Retarget grasps, test and use them, and write a film and a page.
+    """Retarget grasps, test and use them, and write a video and a page.
 
     Args:
         policy: name or file of the policy.
         out: folder for ``film.mp4`` and ``index.html``, written atomically.
-        seed: of the rollouts that choose a plan.
-        threads: 0 means all processors.
+        seed: seed in the page's provenance.
+        threads: number of threads; 0 for all processors.
 
     Raises:
-        FungraspError: of the verbs, or a file can't be written.
+        FungraspError: a verb fails, or a file can't be written.
     """
     start, human, objects = perf_counter(), shown.human, shown.objects
     out.mkdir(parents=True, exist_ok=True)
@@ -174,7 +175,7 @@ def _film(
     threads: int,
     stages: Stages,
 ) -> tuple[Path, dict[tuple[int, bool], Path]]:
-    """The whole film, and its parts by row of the grasp and whether it is the use."""
+    """Write the video of all episodes, and one for each grasp (row, whether it is the use test)."""
     clips: dict[tuple[int, bool], Path] = {}
     people = [_person(grasp, shown.objects[grasp.object_name]) for grasp in shown.human]
 
@@ -204,7 +205,7 @@ def _film(
 
 
 def _person(grasp: HumanGrasp, obj: ObjectModel) -> np.ndarray:
-    """The person's grasp, for the film's corner."""
+    """Return the picture of the human grasp for the inset."""
     model, qpos = grasp_scene(grasp, obj)
     width = round(INSET * FILM.width)
     height = round(0.75 * width)

@@ -1,4 +1,4 @@
-"""Recorded episodes as films: even frame times, links that light up, first from afar, then from near."""
+"""Videos of recorded episodes, with highlighted contact links and a closer camera after the first touch."""
 
 from __future__ import annotations
 
@@ -26,36 +26,36 @@ from fungrasp.media.render import Renderer
 from fungrasp.objects import ObjectModel
 
 CAPTION_MARGIN = 1.18
-"""How much larger than its contents a film's picture is: there is a bar of words."""
+"""Ratio of a frame's size to its contents, with room for the caption bar."""
 
 VERDICT_TIME = 1.0
-"""Time for which the last picture stays, with words on how the episode ended [s]."""
+"""Duration of the last frame, which shows the outcome [s]."""
 
 FARTHEST = 0.4
-"""An object that has travelled further is out of the film's picture [m]."""
+"""Largest displacement at which the object is kept in the frame [m]."""
 
 STILL = 1e-3
-"""What moves less than this is not drawn again [m]."""
+"""Smallest motion that renders a new frame [m]."""
 
 FRAME = 3
-"""Width of the frame about an inset [pixels]."""
+"""Width of the border of an inset [pixels]."""
 
 STEADY = 0.1
-"""Half of the time over which contacts are averaged, so that links don't flicker [s]."""
+"""Half of the time window over which contacts are averaged to avoid flicker [s]."""
 
 
 @dataclass(frozen=True)
 class FilmSettings:
-    """How a film is made."""
+    """Settings of a video."""
 
     fps: float = 15.0
     """Frames per second."""
     speed: float = 1.5
-    """Seconds of the episode in a second of the film."""
+    """Speed of playback relative to the episode."""
     width: int = 432
-    """[pixels]"""
+    """Width [pixels]."""
     height: int = 324
-    """[pixels]"""
+    """Height [pixels]."""
 
 
 def episode_film(
@@ -68,16 +68,16 @@ def episode_film(
     inset: np.ndarray | None = None,
     threads: int = 0,
 ) -> Iterator[np.ndarray]:
-    """A recorded episode, with the object's own mesh; links light up while they touch.
+    """Yield the frames of a recorded episode with the object's visual mesh and highlighted links in contact.
 
-    From the first touch on the camera is nearer. Where nothing moves, as in most of the hold, a frame is
-    drawn once. An episode whose simulation diverged is shown until then.
+    From the first touch on, the camera is closer. Frames without motion are rendered once. If the simulation
+    diverged, the video ends there.
 
     Args:
-        trajectory: of ``hand`` and ``obj``.
-        settings: the usual ones if None.
-        inset: picture in the upper left corner, as of the person's grasp: sRGB, shape [h, w, 3] uint8.
-        threads: 0 means all CPUs; the film does not depend on it.
+        trajectory: episode of ``hand`` and ``obj``.
+        settings: defaults if None.
+        inset: picture in the upper left corner, for example of the human grasp: sRGB, shape [h, w, 3] uint8.
+        threads: 0 for all CPUs; the result does not depend on it.
 
     Yields:
         sRGB, shape [height, width, 3] uint8.
@@ -113,7 +113,7 @@ def episode_film(
 
 
 def _with_inset(picture: np.ndarray, inset: np.ndarray | None) -> np.ndarray:
-    """A picture with a smaller one in its upper left corner, framed."""
+    """Add a bordered picture in the upper left corner."""
     if inset is None:
         return picture
     height, width = (n + 2 * FRAME for n in inset.shape[:2])
@@ -124,13 +124,14 @@ def _with_inset(picture: np.ndarray, inset: np.ndarray | None) -> np.ndarray:
 
 
 def film_frames(trajectory: Trajectory, settings: FilmSettings) -> int:
-    """Number of frames of ``episode_film``."""
+    """Return the number of frames of ``episode_film``."""
     times = _finite_part(trajectory).times.astype(float)
     return len(frame_times(times, settings.fps, settings.speed)) + round(VERDICT_TIME * settings.fps)
 
 
 def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
-    """Start [s] and name of each phase: as recorded, and "close" between the first touch and the lift."""
+    """Return start [s] and name of each phase: the recorded ones, and "close" from the first touch to the
+    lift."""
     touch = _first_touch(trajectory)
     if trajectory.phase[touch] > 0 or not trajectory.link_contacts[touch].any():
         return trajectory.phases
@@ -140,9 +141,9 @@ def episode_phases(trajectory: Trajectory) -> list[tuple[float, str]]:
 def _cameras(
     model: mujoco.MjModel, states: np.ndarray, trajectory: Trajectory, at: np.ndarray, settings: FilmSettings
 ) -> list[Camera]:
-    """Cameras of the frames: one that sees all of the motion, and one that sees it from the first touch on.
-    An object that gets away is not followed. The model's links that touch during the hold are colored, to be
-    seen well."""
+    """Return the camera of each frame: one that frames the whole motion, then one that frames the motion from
+    the first touch on. States with an object that moved away are ignored. model: links that touch during the
+    hold are colored, so that the view shows them."""
     touch = _first_touch(trajectory)
     travel = np.linalg.norm(trajectory.object_pose[:, :3] - trajectory.object_pose[0, :3], axis=1)
     close = travel < FARTHEST
@@ -154,14 +155,15 @@ def _cameras(
 
 
 def _steady(contacts: np.ndarray, times: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Which links touch most of the time around each frame; contacts: shape [T, L] bool. Returns [F, L]."""
+    """Return the links that touch most of the time around each frame, shape [F, L]. contacts: shape [T, L]
+    bool."""
     first, last = (np.searchsorted(times, at + side * STEADY) for side in (-1, 1))
     spans = zip(first.tolist(), last.tolist(), strict=True)
     return np.array([contacts[a : max(b, a + 1)].mean(axis=0) > 0.5 for a, b in spans])
 
 
 def _moving(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
-    """Whether anything has moved by ``STILL`` since the last state in which it had; shape [F] bool."""
+    """Return whether a geom has moved by ``STILL`` since the last state that was marked, shape [F] bool."""
     data = mujoco.MjData(model)
     moving, before = np.zeros(len(states), dtype=bool), np.full((model.ngeom, 12), np.inf)
     for i, state in enumerate(states):
@@ -174,7 +176,7 @@ def _moving(model: mujoco.MjModel, states: np.ndarray) -> np.ndarray:
 
 
 def _first_touch(trajectory: Trajectory) -> int:
-    """Index of the first state in which the hand touches the object, else of the last before the lift."""
+    """Return the index of the first state with contact, or of the last state before the lift."""
     touching = np.flatnonzero(trajectory.link_contacts.any(axis=1))
     return int(touching[0]) if len(touching) else int(np.flatnonzero(trajectory.phase == 0)[-1])
 
@@ -188,7 +190,7 @@ def _finite_part(trajectory: Trajectory) -> Trajectory:
 
 
 def frame_times(times: np.ndarray, fps: float, speed: float = 1.0) -> np.ndarray:
-    """Times of a film's frames [s]: the first state, and from there on as long as there are states."""
+    """Return the times of a video's frames, from the first to the last state [s]."""
     if not fps > 0 or not speed > 0:
         raise FungraspError(f"frames per second and speed must be positive, not {fps} and {speed}")
     count = int(np.floor((times[-1] - times[0]) * fps / speed + 1e-6)) + 1
@@ -196,7 +198,7 @@ def frame_times(times: np.ndarray, fps: float, speed: float = 1.0) -> np.ndarray
 
 
 def interpolate(model: mujoco.MjModel, qpos: np.ndarray, times: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """States between recorded ones, along the shortest motion of each joint.
+    """Interpolate recorded states along the shortest motion of each joint.
 
     Args:
         qpos: shape [T, nq].

@@ -29,7 +29,7 @@ from fungrasp.task import GraspPlan
 from fungrasp.task.use import UseOutcomes
 
 DIGITS = 3
-"""Digits after the point to which numbers are rounded."""
+"""Decimal places of rounded numbers."""
 
 SIZE = (560, 420)
 """Width and height of each picture [pixels]."""
@@ -60,23 +60,23 @@ MEANINGS: dict[str, tuple[str, str, str]] = {
         "Weakest push that the contacts resist; 0 if not all.",
     ),
 }
-"""Name, unit and meaning of the numbers of ``StaticQuality`` that a page shows."""
+"""Name, unit and meaning of the fields of ``StaticQuality`` on a page."""
 
 
 def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
     """Write a page about grasps, a lift test or a perceived grasp.
 
     Args:
-        what: human or robot grasps (a few of different objects are drawn), a result (some successes and
-            failures are drawn), or the result of ``perceive``.
-        objects: those of grasps, as for ``retarget``. A result has its own.
-        out: HTML file to write; it needs no other file and no network.
+        what: human or robot grasps (up to ``DRAWN_GRASPS`` are drawn), a result (some successes and failures
+            are drawn), or the result of ``perceive``.
+        objects: objects of the grasps, as for ``retarget``. A result has its own.
+        out: self-contained HTML file to write.
 
     Returns:
         The path of the page.
 
     Raises:
-        FungraspError: wrong type, a missing object, or a file that can't be written.
+        FungraspError: wrong type, a missing object, or the file can't be written.
     """
     path = Path(out)
     if isinstance(what, Perceived):
@@ -107,7 +107,7 @@ def _write_result(path: Path, result: LiftTestResult) -> None:
         raise FungraspError("the result has no grasps: view the object that evaluate returned")
     shown = result.outcomes.held_as_shown if result.knows_places else result.success
     rows: list[int] = []
-    # Up to a third of the pictures each: failures, then objects not held as shown.
+    # Up to a third of the pictures each for failures and for objects not held as shown.
     for share, flags in ((3, ~result.success), (2, result.success & ~shown), (1, shown)):
         which = np.flatnonzero(flags)
         some = spread_rows(result.object_name[which], (DRAWN_GRASPS - len(rows)) // share)
@@ -130,7 +130,7 @@ def _write_result(path: Path, result: LiftTestResult) -> None:
 
 
 def in_the_hold(result: LiftTestResult) -> RobotGraspSet:
-    """The grasp of each episode: as in the middle of the hold if the object was held, else as given."""
+    """Return the grasp of each episode: in the middle of the hold if the object was held, else as given."""
     assert result.grasps is not None
     grasps, hold = result.grasps.select(result.index), result.hold
     if hold is None:
@@ -144,7 +144,7 @@ def in_the_hold(result: LiftTestResult) -> RobotGraspSet:
 
 
 def rates_by_object(result: LiftTestResult) -> str:
-    """Rates of success and of success as shown by object, drawn."""
+    """Return an SVG figure of the rates of success, and of success as shown, by object."""
     names, known = sorted(set(result.object_name.tolist())), result.knows_places
     which = [result.object_name == name for name in names]
     held = np.array([result.success[flags].mean() for flags in which])
@@ -167,8 +167,7 @@ def _report(
     human: HumanGraspSet | None = None,
     touching: np.ndarray | None = None,
 ) -> GraspReport:
-    """What the page says of one grasp, with its picture; arguments as those of ``grasp_pictures`` and
-    ``place_marks``."""
+    """Return the report of one grasp. Arguments as for ``grasp_pictures`` and ``place_marks``."""
     grasp, marks = grasps[row], None
     if isinstance(grasps, RobotGraspSet):
         marks = place_marks(grasps, row, objects, touching)
@@ -189,7 +188,7 @@ def grasp_title(grasp: HumanGrasp | RobotGrasp) -> str:
 
 
 def outcome(result: LiftTestResult, row: int) -> dict[str, Any]:
-    """How an episode ended: ``success``, ``as_shown`` and ``outcome`` of a ``GraspReport``."""
+    """Return ``success``, ``as_shown`` and ``outcome`` of an episode for a ``GraspReport``."""
     o, known = result.outcomes, bool(np.isfinite(result.outcomes.place_error_mm[row]))
     success, as_shown = bool(o.success[row]), bool(o.held_as_shown[row])
     how = "with a plan that was chosen in simulated rollouts" if result.rollouts[row] else "at the first try"
@@ -203,7 +202,7 @@ def outcome(result: LiftTestResult, row: int) -> dict[str, Any]:
 
 
 def use_outcome(use: UseOutcomes, row: int) -> str:
-    """How a use test ended, in a sentence. row: of the grasp in ``use``."""
+    """Return the outcome of a use test in a sentence. row: row of the grasp in ``use``."""
     motion = str(use.motion[row]).replace("_", " ")
     moved = f"by {1e3 * use.shift_m[row]:.0f} mm and {np.rad2deg(use.turn_rad[row]):.0f}°"
     if use.success[row]:
@@ -212,7 +211,7 @@ def use_outcome(use: UseOutcomes, row: int) -> str:
 
 
 def contacts(robot: RobotGrasp, trajectory: Trajectory, hand: Hand) -> list[Contact]:
-    """Which links should touch the object, and which do during more than half of the hold."""
+    """Return the links that should touch the object or do so during more than half of the hold."""
     hold = trajectory.phase == trajectory.phase.max()
     reached = trajectory.link_contacts[hold].mean(axis=0) > 0.5
     return [
@@ -223,7 +222,7 @@ def contacts(robot: RobotGrasp, trajectory: Trajectory, hand: Hand) -> list[Cont
 
 
 def quantities(quality: StaticQuality, result: LiftTestResult, row: int) -> list[Quantity]:
-    """Numbers of one grasp: the retargeted grasp's static quality, then what was measured in simulation."""
+    """Return the numbers of one grasp: static quality, then measurements in simulation."""
     static = [
         Quantity(name, round(float(getattr(quality, key)[row]), DIGITS), unit, meaning)
         for key, (name, unit, meaning) in MEANINGS.items()
@@ -240,14 +239,14 @@ def quantities(quality: StaticQuality, result: LiftTestResult, row: int) -> list
 
 
 PICTURES = 4
-"""Grasps that are drawn."""
+"""Number of grasps that are drawn."""
 
 ROWS = 8
-"""Lines of a table."""
+"""Maximum number of table rows."""
 
 
 def notebook_html(value: Any) -> str | None:
-    """HTML of grasps, a plan or a result; None of anything else."""
+    """Return the HTML of grasps, plans or a result; None for other types."""
     if isinstance(value, HumanGraspSet | RobotGraspSet):
         return _grasps(value)
     if isinstance(value, LiftTestResult):
@@ -273,7 +272,7 @@ def _grasps(grasps: HumanGraspSet | RobotGraspSet) -> str:
 
 
 def _pictures(grasps: HumanGraspSet | RobotGraspSet) -> str:
-    """A few of them; none where their objects are not built in."""
+    """Return pictures of a few grasps, or "" if an object can't be loaded."""
     chosen = spread_rows(grasps.object_name, PICTURES)
     try:
         objects = load_objects(grasps.select(np.array(chosen)))
@@ -301,7 +300,7 @@ def _plans(plans: GraspPlan) -> str:
 
 
 def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]], count: int) -> str:
-    """A table, and how many rows are not in it."""
+    """Return a table and the number of omitted rows."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in heads)
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     more = f"<p>and {count - len(rows)} more</p>" if count > len(rows) else ""

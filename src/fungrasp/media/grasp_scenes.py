@@ -1,4 +1,4 @@
-"""Grasps to be rendered: models of hand and object, links in contact colored; cameras that show them well."""
+"""Scenes of grasps for rendering, with colored links in contact, and cameras for them."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ CONTACT = (0.95, 0.49, 0.16)
 """Color of links in contact, sRGB."""
 
 OBJECT_BODY = "object"
-"""Name of the object's body in the scenes made here."""
+"""Name of the object's body in these scenes."""
 
 HAND_BODY = "hand"
-"""Name of the body that carries the hand in the scenes made here."""
+"""Name of the hand's body in these scenes."""
 
 PALM_TINT = 0.75
-"""How much of ``CONTACT`` goes into the color of a robot's palm in contact: it is large."""
+"""Share of ``CONTACT`` in the color of a robot's palm in contact, which is large."""
 
 FRAMED = 0.6
-"""Geoms of a larger radius are not framed by a camera [m]: they are surroundings."""
+"""Largest radius of geoms that a camera frames [m]; larger ones are surroundings."""
 
 BEST_ELEVATION = 26.0
-"""From where a person looks at something on a table [degrees]."""
+"""Preferred camera elevation, that of a person looking at a table [degrees]."""
 
 _PALETTE = 64
 _PREFIX = "robot/"
@@ -48,7 +48,7 @@ _PREFIX = "robot/"
 def human_grasp_scene(
     joints: np.ndarray, obj: ObjectModel, object_pose: np.ndarray, link_contacts: np.ndarray
 ) -> mujoco.MjModel:
-    """A human hand, its links in contact colored, holding an object. The model has no joints.
+    """Create the model of a human hand with colored links in contact and an object, without joints.
 
     Args:
         joints: [m], world frame, shape [21, 3].
@@ -93,16 +93,16 @@ def robot_grasp_scene(
     object_pose: np.ndarray,
     link_contacts: np.ndarray | None = None,
 ) -> tuple[mujoco.MjModel, np.ndarray]:
-    """A robot hand, its links in contact colored, holding an object. Hand and object can move freely.
+    """Create the model of a robot hand with colored links in contact and an object, both with free joints.
 
     Args:
-        wrist_pose: of the palm body, world frame, shape [7].
+        wrist_pose: pose of the palm body, world frame, shape [7].
         joint_positions: in the order of ``hand.joint_names`` [rad], shape [M].
         object_pose: world frame, shape [7].
-        link_contacts: in the order of ``hand.links``, shape [L] bool; None for none.
+        link_contacts: in the order of ``hand.links``, shape [L] bool; none if None.
 
     Returns:
-        the model, and its qpos, shape [nq].
+        the model and its qpos, shape [nq].
 
     Raises:
         FungraspError: an argument has the wrong shape or is not finite.
@@ -128,11 +128,7 @@ def robot_grasp_scene(
 def grasp_scene(
     grasp: HumanGrasp | RobotGrasp, obj: ObjectModel, hand: Hand | None = None
 ) -> tuple[mujoco.MjModel, np.ndarray]:
-    """The scene of a grasp as it is, and its qpos, shape [nq].
-
-    Args:
-        grasp: of a person or a robot.
-    """
+    """Return the scene of a grasp and its qpos, shape [nq]. hand: required for a robot grasp."""
     if isinstance(grasp, HumanGrasp):
         model = human_grasp_scene(grasp.hand_joints, obj, grasp.object_pose, grasp.link_contacts)
         return model, model.qpos0
@@ -149,11 +145,11 @@ def robot_scene_states(
     joint_positions: np.ndarray,
     object_poses: np.ndarray,
 ) -> np.ndarray:
-    """The qpos of a ``robot_grasp_scene`` along a motion, for a film.
+    """Return the qpos of a ``robot_grasp_scene`` along a motion.
 
     Args:
-        model: made by ``robot_grasp_scene`` for the same hand.
-        wrist_poses: of the palm body, world frame, shape [T, 7].
+        model: result of ``robot_grasp_scene`` for the same hand.
+        wrist_poses: poses of the palm body, world frame, shape [T, 7].
         joint_positions: in the order of ``hand.joint_names`` [rad], shape [T, M].
         object_poses: world frame, shape [T, 7].
 
@@ -184,10 +180,10 @@ def robot_scene_states(
 
 
 def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray) -> np.ndarray:
-    """Colors of a ``robot_grasp_scene`` whose links light up while they touch, for a film.
+    """Return geom colors of a ``robot_grasp_scene`` with highlighted links in contact.
 
     Args:
-        model: made by ``robot_grasp_scene`` for the same hand, without contacts.
+        model: result of ``robot_grasp_scene`` for the same hand, without contacts.
         link_contacts: in the order of ``hand.links``, shape [T, L] bool.
 
     Returns:
@@ -210,7 +206,7 @@ def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndar
 
 
 def add_object(spec: mujoco.MjSpec, obj: ObjectModel) -> mujoco.MjsBody:
-    """Add a body ``OBJECT_BODY`` that looks like an object; for the eye alone."""
+    """Add a body ``OBJECT_BODY`` with the visual geoms of an object."""
     body = spec.worldbody.add_body(name=OBJECT_BODY)
     for number, (look, mask) in enumerate(painted_parts(obj)):
         name = f"{OBJECT_BODY}{number or ''}"
@@ -267,19 +263,19 @@ def look_at_grasp(
     elevations: Sequence[float] = (14.0, 30.0, 48.0),
     azimuths: int = 12,
 ) -> Camera:
-    """A camera above the table that frames hand and object, and from which most of the contact can be seen.
+    """Return a camera above the table that frames hand and object and shows the contacts well.
 
-    Of all views tried, it has the largest weighted sum of shares: of the colored links, of the object, and
-    of each geom of the hand, each compared with the view that shows most of it.
+    The best of the candidate views maximizes a weighted sum of the visible shares of the colored links, the
+    object and each geom of the hand, each relative to the view that shows most of it.
 
     Args:
-        model: made by ``human_grasp_scene`` or ``robot_grasp_scene``, or any with a body named
+        model: result of ``human_grasp_scene`` or ``robot_grasp_scene``, or any model with a body named
             ``OBJECT_BODY``.
-        qpos: shape [nq], or [T, nq] for a motion: it is all framed, and judged by its last state; None for
-            the model's reference.
-        margin: how much larger than its contents the picture is; a bar of words needs about 1.3.
-        elevations: of the views that are tried [degrees].
-        azimuths: number of directions that are tried.
+        qpos: shape [nq], or [T, nq] for a motion, which is framed as a whole and evaluated at its last state;
+            the model's reference if None.
+        margin: ratio of the image size to the size of the contents; a caption bar needs about 1.3.
+        elevations: elevations of the candidate views [degrees].
+        azimuths: number of azimuths of the candidate views.
     """
     states = np.atleast_2d(model.qpos0 if qpos is None else np.asarray(qpos, dtype=float))
     small = (48 * width // max(width, height) + 1, 48 * height // max(width, height) + 1)
@@ -308,23 +304,23 @@ def frame_geoms(
     height: int = 480,
     margin: float = 1.12,
 ) -> Camera:
-    """A camera that frames all drawn geoms but planes and huge ones, tightly.
+    """Return a camera that tightly frames all visible geoms except planes and very large ones.
 
     Args:
-        qpos: shape [nq], or [T, nq] for a motion of which all is framed.
-        azimuth: of the camera, from the world's x towards y [degrees].
-        elevation: above the horizontal [degrees].
-        margin: how much larger than its contents the picture is.
+        qpos: shape [nq], or [T, nq] for a motion, which is framed as a whole.
+        azimuth: azimuth of the camera, from the world's x toward y [degrees].
+        elevation: elevation above the horizontal [degrees].
+        margin: ratio of the image size to the size of the contents.
 
     Raises:
-        FungraspError: there is no such geom.
+        FungraspError: there is no geom to frame.
     """
     corners = _drawn_corners(model, qpos)
     return fit_camera(corners, azimuth, elevation, width=width, height=height, margin=margin)
 
 
 def _drawn_corners(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """Corners of the boxes about what ``frame_geoms`` frames, in up to 25 states [m], shape [P, 3]."""
+    """Return the bounding box corners of the framed geoms in a sample of the states [m], shape [P, 3]."""
     chosen = (
         np.isin(model.geom_group, VISIBLE_GROUPS) & (model.geom_rbound > 0) & (model.geom_rbound < FRAMED)
     )
@@ -347,13 +343,13 @@ def _drawn_corners(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 
 
 def view_angles(camera: Camera) -> tuple[float, float]:
-    """Azimuth and elevation of a camera, seen from its target [degrees]."""
+    """Return azimuth and elevation of a camera seen from its target [degrees]."""
     x, y, z = np.subtract(camera.position, camera.target)
     return float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
 def _shares(mask: np.ndarray) -> np.ndarray:
-    """How much of a thing each view shows, compared with the best one; mask: shape [views, H, W] bool."""
+    """Return the visible share in each view relative to the best one. mask: shape [views, H, W] bool."""
     pixels = mask.sum((1, 2))
     return np.sqrt(pixels / max(pixels.max(), 1))
 

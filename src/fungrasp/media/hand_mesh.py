@@ -1,4 +1,4 @@
-"""A human hand's skin from its 21 joints: blended tapered capsules, meshed. For pictures, not for physics."""
+"""Visual mesh of a human hand from its 21 joints: blended tapered capsules."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ LINK_JOINTS = (
 """Joints at the near and far end of each of the 16 human links."""
 
 REFERENCE_PALM = 0.091
-"""Distance from wrist to middle knuckle of the hand that has the sizes here [m]; other hands are scaled."""
+"""Distance from wrist to middle knuckle of the hand with the sizes below [m]; other hands are scaled."""
 
 FINGER_RADII = (0.0108, 0.0090, 0.0078, 0.0066)
-"""Radii of the drawn index finger at its joints, from knuckle to tip [m]. They taper and blend to look like
-skin; perception and contacts have their own, of simple capsules."""
+"""Radii of the index finger at its joints, from knuckle to tip [m]. They are for rendering; perception and
+contacts use simple capsules."""
 
 THUMB_RADII = (0.0150, 0.0118, 0.0100, 0.0082)
-"""The same of the thumb [m]."""
+"""Radii of the thumb at its joints [m]."""
 
 _SIZES = {"index": 1.0, "middle": 1.02, "ring": 0.96, "pinky": 0.84}
 
 
 @dataclass(frozen=True)
 class HandMesh:
-    """A closed surface; V vertices, T triangles."""
+    """A closed surface with V vertices and T triangles."""
 
     vertices: np.ndarray
     """Positions of the vertices [m], world frame, shape [V, 3]."""
     faces: np.ndarray
     """Vertex indices, counter-clockwise from outside, shape [T, 3]."""
     links: np.ndarray
-    """How much of each vertex belongs to each of the 16 links, adding up to 1, shape [V, 16]."""
+    """Weights of the 16 links for each vertex, summing to 1, shape [V, 16]."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class _Cone:
 
 
 def human_hand_mesh(joints: np.ndarray, *, cell: float = 0.0022) -> HandMesh:
-    """The skin of a right hand, with a stump of the forearm.
+    """Return the mesh of a right hand with a part of the forearm.
 
     Args:
         joints: [m], world frame, in the order of docs/concepts.md, shape [21, 3].
-        cell: size of the grid on which the surface is found [m].
+        cell: grid spacing [m].
 
     Raises:
-        FungraspError: ``joints`` has the wrong shape, is not finite, or is no hand's size.
+        FungraspError: ``joints`` has the wrong shape, is not finite, or does not have the size of a hand.
     """
     joints = np.asarray(joints, dtype=float)
     if joints.shape != (21, 3) or not np.isfinite(joints).all():
@@ -94,13 +94,13 @@ def human_hand_mesh(joints: np.ndarray, *, cell: float = 0.0022) -> HandMesh:
 
 
 def surface_nets(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The zero level of a field on a grid, one vertex per cell that it crosses.
+    """Return the zero level set of a field on a grid, with one vertex per intersected cell.
 
     Args:
         field: negative inside, positive on the border, shape [X, Y, Z].
 
     Returns:
-        vertices: in units of the grid, shape [V, 3]; faces: counter-clockwise from outside, shape [T, 3].
+        vertices in units of the grid, shape [V, 3]; faces, counter-clockwise from outside, shape [T, 3].
     """
     inside = field < 0
     cells = tuple(n - 1 for n in field.shape)

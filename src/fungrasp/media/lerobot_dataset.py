@@ -1,4 +1,4 @@
-"""Recorded episodes as a LeRobot data set, with rendered cameras."""
+"""Export of recorded episodes as a LeRobot dataset, with rendered cameras."""
 
 from __future__ import annotations
 
@@ -21,59 +21,60 @@ from fungrasp.media.video import write_video
 from fungrasp.objects import ObjectModel
 
 LEROBOT_VERSION = "v3.0"
-"""Of the format of LeRobot's data sets that is written."""
+"""Version of the LeRobot dataset format."""
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 
 VIDEO_QUALITY = 20.0
-"""Constant rate factor of the films: a network sees them, not a person alone (LeRobot's own is 30)."""
+"""Constant rate factor of the videos, better than LeRobot's 30 because networks are trained on them."""
 VIDEO_KEYFRAMES = 2
-"""A film is read at random places: one picture in two stands alone, as in LeRobot's own data sets."""
+"""Keyframe interval in frames, for random access, as in LeRobot's datasets."""
 STATS_EVERY = 4
-"""Statistics of colors are taken of one picture in four, and of one pixel in four each way."""
+"""Color statistics use every fourth frame, and every fourth pixel in both directions."""
 
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 CameraName = Literal["front", "wrist"]
-"""A fixed camera that looks over the table to where the object stood, and one that moves with the palm."""
+"""A fixed camera that looks at the initial place of the object, and a camera that moves with the palm."""
 
 FRONT = (0.68, 0.32, 0.4)
-"""The fixed camera, seen from where the object stood: on the far side of the table, off to a side [m]."""
+"""Position of the fixed camera relative to the object's initial place: on the far side of the table, off to
+one side [m]."""
 FRONT_ABOVE = 0.12
-"""The middle of its picture is so far above where the object stood [m]: a lift goes 10 cm up and more."""
+"""Height of the fixed camera's target above the object's initial place [m]; a lift is 10 cm or more."""
 WRIST = (-0.16, 0.1)
-"""The hand's camera, from the palm's origin along the fingers and out of the palm [m]: on a bracket at the
-wrist, beside the fingers' way."""
+"""Position of the wrist camera from the palm's origin, along the fingers and along the palm normal [m]: on a
+bracket at the wrist, clear of the fingers."""
 WRIST_TARGET = (0.12, 0.05)
-"""The middle of its picture, likewise: where the fingertips meet [m]."""
+"""Target of the wrist camera in the same coordinates [m]: the point where the fingertips meet."""
 WRIST_FOV = 65.0
-"""Vertical field of view of the hand's camera, which is near [degrees]; small cameras have 60 to 90."""
+"""Vertical field of view of the wrist camera [degrees]; small cameras have 60 to 90."""
 
 Pictures = Callable[[Trajectory], Iterator[np.ndarray]]
-"""A picture of each state of an episode, sRGB, shape [height, width, 3] uint8; all of one size."""
+"""Yields an image of each state of an episode, sRGB, shape [height, width, 3] uint8, all of one size."""
 
 
 def write_lerobot_dataset(
     episodes: Sequence[Trajectory], folder: str | Path, cameras: Mapping[str, Pictures] | None = None
 ) -> Path:
-    """A LeRobot data set (v3.0) of episodes of one hand; ``LeRobotDataset(name, root=folder)`` loads it.
+    """Write a LeRobot dataset (v3.0) of episodes of one hand; ``LeRobotDataset(name, root=folder)`` loads it.
 
-    ``observation.state`` is the palm's pose and all joints, ``observation.environment_state`` the object's
-    pose, ``observation.contacts`` the links in contact; ``action`` has the servo controls before the next
-    state (the wrist's six joints, then the fingers), and ``next.success`` whether the episode succeeded, at
-    its last state. ``observation.images.<camera>`` are films, H.264.
+    ``observation.state`` is the palm pose and all joints, ``observation.environment_state`` the object pose,
+    ``observation.contacts`` the links in contact. ``action`` is the servo controls that lead to the next
+    state (the wrist's six joints, then the fingers). ``next.success`` is whether the episode succeeded, at
+    its last state. ``observation.images.<camera>`` are H.264 videos.
 
     Args:
         episodes: lift tests of one hand, with controls.
-        folder: must not exist.
-        cameras: functions from an episode to its pictures, by camera name (``episode_pictures``). Default:
+        folder: output folder; must not exist.
+        cameras: functions from an episode to its images, by camera name (``episode_pictures``). Default:
             none.
 
     Raises:
         FungraspError: pyarrow is not installed, no episodes, several hands, an episode without controls or
-            with states that are not evenly spaced, or the folder exists or can't be written.
+            with unevenly spaced states, or the folder exists or can't be written.
     """
     try:
         import pyarrow as pa
@@ -154,7 +155,7 @@ def _task(episode: Trajectory) -> str:
 def _features(
     episode: Trajectory, joints: Sequence[str], servos: Sequence[str], links: Sequence[str]
 ) -> dict[str, Any]:
-    """Types, shapes and names of the columns."""
+    """Return types, shapes and names of the columns."""
     wrist = [f"wrist {name}" for name in ("x", "y", "z", "rx", "ry", "rz")]
     named = {
         "observation.state": ("float32", [*(f"palm {name}" for name in POSE), *joints]),
@@ -172,13 +173,13 @@ def _features(
 def _columns(
     episodes: Sequence[Trajectory], tasks: Sequence[str]
 ) -> tuple[dict[str, np.ndarray], list[tuple[int, int]]]:
-    """Columns of all states, and where each episode begins and ends."""
+    """Return the columns of all states, and the first and last index of each episode."""
     parts: list[dict[str, np.ndarray]] = []
     spans, count = [], 0
     for number, episode in enumerate(episodes):
         size = len(episode.times)
         assert episode.controls is not None
-        # Recorded is what led to a state; an action is what follows it.
+        # Recorded controls lead to their state; an action follows its state.
         action = np.concatenate([episode.controls[1:], episode.controls[-1:]])
         success = np.zeros(size, dtype=bool)
         success[-1] = episode.success
@@ -210,17 +211,17 @@ def _arrow(pa: Any, values: np.ndarray) -> Any:
 
 
 class _Film:
-    """What one camera sees of all episodes, one after the other in one file."""
+    """Video of one camera with all episodes in one file."""
 
     def __init__(self, name: str, pictures: Pictures):
         self.key = f"observation.images.{name}"
-        """Of the feature."""
+        """Key of the feature."""
         self._pictures = pictures
         self._shape = 0, 0
         self._seen: list[np.ndarray] = []
 
     def write(self, folder: Path, episodes: Sequence[Trajectory], fps: float) -> None:
-        """Write the film of all episodes into the folder of the data set."""
+        """Write the video of all episodes to the dataset folder."""
         path = folder / VIDEO_PATH.format(video_key=self.key, chunk_index=0, file_index=0)
         path.parent.mkdir(parents=True)
         every = (picture for episode in episodes for picture in self._noted(episode))
@@ -238,7 +239,7 @@ class _Film:
             raise FungraspError(f"a camera has {count} pictures of {len(episode.times)} states")
 
     def feature(self, fps: float) -> dict[str, Any]:
-        """As in ``info.json``."""
+        """Return the entry for ``info.json``."""
         height, width = self._shape
         told = {"height": height, "width": width, "channels": 3, "codec": "h264", "pix_fmt": "yuv420p"}
         info = {f"video.{name}": value for name, value in told.items()}
@@ -247,7 +248,7 @@ class _Film:
         return {self.key: {"dtype": "video", "shape": [height, width, 3], "names": names, "info": info}}
 
     def stats(self) -> dict[str, Any]:
-        """Of its colors, from 0 to 1; by channel, shape [3, 1, 1] each."""
+        """Return color statistics, 0 to 1, for each channel, shape [3, 1, 1] each."""
         found = _stats(np.concatenate(self._seen))
         shaped = {name: [[[number]] for number in numbers] for name, numbers in found.items()}
         return shaped | {"count": [len(self._seen)]}
@@ -283,7 +284,7 @@ def _episode_table(
 
 
 def _task_table(pa: Any, tasks: Sequence[str]) -> Any:
-    """A frame of pandas whose index is the task in words."""
+    """Return a table that pandas reads with the task text as index."""
     index = "__index_level_0__"
     table = pa.table({"task_index": list(range(len(tasks))), index: list(tasks)})
     kinds = (("task_index", "task_index", "int64", "int64"), (None, index, "unicode", "object"))
@@ -310,18 +311,18 @@ def episode_pictures(
     size: tuple[int, int] = (320, 240),
     threads: int = 0,
 ) -> Iterator[np.ndarray]:
-    """A picture of each state of an episode of ``hand`` and ``obj``.
+    """Yield an image of each state of an episode of ``hand`` and ``obj``.
 
     Args:
-        camera: from where.
+        camera: name of the camera.
         size: width and height [pixels].
-        threads: 0 means all CPUs; pictures do not depend on it.
+        threads: 0 for all CPUs; the result does not depend on it.
 
     Yields:
         sRGB, shape [height, width, 3] uint8.
 
     Raises:
-        FungraspError: a state is not finite (the simulation diverged), or there is no such camera.
+        FungraspError: a state is not finite (the simulation diverged), or the camera is unknown.
     """
     wrist, joints, object_poses = episode.palm_pose, episode.joint_positions, episode.object_pose
     model, _ = robot_grasp_scene(hand, wrist[0], joints[0], obj, object_poses[0])

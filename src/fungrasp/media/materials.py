@@ -1,4 +1,4 @@
-"""What built-in objects look like: a material for each of their parts."""
+"""Materials for the parts of built-in objects."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from fungrasp.objects import MIRRORED, ObjectModel
 
 
 class Material(NamedTuple):
-    """How a surface looks."""
+    """Appearance of a surface."""
 
     color: tuple[float, float, float]
     """sRGB."""
     specular: float = 0.3
     """Strength of the highlight, 0 to 1."""
     shininess: float = 0.3
-    """Its sharpness, 0 to 1, as MuJoCo has it."""
+    """Sharpness of the highlight, 0 to 1, as in MuJoCo."""
 
 
 PLAIN = Material((0.36, 0.55, 0.72))
-"""Of objects that nothing is known about."""
+"""Material of objects without known materials."""
 
 STEEL = Material((0.70, 0.72, 0.75), 0.9, 0.7)
 IRON = Material((0.30, 0.31, 0.33), 0.6, 0.5)
@@ -68,7 +68,7 @@ LOOKS: dict[str, dict[str, Material]] = {
 
 
 def painted_parts(model: ObjectModel) -> list[tuple[Material, np.ndarray]]:
-    """Materials of an object, and which of its faces have each, shape [F] bool."""
+    """Return the materials of an object with the mask of faces of each, shape [F] bool."""
     looks = LOOKS.get(model.name.removesuffix(MIRRORED), {}) if model.parts else {}
     rest = np.ones(len(model.faces), dtype=bool)
     masks: dict[Material, np.ndarray] = {}

@@ -15,15 +15,15 @@ from fungrasp.core.files import atomic_path
 from fungrasp.evaluation.trajectory import Trajectory
 
 TOPIC = "/state"
-"""Of the messages of an MCAP file; each is one state."""
+"""Topic of messages in an MCAP file; each message is one state."""
 
 
 def write_mcap_episodes(episodes: Sequence[Trajectory], folder: str | Path) -> list[Path]:
-    """Write one MCAP file per episode: one message per state; data of the whole episode is metadata.
+    """Write one MCAP file per episode, with one message per state and the episode's data as metadata.
     ``read_mcap_episode`` reads it.
 
     Args:
-        folder: is made; files are called ``<row>_<object>.mcap``.
+        folder: folder for the files ``<row>_<object>.mcap``; it is created.
 
     Raises:
         FungraspError: mcap is not installed, or a file can't be written.
@@ -56,10 +56,10 @@ def write_mcap_episodes(episodes: Sequence[Trajectory], folder: str | Path) -> l
 
 
 def read_mcap_episode(path: str | Path) -> Trajectory:
-    """An episode that ``write_mcap_episodes`` has written.
+    """Read an episode written by ``write_mcap_episodes``.
 
     Raises:
-        FungraspError: mcap is not installed, or it is no such file.
+        FungraspError: mcap is not installed, or the file is not an exported episode.
     """
     try:
         from mcap.exceptions import McapError
@@ -86,14 +86,14 @@ def read_mcap_episode(path: str | Path) -> Trajectory:
 
 
 def _whole(episode: Trajectory) -> dict[str, Any]:
-    """What belongs to all of an episode."""
+    """Return the data of the whole episode."""
     names = ("hand", "object_name", "object_mass", "index", "success", "reason", "differs")
     whole = {name: getattr(episode, name) for name in names}
     return whole | {"wrist_reference": np.asarray(episode.wrist_reference, dtype=float).tolist()}
 
 
 def _states(episode: Trajectory) -> list[dict[str, Any]]:
-    """What belongs to each state."""
+    """Return the data of each state."""
     names = ["times", "qpos", "object_pose", "palm_pose", "joint_positions", "link_contacts", "phase"]
     names += [] if episode.controls is None else ["controls"]
     columns = {name: np.asarray(getattr(episode, name)).tolist() for name in names}

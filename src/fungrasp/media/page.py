@@ -1,5 +1,5 @@
-"""Self-contained HTML pages: what they are made of, and the one about grasps, with pictures, contacts,
-numbers, films and where it all came from.
+"""Self-contained HTML pages: elements, and the page about grasps with pictures, contacts, numbers, videos and
+provenance.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PHOTOGRAPH_QUALITY = 90
 """JPEG quality of photographs, 0 to 100."""
 
 VERDICTS = {None: "", True: '<em class="good">good</em>', False: '<em class="bad">poor</em>'}
-"""HTML that says whether a number keeps to its limits; None for a number without any."""
+"""HTML of the verdict on a number; None for a number without limits."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Quantity:
     name: str
     """Name of the quantity, such as "Penetration of the object"."""
     value: float | str
-    """A number, or words."""
+    """A number or text."""
     unit: str = ""
     """Unit of the value, such as "mm"."""
     meaning: str = ""
-    """What it measures, in a sentence."""
+    """Meaning in a sentence."""
     limit: float | None = None
     """Largest good value; None for no limit."""
     least: float | None = None
@@ -43,7 +43,7 @@ class Quantity:
 
     @property
     def good(self) -> bool | None:
-        """Whether the number keeps to ``limit`` and ``least``; None if it is none, or has neither."""
+        """Whether the number is within ``limit`` and ``least``; None for text, NaN or no limits."""
         if isinstance(self.value, str) or not np.isfinite(self.value):
             return None
         if self.limit is None and self.least is None:
@@ -54,7 +54,7 @@ class Quantity:
 
 
 def document(title: str, parts: Sequence[str]) -> str:
-    """HTML text of a page that needs no other file. parts: HTML; empty ones are left out."""
+    """Return the HTML text of a self-contained page. parts: HTML; empty parts are omitted."""
     style = files("fungrasp.media").joinpath("page.css").read_text(encoding="utf-8")
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -67,16 +67,16 @@ def document(title: str, parts: Sequence[str]) -> str:
 
 
 def badge(kind: str, words: str) -> str:
-    """A few words in a colored pill. kind: "good" or "bad"."""
+    """Return a colored label. kind: "good" or "bad"."""
     return f'<span class="badge {kind}">{escape(words)}</span>'
 
 
 def figure(picture: np.ndarray | None, caption: str, *, photograph: bool = False) -> str:
-    """A picture with words below it; nothing if there is none.
+    """Return a figure with a caption; "" without a picture.
 
     Args:
         picture: sRGB, shape [H, W, 3] uint8.
-        photograph: it is noisy, and is kept as JPEG.
+        photograph: whether to store a JPEG instead of a PNG.
 
     Raises:
         FungraspError: the picture has the wrong shape.
@@ -91,7 +91,7 @@ def figure(picture: np.ndarray | None, caption: str, *, photograph: bool = False
 
 
 def quality_card(quality: Sequence[Quantity], title: str = "Quality") -> str:
-    """A table of figures: what each means, and whether it is good where a limit says so."""
+    """Return a table of numbers with their meanings and, for those with limits, verdicts."""
     if not quality:
         return ""
     rows = []
@@ -113,12 +113,12 @@ def quality_card(quality: Sequence[Quantity], title: str = "Quality") -> str:
 
 
 def text_card(title: str, text: str) -> str:
-    """Lines of text as they are, in columns."""
+    """Return a card with preformatted text."""
     return f'<section class="card"><h3>{escape(title)}</h3><pre>{escape(text)}</pre></section>'
 
 
 def provenance_footer(provenance: Mapping[str, str]) -> str:
-    """Where it all came from, in the order given."""
+    """Return a footer with the provenance, in the order given."""
     if not provenance:
         return ""
     rows = "".join(
@@ -128,7 +128,7 @@ def provenance_footer(provenance: Mapping[str, str]) -> str:
 
 
 def number(value: float | str | None) -> str:
-    """Three digits of a number; words as they are."""
+    """Return a number with three significant digits; text is unchanged."""
     if value is None or isinstance(value, str):
         return value or ""
     if not np.isfinite(value):
@@ -156,7 +156,7 @@ def _encoded(picture: np.ndarray, photograph: bool) -> str:
 
 @dataclass(frozen=True)
 class Contact:
-    """Whether a link of the robot's hand should touch the object, and does."""
+    """Target and actual contact of a link of the robot hand."""
 
     link: str
     """Name of the link."""
@@ -177,32 +177,32 @@ class GraspReport:
     success: bool | None = None
     """Whether the object was lifted and held; None if it was not tried."""
     as_shown: bool | None = None
-    """Whether it was held as shown; None if it was not tried, or the person's places are not known."""
+    """Whether it was held as shown; None if it was not tried or the human contact points are unknown."""
     outcome: str = ""
-    """What happened, in a sentence."""
+    """Outcome in a sentence."""
     human_picture: np.ndarray | None = None
     """Picture of the human grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     robot_picture: np.ndarray | None = None
     """Picture of the robot grasp, sRGB, shape [H, W, 3] uint8; None if there is none."""
     film: Path | None = None
-    """Film of the episode, an mp4 file."""
+    """Video of the episode, an mp4 file."""
     use_success: bool | None = None
-    """Whether the use test that followed was passed; None if there was none."""
+    """Whether the use test was passed; None if there was none."""
     use_outcome: str = ""
-    """What happened in it, in a sentence."""
+    """Outcome of the use test in a sentence."""
     use_film: Path | None = None
-    """Film of it, as ``film``."""
+    """Video of the use test, an mp4 file."""
     contacts: Sequence[Contact] = ()
-    """Links that should touch, and whether they did."""
+    """Links that should touch or did."""
     quality: Sequence[Quantity] = ()
     """Numbers for the quality of the grasp."""
     before: Sequence[str] = ()
-    """HTML that comes before it: about the image that shows the grasp."""
+    """HTML before the report, about the image that shows the grasp."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """All that a page says."""
+    """Content of a page."""
 
     title: str
     """Title of the page."""
@@ -211,20 +211,20 @@ class Page:
     hand: str = ""
     """Title of the robot's hand."""
     introduction: str = ""
-    """A sentence or two under the title."""
+    """Introduction under the title."""
     provenance: Mapping[str, str] = field(default_factory=dict)
-    """Where it came from: version, seed, command, machine, date ..., in the order given."""
+    """Provenance: version, seed, command, machine, date, ..., in the order given."""
 
 
 def write_page(path: str | Path, page: Page, opening: Sequence[str] = ()) -> Path:
-    """Write a page that needs no other file and no network.
+    """Write a self-contained page.
 
     Args:
-        opening: HTML of what comes before the grasps.
+        opening: HTML before the grasps.
 
     Raises:
-        FungraspError: a film can't be read or is of an unknown kind, a picture has the wrong shape, or the
-            page can't be written.
+        FungraspError: a video can't be read or is not an mp4 file, a picture has the wrong shape, or the page
+            can't be written.
     """
     path = Path(path)
     text = page_html(page, opening)
@@ -234,7 +234,7 @@ def write_page(path: str | Path, page: Page, opening: Sequence[str] = ()) -> Pat
 
 
 def page_html(page: Page, opening: Sequence[str] = ()) -> str:
-    """The page's HTML text. Raises FungraspError as ``write_page``."""
+    """Return the page's HTML text. Raises FungraspError as ``write_page``."""
     several = len(page.grasps) > 1
     parts = [_header(page), *opening, *(_contents(page.grasps) if several else [])]
     parts += [_grasp(grasp, f"grasp-{i + 1}", first=i == 0) for i, grasp in enumerate(page.grasps)]

@@ -1,6 +1,4 @@
-"""One self-contained HTML page about a grasp perceived in an image: what was seen, how good it is, what is
-uncertain.
-"""
+"""Self-contained HTML page about a grasp perceived in an image: overlays, quality, uncertainty."""
 
 from __future__ import annotations
 
@@ -31,21 +29,21 @@ SIDES = ("From the camera's side", "From the right of that", "From behind", "Fro
 """Captions of the four pictures of the grasp."""
 
 SAME = 0.002
-"""Poses whose surfaces are nearer than this on average (ADD-S [m]) look the same."""
+"""ADD-S distance below which poses look the same [m]."""
 
 POINTS = 1500
-"""Points of the object's surface by which poses are compared."""
+"""Number of surface points for comparing poses."""
 
 PICTURED = 2
-"""Alternatives that get a picture."""
+"""Maximum number of alternative poses with a picture."""
 
 
 def write_perception_page(path: str | Path, perceived: Perceived, provenance: Mapping[str, str]) -> Path:
-    """Write a page that needs no other file and no network.
+    """Write a self-contained page.
 
     Args:
-        perceived: what was made of an image.
-        provenance: where it came from: version, command, machine, ..., in the order given.
+        perceived: result of ``perceive``.
+        provenance: version, command, machine, ..., in the order given.
 
     Raises:
         FungraspError: the page can't be written.
@@ -72,9 +70,9 @@ def side_words(perceived: Perceived) -> str:
 
 
 def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> list[str]:
-    """HTML: the verdict, what was seen, the grasp in 3D, the figures, what is uncertain.
+    """Return the HTML sections: verdict, image, 3D views, numbers, uncertainty.
 
-    truth: errors, where the truth about the image is known.
+    truth: errors, if the ground truth is known.
     """
     capture, model = perceived.capture, perceived.object_model
     return [
@@ -87,7 +85,7 @@ def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> li
 
 
 def true_errors(truth: BuiltinTruth, perceived: Perceived) -> list[Quantity]:
-    """How far what was perceived is from the truth."""
+    """Return the errors of a perceived grasp."""
     joints = 1e3 * np.linalg.norm(perceived.hand.joints_camera - truth.joints_camera, axis=1)
     pose = perceived.object.pose_camera_object
     points = object_template(perceived.object_model).surface.samples
@@ -190,7 +188,7 @@ def _figures(verdict: Acceptance, truth: Sequence[Quantity]) -> str:
 
 
 def _uncertain(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
-    """Joints that are not trusted, and the object's other poses."""
+    """Return the HTML section on joint confidence and alternative object poses."""
     confidence = perceived.hand.confidence
     joints = (
         f"{int((confidence >= SURE_JOINT).sum())} of the hand's 21 joints are sure "
@@ -208,7 +206,7 @@ def _sentence(words: str) -> str:
 
 
 def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> str:
-    """HTML: the scores of the object's poses, and pictures of those that are other ones."""
+    """Return HTML with the scores of the object's poses and pictures of different ones."""
     obj = perceived.object
     if not obj.alternatives:
         return '<p class="outcome">No other pose of the object was worth considering.</p>'
@@ -239,18 +237,18 @@ def alternatives(capture: Capture, model: ObjectModel, perceived: Perceived) -> 
 
 
 def _differences(points: np.ndarray, poses: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far the surfaces are apart (ADD-S [m]), and the turn [degrees], shape [P] each."""
+    """Return ADD-S distances [m] and rotation angles [degrees] to another pose, shape [P] each."""
     apart = np.array([float(add_s(points, pose, other)) for pose in poses])
     return apart, np.degrees(rotation_error(poses, other))
 
 
 def _another(apart: np.ndarray, turned: np.ndarray) -> np.ndarray:
-    """Whether poses so different are not the same answer: turned, so that one can see it, or elsewhere."""
+    """Return whether poses with these differences are visibly rotated or displaced."""
     return ((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE)
 
 
 def _rival(scores: np.ndarray, apart: np.ndarray, turned: np.ndarray) -> str:
-    """A word on the best pose that is another one than the first."""
+    """Return a sentence on the best pose that differs from the first."""
     others = np.flatnonzero(_another(apart, turned))
     if not len(others):
         return "Every other pose that fits looks the same as the answer, or nearly so."

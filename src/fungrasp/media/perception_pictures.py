@@ -1,4 +1,4 @@
-"""Pictures of what was perceived in an image: drawn over it, its depth in false color, the grasp in 3D."""
+"""Pictures of a perceived grasp: overlays on the image, false-color depth, 3D views."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ FINGER_COLORS = {
     "pinky": (185, 130, 255),
     "thumb": (255, 80, 120),
 }
-"""sRGB; distinct for color-blind readers as well, and unlike the orange of contacts."""
+"""sRGB; distinguishable for color-blind readers and different from the orange of contacts."""
 
 ACCEPTED_LINE, REJECTED_LINE = (255, 255, 255), (255, 90, 60)
-"""Color of the outline of an object whose pose is accepted, and of one whose pose is not; sRGB."""
+"""Outline colors of objects with an accepted and a rejected pose, sRGB."""
 
 DEPTH_COLORS = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)])
-"""Colors from far to near: dark violet to yellow, brightness rising evenly; sRGB."""
+"""Colors from far to near: dark violet to yellow, with evenly increasing brightness; sRGB."""
 
 NO_DEPTH = np.array((25, 25, 28), np.uint8)
-"""Where the camera measured nothing; sRGB."""
+"""Color of pixels without depth, sRGB."""
 
 SHAPE = (960, 720)
-"""Width and height of the close-up pictures [pixels]."""
+"""Width and height of close-ups [pixels]."""
 
 _MARGIN, _LARGEST = 0.15, 12.0
 _FINE = 2
@@ -45,14 +45,14 @@ _DARK = (20, 22, 26)
 
 
 class CloseUp:
-    """The part of an image that shows the hand and, as far as it is in the image, the object, enlarged; with
-    what was found drawn over it. Pictures are sRGB, shape [720, 960, 3] uint8."""
+    """Enlarged part of an image around the hand and the visible part of the object, with overlays. Pictures
+    are sRGB, shape [720, 960, 3] uint8."""
 
     def __init__(self, capture: Capture, hand: HandEstimate, model: ObjectModel, pose: np.ndarray):
         """
         Args:
             hand: camera frame.
-            pose: of the object in the camera frame, shape [7].
+            pose: object pose, camera frame, shape [7].
         """
         self._capture, self._hand, self._model, self._pose = capture, hand, model, pose
         lens = capture.intrinsics
@@ -68,22 +68,22 @@ class CloseUp:
         middle = 0.5 * (low + high - step * np.array(SHAPE))
         corner = np.where(room > 0, np.clip(middle, 0, np.maximum(room, 0)), 0.5 * room)
         self._corner, self.scale = corner, 1 / step
-        """Left upper corner [pixels of the image]; pixels of the picture per pixel of the image."""
+        """Upper left corner [pixels of the image]; pixels of the picture per pixel of the image."""
 
     def place(self, pixels: np.ndarray) -> np.ndarray:
-        """Pixels of the image, shape [..., 2], in the picture's coordinates."""
+        """Convert pixels of the image to pixels of the picture, shape [..., 2]."""
         return (np.asarray(pixels, dtype=float) - self._corner) * self.scale
 
     def directions(self, lens: Intrinsics, columns: slice, rows: slice) -> np.ndarray:
-        """Directions with z = 1, camera frame, through the picture's pixels, shape [rows, columns, 3]."""
+        """Return directions with z = 1 through the picture's pixels, camera frame, [rows, columns, 3]."""
         across, down = np.meshgrid(np.arange(SHAPE[0])[columns], np.arange(SHAPE[1])[rows])
         pixels = np.stack([across, down], axis=-1) / self.scale + self._corner
         return lens.deproject(pixels, np.ones(pixels.shape[:2]))
 
     def cut(self, image: Image.Image) -> np.ndarray:
-        """The part of an image, enlarged: smoothly, but for numbers (mode "F")."""
+        """Crop and enlarge an image; images of numbers (mode "F") are not interpolated."""
         how = Image.Resampling.NEAREST if image.mode == "F" else Image.Resampling.BICUBIC
-        # Pillow's coordinates are those of pixels' corners, ours those of their centers.
+        # Pillow's coordinates refer to pixel corners, ours to pixel centers.
         step = 1 / self.scale
         left, top = (float(edge + 0.5 - 0.5 * step) for edge in self._corner)
         return np.array(
@@ -91,20 +91,20 @@ class CloseUp:
         )
 
     def found(self, accepted: bool) -> np.ndarray:
-        """The hand's skeleton and the object's outline.
+        """Draw the hand's skeleton and the object's outline.
 
-        Each finger has its color. The disc round a joint says how far off it may be (one standard deviation);
-        joints that are not trusted are hollow. accepted: whether the object's pose is.
+        Each finger has a color. The disc around a joint is its standard deviation; joints with low confidence
+        are hollow. accepted: whether the object's pose is accepted.
         """
         picture = self._outlined(self._color(), self._pose, ACCEPTED_LINE if accepted else REJECTED_LINE)
         return _with_skeleton(picture, self, self._capture.intrinsics, self._hand)
 
     def another_pose(self, pose: np.ndarray) -> np.ndarray:
-        """The outline of the object in another pose. pose: camera frame, shape [7]."""
+        """Draw the outline of the object in another pose. pose: camera frame, shape [7]."""
         return self._outlined(self._color(), pose, REJECTED_LINE)
 
     def depth(self, accepted: bool) -> np.ndarray:
-        """The depth, near is yellow, far violet, not measured black; and the object's outline."""
+        """Draw the depth (yellow near, violet far, black not measured) and the object's outline."""
         depth = self.cut(Image.fromarray(self._capture.depth))
         vertices = transform_points(self._pose, self._model.vertices)
         shown = np.concatenate([self._hand.joints_camera, vertices])[:, 2]
@@ -115,7 +115,7 @@ class CloseUp:
         return _with_scale(picture, near, far)
 
     def whole_image(self, width: int = 960) -> np.ndarray:
-        """The color image, smaller if it is wide, with a frame round the part that is enlarged."""
+        """Return the color image, at most ``width`` wide, with a frame around the enlarged part."""
         image = Image.fromarray(self._capture.color)
         share = min(1.0, width / image.width)
         if share < 1:
@@ -131,7 +131,7 @@ class CloseUp:
         return self.cut(Image.fromarray(self._capture.color))
 
     def _outlined(self, picture: np.ndarray, pose: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-        """The picture with the outline of the mesh, on a darker line that shows it on every ground."""
+        """Draw the outline of the mesh, on a darker line for contrast."""
         lens, model = self._capture.intrinsics, self._model
         corners = self.place(lens.project(transform_points(pose, model.vertices)))
         if not np.isfinite(corners).all():
@@ -159,16 +159,17 @@ class CloseUp:
 def grasp_from_four_sides(
     grasp: HumanGrasp, model: ObjectModel, pose_world_camera: np.ndarray, mirrored: bool
 ) -> list[np.ndarray]:
-    """The grasp in 3D, links in contact orange: first from the camera's side, then each a quarter turn on.
+    """Render the grasp with links in contact in orange, from the camera's side and turned by 90, 180 and 270
+    degrees.
 
     Args:
-        grasp: world frame, a right hand.
-        model: the object, as it was seen.
+        grasp: grasp of a right hand, world frame.
+        model: the object in the image.
         pose_world_camera: shape [7].
-        mirrored: whether the grasp is the reflection of what was seen, in the plane y = 0.
+        mirrored: whether the grasp is the reflection of the image in the plane y = 0.
 
     Returns:
-        Four pictures, sRGB, shape [360, 480, 3] uint8; none if the joints are no hand that can be drawn.
+        four pictures, sRGB, shape [360, 480, 3] uint8; none if the joints can't be drawn as a hand.
     """
     towards = -rotate(pose_world_camera[3:], np.array([0.0, 0.0, 1.0]))
     if mirrored:
@@ -181,7 +182,7 @@ def grasp_from_four_sides(
 
 
 def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: HandEstimate) -> np.ndarray:
-    """Drawn larger and made smaller, for smooth lines; what is farther away is drawn first."""
+    """Draw the skeleton at a higher resolution for smooth lines, farther parts first."""
     joints = hand.joints_camera
     places = _FINE * view.place(lens.project(joints))
     spread = np.sqrt(np.trace(hand.covariance, axis1=1, axis2=2) / 3)
@@ -213,14 +214,14 @@ def _with_skeleton(picture: np.ndarray, view: CloseUp, lens: Intrinsics, hand: H
 
 
 def _false_colors(level: np.ndarray) -> np.ndarray:
-    """sRGB, shape [..., 3] uint8. level: place among ``DEPTH_COLORS``, shape [...]."""
+    """Return sRGB colors, shape [..., 3] uint8. level: fractional index into ``DEPTH_COLORS``, [...]."""
     steps = np.arange(len(DEPTH_COLORS))
     colors = np.stack([np.interp(level, steps, channel) for channel in DEPTH_COLORS.T], axis=-1)
     return colors.round().astype(np.uint8)
 
 
 def _with_scale(picture: np.ndarray, near: float, far: float) -> np.ndarray:
-    """The picture with a bar of the colors and the depths at its ends."""
+    """Draw a color bar with the depths at its ends."""
     image = Image.fromarray(picture)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(22)
     width, height = image.size

@@ -1,4 +1,4 @@
-"""Contact sheets, words on pictures, a thing from four sides, some of a set's grasps."""
+"""Contact sheets, captions, pictures from four sides, pictures of grasps."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def grid(
     gap: int = 10,
     size: int = 15,
 ) -> np.ndarray:
-    """A contact sheet: pictures in rows, a caption under each.
+    """Arrange pictures in rows, with a caption under each.
 
     Args:
         images: sRGB, each of shape [H, W, 3] uint8, all of one size.
-        labels: one per image, or none; what is too long for its picture is shortened.
+        labels: one per image, or none; long labels are shortened.
         gap: space between pictures [pixels].
-        size: of the letters [pixels].
+        size: font size [pixels].
 
     Returns:
         sRGB, shape [H', W', 3] uint8.
@@ -71,11 +71,12 @@ def grid(
 
 
 def captioned(image: np.ndarray, left: str, right: str = "") -> np.ndarray:
-    """A picture with a bar of words along its lower edge.
+    """Add a caption bar at the lower edge of a picture.
 
     Args:
         image: sRGB, shape [H, W, 3] uint8.
-        left: words at the left end of the bar.
+        left: text at the left end of the bar.
+        right: text at the right end.
 
     Returns:
         a new picture of the same shape.
@@ -97,11 +98,11 @@ def captioned(image: np.ndarray, left: str, right: str = "") -> np.ndarray:
 
 
 def four_views(model: mujoco.MjModel, azimuth: float = -60.0) -> list[np.ndarray]:
-    """A model's reference from four sides, a quarter turn apart, alternately from low and from high, for
-    ``grid``: sRGB, shape [360, 480, 3] uint8 each.
+    """Render a model's reference state from four sides, alternately from low and high, for ``grid``: sRGB,
+    shape [360, 480, 3] uint8 each.
 
     Args:
-        azimuth: of the first view [degrees].
+        azimuth: azimuth of the first view [degrees].
     """
     renderer, size = Renderer(model), {"width": 480, "height": 360}
     cameras = [
@@ -117,24 +118,24 @@ PART_COLORS = {
     "red": (0.75, 0.35, 0.42),
     "violet": (0.58, 0.50, 0.70),
 }
-"""Colors of an object's parts in pictures, sRGB, in the order of the parts."""
+"""Colors of an object's parts, sRGB, in the order of the parts."""
 
 
 def check_picture(path: Path) -> None:
-    """Complain about a file that is none of a picture.
+    """Check the suffix of a picture file.
 
     Raises:
-        FungraspError: its name ends otherwise.
+        FungraspError: the file is not .png or .jpg.
     """
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
 
 
 def draw_object(path: Path, obj: ObjectModel, by_piece: bool = False) -> None:
-    """Draw an object at rest on the table from four sides, each part or convex piece in a color of its own.
+    """Draw an object at rest on the table from four sides, with a color for each part or convex piece.
 
     Raises:
-        FungraspError: the file is none of a picture, or it can't be written.
+        FungraspError: the suffix is wrong, or the file can't be written.
     """
     if by_piece:
         shapes = [(piece.vertices, piece.faces) for piece in obj.pieces]
@@ -164,7 +165,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
     """Draw a hand above the table, fingers up, from four sides.
 
     Raises:
-        FungraspError: the file is none of a picture, or it can't be written.
+        FungraspError: the suffix is wrong, or the file can't be written.
     """
     pose = mounting_pose(hand)
     spec = mujoco.MjSpec()
@@ -208,13 +209,13 @@ def draw_grasps(
     captions: Sequence[str] | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> None:
-    """Draw grasps spread over the set, of different objects where there are as many.
+    """Draw up to ``DRAWN_GRASPS`` grasps, of different objects first.
 
     Args:
         robot: N grasps.
-        human: what they were retargeted from, drawn to their left.
+        human: the human grasps that they were retargeted from, drawn to their left.
         captions: text for each grasp after the name of its object; the name of the hand if None.
-        progress: called with the share that is drawn, up to 1.
+        progress: called with the share that is done, up to 1.
     """
     rows = spread_rows(robot.object_name)
     images, labels = [], []
@@ -231,7 +232,7 @@ def draw_grasps(
 
 
 def spread_rows(object_name: np.ndarray, most: int = DRAWN_GRASPS) -> list[int]:
-    """Rows spread over a set, of different objects where there are as many. object_name: shape [N] str."""
+    """Return rows of a set: the first grasp of each object, then others. object_name: shape [N] str."""
     _, first = np.unique(object_name, return_index=True)
     others = np.setdiff1d(np.arange(len(object_name)), first)
     return [int(row) for row in np.concatenate([first, others])[:most]]
@@ -245,12 +246,13 @@ def grasp_pictures(
     human: HumanGraspSet | None = None,
     marks: PlaceMarks | None = None,
 ) -> list[np.ndarray]:
-    """Pictures of one grasp, seen from the same side; links that should touch are orange.
+    """Render one grasp with links that should touch in orange.
 
     Args:
         size: width and height [pixels].
-        human: what robot grasps were retargeted from, which adds a picture before the robot's.
-        marks: of the robot's places.
+        human: the human grasps that robot grasps were retargeted from; adds a picture before the robot's,
+            from the same side.
+        marks: contact points to draw on the robot's picture.
 
     Returns:
         sRGB, shape [height, width, 3] uint8 each.
@@ -271,17 +273,17 @@ def grasp_pictures(
 
 
 AS_SHOWN, NOT_SHOWN, HALO = (20, 150, 70), (205, 20, 45), (255, 255, 255)
-"""Colors of the marks of places that are as shown and that are not, and around them, sRGB."""
+"""Colors of marks that are as shown, that are not, and of their border, sRGB."""
 
 MARKS_MEAN = "Ring: where the person touched. Dot: where the robot does. Green as shown, red not."
-"""What the marks of a picture mean."""
+"""Legend of the marks."""
 
 
 def draw_place_marks(
     picture: np.ndarray, camera: Camera, object_pose: np.ndarray, marks: PlaceMarks
 ) -> np.ndarray:
-    """A picture with a ring at each place of the person and a line from there to a dot at the robot's. They
-    lie over the hand, which hides the surface that it touches, and are small for it.
+    """Draw a ring at each human contact point and a line to a dot at the robot's. The marks are drawn over
+    the hand, which hides the touched surface.
 
     Args:
         picture: sRGB, shape [H, W, 3] uint8.

@@ -1,4 +1,4 @@
-"""A rehearsed plan, looked at: a picture of its postures and the palm's way."""
+"""Picture of a rehearsed plan: its postures and the palm's path."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from fungrasp.objects import ObjectModel
 from fungrasp.robots.cell import RobotCell
 
 WIDTH, HEIGHT = 480, 360
-"""Of each posture [pixels]."""
+"""Size of the picture of each posture [pixels]."""
 
 OBSTACLE = (0.80, 0.42, 0.32, 1.0)
-"""Color, sRGB and opacity."""
+"""Color of obstacles, sRGB and opacity."""
 
 WAY = {
     Phase.MOVE_TO_START: (0.20, 0.40, 0.80, 1.0),
@@ -34,13 +34,13 @@ WAY = {
     Phase.PUT_DOWN: (0.55, 0.30, 0.60, 1.0),
     Phase.HOME: (0.35, 0.65, 0.75, 1.0),
 }
-"""Colors of the palm's way by phase."""
+"""Colors of the palm's path by phase."""
 
 BEAD, SPACING = 0.006, 0.02
-"""Radius of the beads of that way, and their distance from one another [m]."""
+"""Radius and minimum spacing of the spheres that mark the path [m]."""
 
 NEAR = 0.9
-"""Distance of a camera that looks at the grasp alone [m]."""
+"""Camera distance of the close-ups of the grasp [m]."""
 
 VIEWS = ((-50.0, 25.0), (40.0, 25.0))
 """Azimuth and elevation of the cameras [degrees]."""
@@ -52,8 +52,8 @@ def write_plan_picture(
     """Write a picture of a rehearsed plan.
 
     Args:
-        path: of the picture, a PNG file.
-        threads: of the renderer; 0 means all processors.
+        path: PNG file.
+        threads: threads of the renderer; 0 for all processors.
 
     Raises:
         FungraspError: the file can't be written.
@@ -84,7 +84,7 @@ def write_plan_picture(
 
 
 def _model(cell: RobotCell, hand: Hand, obj: ObjectModel, motion: Motion | None) -> mujoco.MjModel:
-    """Arm, hand, object and obstacles, to be drawn only. motion: whose palm's way is drawn; none if None."""
+    """Return a visual model of arm, hand, object and obstacles. motion: motion whose palm path is drawn."""
     spec = mount(hand, cell.arm.model, cell.mount, dressed_spec(hand))
     base = spec.worldbody.first_body()
     base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
@@ -103,7 +103,7 @@ def _model(cell: RobotCell, hand: Hand, obj: ObjectModel, motion: Motion | None)
 
 
 def _states(model: mujoco.MjModel, cell: RobotCell, hand: Hand, motion: Motion) -> np.ndarray:
-    """The qpos of each setpoint, shape [T, nq]."""
+    """Return the qpos of each setpoint, shape [T, nq]."""
     names = [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
     states = np.tile(model.qpos0, (len(motion.times), 1))
     states[:, [int(model.joint(name).qposadr[0]) for name in names]] = motion.arm

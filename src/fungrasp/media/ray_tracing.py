@@ -1,8 +1,7 @@
-"""Ray tracing of surfaces: what a camera sees, lit by one lamp and the sky, anti-aliased.
+"""Ray tracing of surfaces lit by one lamp and the sky, with anti-aliasing.
 
-The steps of an image: rays through the pixels' centers; the table top in closed form; from what is met a
-ray to the lamp, for its shadow, and one along the normal, which tells how much of the sky is hidden; shading;
-more rays through the pixels on edges.
+Steps of an image: rays through the pixel centers; the table top in closed form; from each hit, a ray to the
+lamp for shadows and a ray along the normal for ambient occlusion; shading; more rays through pixels on edges.
 """
 
 from __future__ import annotations
@@ -18,28 +17,28 @@ from fungrasp.geometry.ray_casting import RayCaster
 from fungrasp.media.surfaces import Color, SurfaceMesh, linear
 
 NOTHING, TABLE = -1, -2
-"""Values of a segmentation where no surface is seen."""
+"""Segmentation values of the backdrop and the table."""
 
 SHADOW_REACH = 1.2
-"""What is farther towards the lamp throws no shadow [m]: the walls of a room have none."""
+"""Maximum distance of surfaces that cast shadows [m]; it excludes the walls of a room."""
 
 SKY_REACH = 0.08
-"""What is farther along a normal hides nothing of the sky [m]."""
+"""Maximum distance of surfaces that occlude the sky [m]."""
 
 DARKEST = 0.35
-"""Part of the light of the sky that reaches the narrowest corner."""
+"""Share of sky light at full occlusion."""
 
 KNEE = 0.65
-"""Light above this is compressed so that what is brighter than the display keeps its hue."""
+"""Light above this is compressed, so that bright colors keep their hue."""
 
 TILE = 8
-"""Side of the squares of pixels of which all rays are cast or none."""
+"""Side of the tiles of pixels for which rays are cast or skipped together."""
 
 LIFT = 3e-4
-"""By which rays begin above a surface [m]."""
+"""Offset of secondary rays from their surface [m]."""
 
 TIE = 1e-4
-"""By which a surface must be nearer than the table to be seen [m]."""
+"""Distance by which a surface must be nearer than the table to be visible [m]."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,9 @@ class Look:
     """Light, table top and backdrop."""
 
     backdrop_top: Color = (0.78, 0.83, 0.88)
-    """Color overhead."""
+    """Color of the backdrop overhead."""
     backdrop_horizon: Color = (0.955, 0.96, 0.965)
-    """Color at the horizon, into which the table top fades."""
+    """Color at the horizon, to which the table top fades."""
     table: Color = (0.800, 0.812, 0.824)
     """Color of the light squares."""
     table_dark: Color = (0.752, 0.766, 0.780)
@@ -57,13 +56,13 @@ class Look:
     square: float = 0.05
     """Side of a square of the table top [m]."""
     fade: tuple[float, float] = (0.45, 1.7)
-    """Distance from the first camera's target where the table top begins to fade, and is gone [m]."""
+    """Distances from the first camera's target at which the table top begins to fade and disappears [m]."""
     light: tuple[float, float, float] | None = None
-    """Direction towards the lamp, world frame; None puts it above and to the left of the first camera."""
+    """Direction toward the lamp, world frame; above and to the left of the first camera if None."""
     key: float = 2.2
     """Strength of the lamp."""
     fill: float = 0.95
-    """Strength of the light from all of the sky."""
+    """Strength of the sky light."""
 
     def __post_init__(self) -> None:
         for name in ("backdrop_top", "backdrop_horizon", "table", "table_dark"):
@@ -76,14 +75,14 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class PixelRays:
-    """What the ray tracer needs to know of a camera."""
+    """Camera parameters for the ray tracer."""
 
     width: int
     """Image width [pixels]."""
     height: int
     """Image height [pixels]."""
     eye: np.ndarray
-    """Where the rays begin [m], world frame, shape [3]."""
+    """Origin of the rays [m], world frame, shape [3]."""
     focal: float
     """Focal length [pixels]."""
     directions: Callable[[np.ndarray], np.ndarray]
@@ -92,15 +91,15 @@ class PixelRays:
 
     @cached_property
     def grid(self) -> np.ndarray:
-        """Unit view directions of the pixels, row by row, world frame, shape [H * W, 3] float32."""
+        """Unit view directions of the pixels in row-major order, world frame, shape [H * W, 3] float32."""
         return self.through(np.arange(self.height * self.width), np.zeros((1, 2)))
 
     def through(self, pixels: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Unit view directions, world frame, shape [P * K, 3] float32.
+        """Return unit view directions, world frame, shape [P * K, 3] float32.
 
         Args:
-            pixels: numbered row by row, shape [P].
-            steps: (u, v) from their centers, shape [K, 2].
+            pixels: row-major pixel indices, shape [P].
+            steps: offsets (u, v) from pixel centers, shape [K, 2].
         """
         centers = np.stack([pixels % self.width, pixels // self.width], axis=-1)
         points = (centers[:, None] + steps).reshape(-1, 2).astype(np.float32)
@@ -109,33 +108,34 @@ class PixelRays:
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints:
-    """Where the rays of a camera end; P rays."""
+    """Hits of P camera rays."""
 
     distance: np.ndarray
     """Distance from the eye [m], infinite for the backdrop, shape [P]."""
     surface: np.ndarray
     """Index of the surface, ``NOTHING`` or ``TABLE``, shape [P]."""
     normal: np.ndarray
-    """Unit smooth normals, shape [P, 3] float32."""
+    """Unit shading normals, shape [P, 3] float32."""
     albedo: np.ndarray
     """Linear colors, shape [P, 3] float32."""
     direction: np.ndarray
     """Unit view directions, shape [P, 3] float32."""
 
     def at(self, rows: np.ndarray) -> SeenPoints:
-        """Some of them."""
+        """Return some of the hits."""
         arrays = (self.distance, self.surface, self.normal, self.albedo, self.direction)
         return SeenPoints(*(array[rows] for array in arrays))
 
 
 class RayTracer:
-    """Surfaces in the world, and the light on them."""
+    """Ray tracer for surfaces in the world frame."""
 
     def __init__(self, surfaces: Sequence[SurfaceMesh], look: Look, table_center: np.ndarray | None = None):
         """
         Args:
             look: light, table top and backdrop; its ``light`` must be given.
-            table_center: where the endless table top does not fade, (x, y) [m]; None for no table top.
+            table_center: center of the infinite table top, around which it does not fade, (x, y) [m]; no
+                table top if None.
         """
         self._surfaces, self._look = surfaces, look
         self._center = None if table_center is None else (float(table_center[0]), float(table_center[1]))
@@ -152,21 +152,21 @@ class RayTracer:
         self._gloss = np.array([(s.specular, s.shininess) for s in surfaces], np.float32).reshape(-1, 2)
 
     def see(self, rays: PixelRays, *, shaded: bool = True) -> SeenPoints:
-        """What is at the pixels' centers, row by row.
+        """Return the hits at the pixel centers, in row-major order.
 
         Args:
-            shaded: False leaves normals and colors of surfaces zero.
+            shaded: whether to compute normals and colors of surfaces; otherwise they are zero.
         """
         return self._meet(_empty(rays, self._center), rays.eye, self._aimed(rays), shaded)
 
     def picture(
         self, rays: PixelRays, points: SeenPoints, *, shadows: bool = True, antialias: int = 2
     ) -> np.ndarray:
-        """Linear light of the pixels, shape [H, W, 3] float32.
+        """Return the linear light of the pixels, shape [H, W, 3] float32.
 
         Args:
-            points: what ``see`` found for the same rays.
-            shadows: whether surfaces shade one another.
+            points: result of ``see`` for the same rays.
+            shadows: whether to cast shadows.
             antialias: n for n x n rays through the pixels on edges; 1 for none.
         """
         shape = (rays.height, rays.width)
@@ -185,7 +185,7 @@ class RayTracer:
         return picture.reshape(*shape, 3)
 
     def _aimed(self, rays: PixelRays) -> np.ndarray:
-        """Pixels whose rays may meet a surface: those of squares near which a ball about one is seen."""
+        """Return pixels whose rays may hit a surface: those of tiles that see the bounding sphere of one."""
         shape = (rays.height, rays.width)
         rows, columns = (np.minimum(np.arange(0, n, TILE) + TILE // 2, n - 1) for n in shape)
         middles = rays.grid.reshape(*shape, 3)[np.ix_(rows, columns)]
@@ -199,7 +199,7 @@ class RayTracer:
         return np.flatnonzero(aimed)
 
     def _meet(self, empty: SeenPoints, eye: np.ndarray, rays: np.ndarray, shaded: bool) -> SeenPoints:
-        """Where rays end that without surfaces end as ``empty`` says. rays: those that may meet a surface."""
+        """Return hits. empty: hits without surfaces; rays: rays that may hit a surface."""
         points = SeenPoints(
             empty.distance.copy(),
             empty.surface.copy(),
@@ -216,7 +216,7 @@ class RayTracer:
         points.surface[rays], points.distance[rays] = mesh, hits.distance[met]
         if shaded:
             normal = np.einsum("pc,pci->pi", weights, self._normals[self._first[mesh] + triangle])
-            # Of unit length, towards the eye.
+            # Normalize and orient toward the eye.
             size = np.maximum(np.sqrt(_dot(normal, normal)), 1e-9)
             normal *= (np.where(_dot(normal, points.direction[rays]) > 0, -1, 1) / size)[:, None]
             points.normal[rays] = normal
@@ -228,7 +228,7 @@ class RayTracer:
         return points
 
     def _received(self, points: SeenPoints, rays: PixelRays, shadows: bool) -> np.ndarray:
-        """How much of the lamp's and the sky's light reaches the points, shape [P, 2] float32."""
+        """Return the shares of lamp and sky light that reach the points, shape [P, 2] float32."""
         received = np.ones((len(points.surface), 2), np.float32)
         if not shadows or not self._surfaces:
             return received
@@ -245,9 +245,9 @@ class RayTracer:
         return received
 
     def _table_may_be_shaded(self, points: SeenPoints, eye: np.ndarray) -> np.ndarray:
-        """Which points lie on the table in a rectangle outside which nothing can shade it, shape [P] bool."""
+        """Return which points are on the table within the rectangle of possible shadows, shape [P] bool."""
         low, high = self._low.min(axis=0), self._high.max(axis=0)
-        # Straight below, and along the light: the farthest shadow is that of the highest point.
+        # Surfaces shade the table below them and along the light, the farther the higher they are.
         shift = -self._light[:2] / max(float(self._light[2]), 1e-3) * max(float(high[2]), 0.0)
         low, high = low[:2] + np.minimum(shift, 0.0) - TIE, high[:2] + np.maximum(shift, 0.0) + TIE
         shaded = points.surface == TABLE
@@ -257,7 +257,7 @@ class RayTracer:
         return shaded
 
     def _shade(self, points: SeenPoints, received: np.ndarray, rays: PixelRays) -> np.ndarray:
-        """Linear light that leaves the points towards the eye, shape [P, 3] float32."""
+        """Return the linear light from the points to the eye, shape [P, 3] float32."""
         light = _background(points, received, rays, self._center, self._look)
         rows = np.flatnonzero(points.surface >= 0)
         points, received = points.at(rows), received[rows]
@@ -277,7 +277,7 @@ class RayTracer:
 def _without_surfaces(
     directions: np.ndarray, eye: np.ndarray, center: tuple[float, float] | None
 ) -> SeenPoints:
-    """What rays meet where there is only the table top, the plane z = 0; None for ``center``: nothing."""
+    """Return hits with the table top alone, the plane z = 0, or with nothing if ``center`` is None."""
     count = len(directions)
     distance, surface = np.full(count, np.inf), np.full(count, NOTHING)
     normal, albedo = np.zeros((2, count, 3), np.float32)
@@ -290,19 +290,19 @@ def _without_surfaces(
 
 @lru_cache(maxsize=4)
 def _empty(rays: PixelRays, center: tuple[float, float] | None) -> SeenPoints:
-    """Films have few cameras: what their rays meet without surfaces is kept."""
+    """Cache hits without surfaces, because videos have few cameras."""
     return _without_surfaces(rays.grid, np.asarray(rays.eye, dtype=float), center)
 
 
 @lru_cache(maxsize=4)
 def _lit_table(rays: PixelRays, center: tuple[float, float] | None, look: Look) -> np.ndarray:
-    """Linear light of the pixels without surfaces, shape [P, 3] float32; not to be changed."""
+    """Return the linear light of pixels without surfaces, shape [P, 3] float32. Do not change it."""
     points = _empty(rays, center)
     return _background(points, np.ones((len(points.surface), 2), np.float32), rays, center, look)
 
 
 def _lights(look: Look) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colors of the lamp, the sky and what the table gives back, linear, shape [3] float32 each."""
+    """Return the linear colors of the lamp, the sky and the table's reflection, shape [3] float32 each."""
     key = np.float32(look.key / np.pi) * np.array([1.0, 0.965, 0.91], np.float32)
     sky = np.float32(0.62 * look.fill) * np.array([0.93, 0.97, 1.03], np.float32)
     return key, sky, np.float32(0.42 * look.fill) * linear(np.array(look.table))
@@ -311,8 +311,8 @@ def _lights(look: Look) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _background(
     points: SeenPoints, received: np.ndarray, rays: PixelRays, center: tuple[float, float] | None, look: Look
 ) -> np.ndarray:
-    """Linear light of table and backdrop, shape [P, 3] float32; the table's squares are filtered over the
-    width of a pixel. received: as of the lamp and the sky, shape [P, 2]."""
+    """Return the linear light of table and backdrop, shape [P, 3] float32, with the table's squares filtered
+    over the width of a pixel. received: shares of lamp and sky light, shape [P, 2]."""
     light = np.empty(points.normal.shape, np.float32)
     horizon, top, plain, dark = linear(
         np.array([look.backdrop_horizon, look.backdrop_top, look.table, look.table_dark])
@@ -345,18 +345,18 @@ def _background(
 
 
 def _soft(light: np.ndarray) -> np.ndarray:
-    """Light above ``KNEE`` compressed."""
+    """Compress light above ``KNEE``."""
     over = np.maximum(light - KNEE, 0.0)
     return np.minimum(light, KNEE) + (1 - KNEE) * over / (over + (1 - KNEE))
 
 
 def to_bytes(light: np.ndarray) -> np.ndarray:
-    """Linear light, 1 being white, to 8-bit sRGB; any shape."""
+    """Convert linear light (1 is white) to 8-bit sRGB, any shape."""
     return _GAMMA[(np.clip(light, 0.0, 1.0) * (len(_GAMMA) - 1) + 0.5).astype(np.uint16)]
 
 
 def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float]:
-    """Direction towards the lamp. rotation: of the camera, its axes as columns, shape [3, 3]."""
+    """Return the direction toward the lamp. rotation: camera axes as columns, shape [3, 3]."""
     right, forward = rotation[:, 0], rotation[:, 2]
     if look.light is not None:
         return look.light
@@ -368,9 +368,9 @@ def sun_direction(look: Look, rotation: np.ndarray) -> tuple[float, float, float
 
 
 def _edges(points: SeenPoints, lit: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Pixels beside which another surface begins, a crease or step of the same one, or a shadow; [H, W] bool.
+    """Return pixels at the border of a surface, a crease, a depth step or a shadow, shape [H, W] bool.
 
-    lit: how much of the lamp's light arrives, shape [P].
+    lit: share of lamp light, shape [P].
     """
     surface, distance, lit = (each.reshape(shape) for each in (points.surface, points.distance, lit))
     normal = points.normal.reshape(*shape, 3)
@@ -387,12 +387,12 @@ def _edges(points: SeenPoints, lit: np.ndarray, shape: tuple[int, int]) -> np.nd
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Scalar products, shape [P]. a, b: shape [P, 3]."""
+    """Return dot products, shape [P]. a, b: shape [P, 3]."""
     return np.einsum("pi,pi->p", a, b)
 
 
 def _triangle(x: np.ndarray) -> np.ndarray:
-    """A wave between 0 and 1 of period 2, whose slope is 1 or -1."""
+    """Return a triangle wave between 0 and 1 with period 2."""
     phase = np.mod(x, 2.0)
     return np.minimum(phase, 2.0 - phase)
 

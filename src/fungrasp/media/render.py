@@ -1,4 +1,4 @@
-"""Pictures of MuJoCo models on the CPU: ray traced, softly lit, anti-aliased, the same bytes every time."""
+"""Deterministic rendering of MuJoCo models on the CPU: ray traced and anti-aliased."""
 
 from __future__ import annotations
 
@@ -25,14 +25,12 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Views:
-    """What cameras see: F pictures of H x W pixels. Depth and segmentation are those of the pixels'
-    centers.
-    """
+    """F images of H x W pixels. Depth and segmentation are those of the pixel centers."""
 
     color: np.ndarray
-    """Pictures, sRGB, shape [F, H, W, 3] uint8."""
+    """Colors, sRGB, shape [F, H, W, 3] uint8."""
     depth: np.ndarray
-    """Distance along the camera's z [m], 0 where nothing is seen, shape [F, H, W] float32."""
+    """Distance along the camera's z [m], 0 for the backdrop, shape [F, H, W] float32."""
     segmentation: np.ndarray
     """Geom id, ``NOTHING`` (-1) or ``TABLE`` (-2) of each pixel, shape [F, H, W] int32."""
 
@@ -47,8 +45,7 @@ def render(
     antialias: int = 2,
     threads: int = 0,
 ) -> np.ndarray:
-    """Color pictures of a model in given states; see ``Renderer``, which saves its preparations for more
-    calls.
+    """Render color images of a model in given states. Create a ``Renderer`` for repeated calls.
 
     Returns:
         sRGB, shape [F, H, W, 3] uint8 (F = 1 for a single state).
@@ -58,8 +55,8 @@ def render(
 
 
 class Renderer:
-    """Draws the geoms of groups 0, 1 and 2 of a model, but planes, on a table top, the plane z = 0; all as if
-    opaque, except those with an opacity of 0."""
+    """Renders the geoms of groups 0, 1 and 2 of a model, except planes, on a table top (the plane z = 0).
+    Geoms are opaque, or invisible if their opacity is 0."""
 
     def __init__(
         self,
@@ -72,9 +69,9 @@ class Renderer:
     ):
         """
         Args:
-            shadows: whether things shade one another.
+            shadows: whether to cast shadows.
             antialias: n for n x n rays through the pixels on edges; 1 for none.
-            threads: 0 means all CPUs; the result does not depend on it.
+            threads: 0 for all CPUs; the result does not depend on it.
 
         Raises:
             FungraspError: ``antialias`` or ``threads`` is out of range.
@@ -99,17 +96,17 @@ class Renderer:
         *,
         geom_rgba: np.ndarray | None = None,
     ) -> Iterator[np.ndarray]:
-        """Color pictures, one by one, shape [H, W, 3] uint8; no more than a few are held at once.
+        """Yield color images one by one, shape [H, W, 3] uint8. Only a few are in memory at a time.
 
         Args:
             qpos: joint positions, shape [F, nq] or [nq].
-            camera: one for all frames, or one each; all of one size. The first decides where the key light
-                is.
-            geom_rgba: sRGB and opacity (only whether it is 0 matters), shape [ngeom, 4] or [F, ngeom, 4];
-                None for the model's colors and materials.
+            camera: one for all frames or one per frame, all of one size. The first determines the position of
+                the lamp.
+            geom_rgba: sRGB and opacity (0 hides a geom), shape [ngeom, 4] or [F, ngeom, 4]; the model's
+                colors and materials if None.
 
         Raises:
-            FungraspError: an argument has the wrong shape, or is not finite.
+            FungraspError: an argument has the wrong shape or is not finite.
         """
         frames = self._frames(qpos, camera, geom_rgba)
         return (to_bytes(light) for light in self._each(self._light, frames))
@@ -117,24 +114,24 @@ class Renderer:
     def views(
         self, qpos: np.ndarray, camera: Camera | Sequence[Camera], *, geom_rgba: np.ndarray | None = None
     ) -> Views:
-        """Pictures with depth and segmentation. Arguments and errors as ``stream``."""
+        """Render images with depth and segmentation. Arguments and errors as for ``stream``."""
         seen = list(self._each(self._view, self._frames(qpos, camera, geom_rgba)))
         pictures, depths, segmentations = zip(*seen, strict=True)
         return Views(np.stack(pictures), np.stack(depths), np.stack(segmentations))
 
     def _light(self, frame: _Frame, points: SeenPoints | None = None) -> np.ndarray:
-        """Linear light of a frame, shape [H, W, 3]."""
+        """Return the linear light of a frame, shape [H, W, 3]."""
         rays = frame.camera.rays()
         points = points or frame.tracer.see(rays)
         return frame.tracer.picture(rays, points, shadows=self._shadows, antialias=self._antialias)
 
     def _view(self, frame: _Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Picture, depth and segmentation of a frame."""
+        """Return color, depth and segmentation of a frame."""
         points, camera = frame.tracer.see(frame.camera.rays()), frame.camera
         shape = (camera.height, camera.width)
         distance = np.where(points.surface == NOTHING, 0.0, points.distance)
         depth = (distance * (points.direction @ camera.rotation[:, 2])).astype(np.float32)
-        # The last two of these are what NOTHING and TABLE take from the end of the array.
+        # The indices NOTHING (-1) and TABLE (-2) select the last two elements.
         ids = np.array([*frame.geoms, TABLE, NOTHING], np.int32)[points.surface]
         return to_bytes(self._light(frame, points)), depth.reshape(shape), ids.reshape(shape)
 
@@ -144,7 +141,7 @@ class Renderer:
         camera: Camera | Sequence[Camera],
         geom_rgba: np.ndarray | None,
     ) -> Iterator[_Frame]:
-        """Check the arguments, then make the frames one by one; those of one state share their tracer."""
+        """Check the arguments and yield frames. Consecutive frames of one state share a tracer."""
         model = self.model
         qpos = np.atleast_2d(np.asarray(qpos, dtype=float))
         count = len(qpos)
@@ -176,7 +173,7 @@ class Renderer:
     def _posed(
         self, data: mujoco.MjData, qpos: np.ndarray, colors: np.ndarray
     ) -> tuple[list[int], list[SurfaceMesh]]:
-        """Ids and surfaces of the geoms that are seen in a state."""
+        """Return ids and surfaces of the visible geoms in a state."""
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, data)
         geoms = [geom for geom in self._surfaces if colors[geom, 3] > 0]
@@ -189,8 +186,7 @@ class Renderer:
         return geoms, surfaces
 
     def _each(self, function: Callable[[_Frame], _Result], frames: Iterator[_Frame]) -> Iterator[_Result]:
-        """Results for the frames in their order, ``threads`` of them worked on at once, also while the caller
-        is busy with the last one."""
+        """Yield results in the order of frames, computed by ``threads`` threads in the background."""
         with ThreadPoolExecutor(self._threads) as pool:
             begun = deque(pool.submit(function, frame) for frame in islice(frames, 2 * self._threads))
             while begun:
@@ -201,7 +197,7 @@ class Renderer:
 
 @dataclass(frozen=True)
 class _Frame:
-    """A state of the model and the camera that looks at it."""
+    """A state of the model with a camera."""
 
     tracer: RayTracer
     camera: Camera

@@ -1,4 +1,4 @@
-"""What is drawn: triangle meshes with smooth normals, colors and gloss, as of the geoms of a MuJoCo model."""
+"""Surfaces of MuJoCo geoms for rendering: triangle meshes with smooth normals, colors and gloss."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ Color = tuple[float, float, float]
 """sRGB, each from 0 to 1."""
 
 VISIBLE_GROUPS = (0, 1, 2)
-"""Geom groups that are drawn; MuJoCo's convention keeps collision shapes in the others."""
+"""Geom groups that are rendered; by MuJoCo's convention other groups have collision shapes."""
 
 SEGMENTS = 48
-"""Straight pieces in the circumference of a round primitive."""
+"""Number of segments in the circumference of round primitives."""
 
 CREASE = float(np.cos(np.radians(38.0)))
-"""Triangles whose normals differ by more than this angle meet in a visible edge (cosine)."""
+"""Cosine of the angle between triangle normals beyond which their edge is visible."""
 
 
 @dataclass(frozen=True)
 class SurfaceMesh:
-    """A triangle mesh to be drawn; V vertices, T triangles."""
+    """A triangle mesh with V vertices and T triangles."""
 
     vertices: np.ndarray
     """Positions of the vertices [m], world frame, shape [V, 3]."""
@@ -38,18 +38,18 @@ class SurfaceMesh:
     shininess: float = 10.0
     """Exponent of the highlight."""
     texture: np.ndarray | None = None
-    """sRGB image, from 0 to 1, whose linear light multiplies the color, shape [H, W, 3]."""
+    """Texture, sRGB from 0 to 1, shape [H, W, 3]; its linear light multiplies the color."""
     corner_uv: np.ndarray | None = None
     """Texture coordinates (u, v) of the triangles' corners, v up, shape [T, 3, 2]."""
 
     def moved(self, position: np.ndarray, rotation: np.ndarray) -> SurfaceMesh:
-        """The surface after a rigid motion. position: [m], shape [3]; rotation: shape [3, 3]."""
+        """Return the surface after a rigid motion. position: [m], shape [3]; rotation: shape [3, 3]."""
         vertices = self.vertices @ rotation.T + position
         normals = self.corner_normals @ rotation.T.astype(np.float32)
         return replace(self, vertices=vertices, corner_normals=normals)
 
     def albedo(self, triangles: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-        """Linear colors at points of the surface, shape [P, 3]."""
+        """Return linear colors at points of the surface, shape [P, 3]."""
         color = self.color
         if color.ndim == 2:
             color = np.einsum("pc,pci->pi", barycentric, color[self.faces[triangles]])
@@ -60,15 +60,15 @@ class SurfaceMesh:
 
 
 def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals at the triangles' corners, smooth except across creases, shape [T, 3, 3] float32.
+    """Return unit normals at the triangles' corners, smooth except across creases, shape [T, 3, 3] float32.
 
-    A corner's normal is the mean, by area, over the triangles at its vertex that are not across a crease.
+    A corner's normal is the area-weighted mean over the triangles at its vertex that are not across a crease.
     """
     corners = vertices[faces]
     weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = weighted / np.maximum(np.linalg.norm(weighted, axis=-1, keepdims=True), 1e-300)
     vertex, triangle = faces.ravel(), np.repeat(np.arange(len(faces)), 3)
-    # Corners in the order of their vertices: those of vertex i begin at first[i].
+    # Corners sorted by vertex: those of vertex i begin at first[i].
     order, counts = np.argsort(vertex, kind="stable"), np.bincount(vertex)
     first = np.cumsum(counts) - counts
     total = np.zeros((len(vertex), 3))
@@ -84,14 +84,13 @@ def corner_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 @lru_cache(64)
 def _kept_normals(vertices: bytes, faces: bytes) -> np.ndarray:
-    """``corner_normals``, computed once for meshes that several pictures show."""
+    """Cache ``corner_normals`` for meshes that are rendered repeatedly."""
     return corner_normals(np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(faces, int).reshape(-1, 3))
 
 
 def sample_image(image: np.ndarray, texture: np.ndarray) -> np.ndarray:
-    """Bilinear look-up that repeats the image. image: shape [H, W, C]; texture: (u, v), v up, shape [P, 2].
-    Returns [P, C].
-    """
+    """Sample a repeated image bilinearly, shape [P, C]. image: shape [H, W, C]; texture: (u, v), v up, shape
+    [P, 2]."""
     height, width = image.shape[:2]
     x = np.clip(np.mod(texture[:, 0], 1.0 + 1e-9) * width - 0.5, 0, width - 1)
     y = np.clip((1.0 - np.mod(texture[:, 1], 1.0 + 1e-9)) * height - 0.5, 0, height - 1)
@@ -115,9 +114,7 @@ class Materials:
 
 
 def model_materials(model: mujoco.MjModel) -> Materials:
-    """What the model says: a geom's own color, or its material's if it has one and the geom's was left
-    alone.
-    """
+    """Return a model's materials. A geom with the default color has the color of its material."""
     colors = model.geom_rgba.astype(np.float32).copy()
     specular = np.full(model.ngeom, 0.35, np.float32)
     shininess = np.full(model.ngeom, 40.0, np.float32)
@@ -131,20 +128,20 @@ def model_materials(model: mujoco.MjModel) -> Materials:
 
 
 def linear(color: np.ndarray) -> np.ndarray:
-    """sRGB to linear light; any shape, 0 to 1."""
+    """Convert sRGB to linear light, any shape, 0 to 1."""
     color = np.asarray(color, dtype=np.float32)
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
 
 
 def drawn_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Geoms that may be drawn: those of ``VISIBLE_GROUPS``, but no planes, as there is a table top, and no
-    height fields. Returns shape [ngeom] bool."""
+    """Return the geoms to render, shape [ngeom] bool: those of ``VISIBLE_GROUPS`` except planes (there is a
+    table top) and height fields."""
     left_out = [mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_PLANE]
     return np.isin(model.geom_group, VISIBLE_GROUPS) & ~np.isin(model.geom_type, left_out)
 
 
 def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> SurfaceMesh:
-    """Surface of a geom, in the geom's own frame."""
+    """Return the surface of a geom in its own frame."""
     mesh = int(model.geom_dataid[geom])
     texture, uv = None, None
     if mesh >= 0:
@@ -165,7 +162,7 @@ def geom_surface(model: mujoco.MjModel, geom: int, materials: Materials) -> Surf
 
 
 def texture_image(model: mujoco.MjModel, geom: int) -> np.ndarray | None:
-    """The color texture of a geom's material, sRGB from 0 to 1, shape [H, W, 3], or None."""
+    """Return the color texture of a geom's material, sRGB from 0 to 1, shape [H, W, 3], or None."""
     material = int(model.geom_matid[geom])
     texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
     if texture < 0:
@@ -179,7 +176,7 @@ def texture_image(model: mujoco.MjModel, geom: int) -> np.ndarray | None:
 
 
 def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Vertices, of which no two are in one place, faces, and texture coordinates of the corners."""
+    """Return merged vertices, faces, and texture coordinates of the corners."""
     start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = model.mesh_vert[start : start + count].astype(float)
     _, first, welded = np.unique(np.round(vertices, 7), axis=0, return_index=True, return_inverse=True)
@@ -193,7 +190,7 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def _primitive(kind: mujoco.mjtGeom, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces of a primitive, with z along its axis."""
+    """Return vertices and faces of a primitive, with z along its axis."""
     shapes = mujoco.mjtGeom
     if kind == shapes.mjGEOM_BOX:
         corners = size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
@@ -214,7 +211,7 @@ def _primitive(kind: mujoco.mjtGeom, size: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _revolved(radius: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Surface of revolution about z. radius, height: of its profile from low to high, shape [K]."""
+    """Return a surface of revolution about z. radius, height: profile from low to high, shape [K]."""
     turn = np.linspace(0.0, 2.0 * np.pi, SEGMENTS, endpoint=False)
     rings = np.stack(np.broadcast_arrays(np.cos(turn), np.sin(turn), 1.0), axis=-1)
     vertices = rings * np.stack([radius, radius, height], axis=-1)[:, None]

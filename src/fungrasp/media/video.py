@@ -1,4 +1,4 @@
-"""Writing films: H.264 in an mp4 file."""
+"""Writing videos: H.264 in mp4 files."""
 
 from __future__ import annotations
 
@@ -21,23 +21,22 @@ def write_video(
     quality: float = 21.0,
     keyframes: int | None = None,
 ) -> Path:
-    """Write a film, encoding each frame as it comes.
+    """Write a video, encoding each frame as it arrives.
 
-    An odd number of rows or columns is made even by repeating the last one (H.264 needs that).
+    An odd number of rows or columns is made even by repeating the last one, as H.264 requires.
 
     Args:
-        path: of the mp4 file.
+        path: mp4 file.
         frames: sRGB, each of shape [H, W, 3] uint8, all of one size.
         fps: frames per second.
         quality: constant rate factor of H.264, from 0 (lossless) to 51 (worst).
-        keyframes: one frame in so many stands alone, so that it is found fast; by default the encoder
-            decides.
+        keyframes: keyframe interval in frames, for fast seeking; chosen by the encoder if None.
 
     Returns:
         The path.
 
     Raises:
-        FungraspError: no frames, frames of different shapes, another suffix, or a file that can't be written.
+        FungraspError: no frames, frames of different shapes, a wrong suffix, or the file can't be written.
     """
     import av
     from av.error import FFmpegError
@@ -66,7 +65,7 @@ def write_video(
                 stream.height, stream.width = first.shape[0] + odd[0][1], first.shape[1] + odd[1][1]
                 stream.pix_fmt = "yuv420p"
                 stream.options = options
-                # One converter for all frames: making it takes ten times as long as using it.
+                # Reuse one converter: creating it takes ten times as long as using it.
                 converter = VideoReformatter()
                 for array in itertools.chain([first], checked):
                     frame = av.VideoFrame.from_ndarray(np.pad(array, odd, mode="edge"), format="rgb24")

@@ -1,9 +1,9 @@
-"""What hands look like: meshes for the eye of the built-in hands, other hands' own.
+"""Visual meshes of hands: stored ones for built-in hands, their own for other hands.
 
-``visual_meshes.npz`` holds them: for each hand the body that carries each mesh, its color (sRGB), strength
-and sharpness of its highlight, numbers of its vertices and faces, and all vertices [``UNIT``] and faces. They
-were modeled for fungrasp by a program that the repository held until November 2026
-(``src/fungrasp/media/hand_shells``), from the sizes in the makers' drawings.
+``visual_meshes.npz`` has for each hand the body of each mesh, its color (sRGB), specular and shininess, its
+numbers of vertices and faces, and all vertices [``UNIT``] and faces. The meshes were modeled for fungrasp
+from the sizes in the manufacturers' drawings, by a program that was in the repository until November 2026
+(``src/fungrasp/media/hand_shells``).
 """
 
 from __future__ import annotations
@@ -19,20 +19,18 @@ from fungrasp.hands import Hand
 from fungrasp.hands.hand_registry import hand_files
 
 UNIT = 1e-5
-"""Of the vertices in the file [m]."""
+"""Unit of the vertices in the file [m]."""
 
 COLLISION_GROUP = 3
-"""Geom group of what is not drawn, by MuJoCo's convention."""
+"""Geom group of collision shapes, which is not drawn by MuJoCo's convention."""
 
 PLAIN = (0.5, 0.5, 0.5, 1.0)
-"""Color of a geom whose material counts."""
+"""Color of a geom that uses its material's color."""
 
 
 def dressed_spec(hand: Hand) -> mujoco.MjSpec:
-    """``hand.spec()`` in which what collides is hidden where there is something that looks like the hand.
-
-    A hand that is not built in, and has no visual meshes, is shown by its collision shapes.
-    """
+    """Return ``hand.spec()`` with stored visual meshes and hidden collision shapes; unchanged if the hand has
+    no stored meshes."""
     spec = hand.spec()
     meshes = _visual_meshes(hand)
     for geom in spec.geoms if meshes else ():
@@ -52,7 +50,7 @@ def dressed_spec(hand: Hand) -> mujoco.MjSpec:
 
 
 def dressed_model(hand: Hand) -> mujoco.MjModel:
-    """``dressed_spec``, compiled; do not change it. Joints and bodies are those of ``hand.model``."""
+    """Return ``dressed_spec`` compiled, with the joints and bodies of ``hand.model``. Do not change it."""
     key = (str(hand.path), hand.digest)
     if key not in _models:
         _models[key] = dressed_spec(hand).compile()
@@ -63,7 +61,7 @@ _models: dict[tuple[str, str], mujoco.MjModel] = {}
 
 
 def _visual_meshes(hand: Hand) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Body, look (shape [5]), vertices [m] and faces of each mesh of a built-in hand; none of others."""
+    """Return body, look (shape [5]), vertices [m] and faces of each stored mesh of a hand."""
     known = {Path(path).resolve(): name for name, path in hand_files().items()}
     name, stored = known.get(Path(hand.path).resolve()), _stored()
     if f"{name}/bodies" not in stored:
