@@ -1,4 +1,4 @@
 """The interactive viewer: grasps, episodes, results, logs, captures and hands in a browser.
 
-Needs the extra ``viewer``. ``fungrasp.view`` opens it or writes a static page.
+It needs the extra ``viewer``. ``fungrasp.view`` opens it or writes a static page.
 """

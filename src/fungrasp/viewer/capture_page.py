@@ -1,4 +1,4 @@
-"""The page of a capture: what the camera saw as colored points, and the hand and object that were found."""
+"""Page of a capture: the colored point cloud with the detected hand and object."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from viser import ClientHandle
 
 MOST_POINTS = 120_000
-"""Points that are sent to a browser."""
+"""Maximum number of points sent to a browser."""
 
 LEVEL_CAMERA = np.array([0.0, 0.0, 0.4, 0.5, -0.5, 0.5, -0.5])
-"""Where a camera is taken to be as long as nothing is known: level, forward along x."""
+"""Assumed camera pose before perception: level, looking along x."""
 
 
 class CapturePage(BrowserPage):
-    """A capture in space."""
+    """Page of a capture in 3D."""
 
     def __init__(
         self, client: ClientHandle, capture: Capture, perceive: Callable[[], Perceived] | None = None
     ):
         """
         Args:
-            perceive: finds hand and object, which takes a while; None where only the image is shown.
+            perceive: detects hand and object, which takes a while; only the image is shown if None.
         """
         super().__init__(client)
         self._capture, self._perceive = capture, perceive
@@ -90,7 +90,7 @@ class CapturePage(BrowserPage):
         self._words.content = f"**{mark} {judged.summary()}**\n\n{values_table(rows, head)}\n\n{warnings}"
 
     def _add_points(self, camera: np.ndarray, target: np.ndarray | None = None) -> None:
-        """The points, from the camera's side. target: what is in the middle [m]; their median if None."""
+        """Add the points, viewed from the camera's side. target: view target [m]; their median if None."""
         points, colors = self._capture.points(), self._capture.color
         seen = np.isfinite(points[..., 2]) & (points[..., 2] > 0)
         places, colors = transform_points(camera, points[seen]), colors[seen]

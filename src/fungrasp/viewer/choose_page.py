@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from fungrasp.viewer.page import BrowserPage
 
 Maker = Callable[["ClientHandle"], "BrowserPage"]
-"""Makes what a browser sees."""
+"""Creates the page of a browser."""
 
 
 @dataclass(frozen=True)
 class ChosenPage:
-    """The page of something."""
+    """A page to serve."""
 
     title: str
-    """Of the browser's tab."""
+    """Title of the browser's tab."""
     make: Maker
-    """Makes what a browser sees."""
+    """Creates the page of a browser."""
     prepare: Callable[[], None] | None = None
-    """Loads what is to be there when the first browser comes; None if nothing is."""
+    """Loads data before the first browser connects."""
 
 
 def _human_grasps(grasps: HumanGraspSet, objects: Objects, hand: str | Hand) -> ChosenPage:
@@ -118,8 +118,8 @@ KINDS: dict[str, tuple[str, Callable[[Any, Objects, str | Hand], ChosenPage]]] =
     "Perceived": ("what was perceived", _perceived),
     "Hand": ("a hand", lambda shown, objects, hand: _hand_file(shown.path, shown.title)),
 }
-"""All that can be viewed, by the name of its class, as not all are imported to look at one: what it is, and
-its page, from itself, its objects, and the hand that imitates human grasps at first."""
+"""Types that can be viewed, by class name to avoid imports: description, and function that creates the page
+from the value, its objects and the initial hand for human grasps."""
 
 FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
     ".npz": ("grasps, plans or an episode", _npz),
@@ -127,19 +127,19 @@ FILES: dict[str, tuple[str, Callable[[Path], Any]]] = {
     ".mcap": ("a deployment's log", _log_file),
     ".toml": ("a hand", _hand_file),
 }
-"""What files of each kind hold, and their readers. A folder is that of a hand, or of a capture."""
+"""Contents of files by suffix, and their readers. A folder has a hand or a capture."""
 
 
 def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
-    """The page of something. Everything is read here, so that mistakes are met before the server runs.
+    """Return the page of a value or file. Files are read here, so that errors occur before the server starts.
 
     Args:
         what: see ``view``.
-        objects: those of grasps or plans, as for ``retarget``.
-        hand: that imitates human grasps at first.
+        objects: objects of grasps or plans, as for ``retarget``.
+        hand: initial hand for human grasps.
 
     Raises:
-        FungraspError: it can't be viewed.
+        FungraspError: ``what`` can't be viewed.
     """
     if what is None or isinstance(what, str | Path):
         what = _read("builtin" if what is None else what)
@@ -159,14 +159,14 @@ def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
 def _load_solver(choice: PickableGrasps) -> None:
     from fungrasp.retargeting import retarget
 
-    # RuntimeError: Python ends already, and begins no more threads.
+    # RuntimeError: the interpreter is shutting down and starts no more threads.
     with contextlib.suppress(FungraspError, RuntimeError):
         first = choice.grasps.select(np.array([choice.row]))
         retarget(first, choice.objects, choice.hand, threads=1)
 
 
 def _read(what: str | Path) -> Any:
-    """What a file or folder holds: something to view, or its page."""
+    """Read a file or folder: a value to view, or its page."""
     name, path = str(what), Path(what)
     if name == "builtin":
         return load_grasps(name)
@@ -183,14 +183,14 @@ def _read(what: str | Path) -> Any:
 
 
 def capture_page(folder: str | Path, mesh: str | None = None) -> ChosenPage:
-    """The page of a capture.
+    """Return the page of a capture.
 
     Args:
-        mesh: file of the object's mesh, or the name of a built-in object: hand and object are looked for. The
-            image alone is shown if None.
+        mesh: file of the object's mesh or name of a built-in object, to detect hand and object. If None, only
+            the image is shown.
 
     Raises:
-        FungraspError: no such folder or mesh, or the perception is not set up.
+        FungraspError: the folder or mesh does not exist, or perception is not set up.
     """
     from fungrasp.perception.io.scene_folders import read_folder
     from fungrasp.viewer.capture_page import CapturePage
@@ -212,7 +212,7 @@ def shown_result(
     objects: Path | None = None,
     recordings: Path | None = None,
 ) -> ChosenPage:
-    """The page of a result file, whose own files may be somewhere else than they were.
+    """Return the page of a result file. Its grasps, objects and recordings may have been moved.
 
     Raises:
         FungraspError: a file can't be read.

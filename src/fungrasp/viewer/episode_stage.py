@@ -1,4 +1,4 @@
-"""An episode in a page: its states as they come in, hand and object as they were at any time, plots."""
+"""An episode in a page: its states, the scene at any time, and plots."""
 
 from __future__ import annotations
 
@@ -24,49 +24,49 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class EpisodeState:
-    """A state. World frame; a hand with M joints of which U are driven, and L links."""
+    """A state of an episode with a hand of M joints and L links, world frame."""
 
     time: float
-    """Since the episode began [s]."""
+    """Time since the start of the episode [s]."""
     phase: str
-    """What is being done."""
+    """Name of the phase."""
     object_pose: np.ndarray
-    """Shape [7]."""
+    """Object pose, shape [7]."""
     palm_pose: np.ndarray
-    """Shape [7]."""
+    """Palm pose, shape [7]."""
     joints: np.ndarray
     """All joints [rad], shape [M]."""
     contacts: np.ndarray
     """Links that touch the object, shape [L] bool."""
     forces: np.ndarray | None = None
-    """Net force of each link on the object [N], shape [L]; None where it is not known."""
+    """Net force of each link on the object [N], shape [L]; None if unknown."""
     commanded_palm: np.ndarray | None = None
-    """Where the palm was told to be, shape [7]."""
+    """Setpoint of the palm, shape [7]."""
     commanded_joints: np.ndarray | None = None
-    """Where all joints were told to be [rad], shape [M]."""
+    """Setpoints of all joints [rad], shape [M]."""
     estimated_contacts: np.ndarray | None = None
-    """Links that the policy takes to touch, shape [L] bool."""
+    """Links that touch according to the policy's estimate, shape [L] bool."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """What is plotted over the time of an episode, F values each."""
+    """Plotted quantities over the time of an episode, F values each."""
 
     time: np.ndarray
-    """[s]."""
+    """Time [s]."""
     height: np.ndarray
-    """Of the object above where it was first [mm]."""
+    """Height of the object above its initial height [mm]."""
     slip: np.ndarray
-    """How far the object has moved in the hand since the lift began [mm]; zero before it and after
+    """Displacement of the object in the hand since the start of the lift [mm]; zero before the lift and after
     the hold."""
     force: np.ndarray
-    """Sum of the forces on the object [N]; NaN where not known."""
+    """Sum of the forces on the object [N]; NaN if unknown."""
     palm_error: np.ndarray
-    """Distance of the palm from where it was told to be [mm]; NaN where not known."""
+    """Distance of the palm from its setpoint [mm]; NaN if unknown."""
 
 
 class EpisodeStates:
-    """Frames of an episode, to which a simulation adds while a page reads."""
+    """States of an episode; a simulation may add states while a page reads them."""
 
     def __init__(self) -> None:
         self._frames: list[EpisodeState] = []
@@ -79,24 +79,24 @@ class EpisodeStates:
         return self._frames[index]
 
     def add(self, frame: EpisodeState) -> None:
-        """Add the next one."""
+        """Add the next state."""
         with self._lock:
             self._frames.append(frame)
 
     def index_at(self, time: float) -> int:
-        """The last frame that is not after a time [s]."""
+        """Return the index of the last state at or before a time [s]."""
         times = [frame.time for frame in self._frames]
         return max(int(np.searchsorted(times, time + 1e-6, side="right")) - 1, 0)
 
     def curves(self) -> Curves:
-        """What is plotted."""
+        """Return the plotted quantities."""
         with self._lock:
             frames = list(self._frames)
         time = np.array([frame.time for frame in frames])
         placed = np.array([frame.object_pose for frame in frames])
         palms = np.array([frame.palm_pose for frame in frames])
         held = relative(palms, placed)[:, :3]
-        # A deployment puts the object down again, which is no slip.
+        # Putting the object down after the hold is not slip.
         lifted = np.flatnonzero([frame.phase not in ("approach", "close") for frame in frames])
         slip = np.zeros(len(frames))
         if len(lifted):
@@ -111,7 +111,7 @@ class EpisodeStates:
     def as_trajectory(
         self, hand: str, object_name: str, mass: float, success: bool, reason: str
     ) -> Trajectory:
-        """The episode as it is recorded by ``evaluate``, without the state of the simulation."""
+        """Return the episode as ``evaluate`` records it, without the simulation state."""
         frames = list(self._frames)
         return Trajectory(
             hand=hand,
@@ -132,7 +132,7 @@ class EpisodeStates:
 
 
 def recorded_states(trajectory: Trajectory) -> EpisodeStates:
-    """The frames of a recorded episode."""
+    """Return the states of a recorded episode."""
     frames = EpisodeStates()
     for i, seconds in enumerate(trajectory.times):
         frames.add(
@@ -149,20 +149,20 @@ def recorded_states(trajectory: Trajectory) -> EpisodeStates:
 
 
 PLOT_PERIOD = 0.5
-"""Time between two updates of the plots while an episode runs [s]."""
+"""Update period of the plots while an episode runs [s]."""
 
 PICTURE_PERIOD = 1 / 25
-"""Time between two states that are shown [s]."""
+"""Update period of the scene [s]."""
 
 
 class EpisodeScene:
-    """Hand, commanded hand, object and forces."""
+    """Scene with hand, commanded hand, object and forces."""
 
     def __init__(self, scene: SceneApi, name: str, place: np.ndarray, hand: Hand, model: ObjectModel):
         """
         Args:
-            name: of the node that carries all of it.
-            place: of that node [m], shape [3].
+            name: name of the root node.
+            place: position of the root node [m], shape [3].
         """
         self.hand, self.model = hand, model
         self._root = scene.add_frame(name, show_axes=False, position=place)
@@ -174,7 +174,7 @@ class EpisodeScene:
         self.show_commanded, self.show_forces, self.show_estimates = True, True, False
 
     def show(self, frame: EpisodeState) -> None:
-        """Put everything where it was."""
+        """Show a state."""
         self._hand.place(frame.palm_pose, frame.joints)
         self.object.place(frame.object_pose)
         estimated = frame.estimated_contacts if self.show_estimates else None
@@ -186,12 +186,12 @@ class EpisodeScene:
         if not self.show_forces or frame.forces is None or not frame.forces.any():
             self._marks.forces(np.zeros((1, 3)), np.zeros((1, 3)))
             return
-        # Sizes are the simulation's; directions are those of the surface at the nearest point.
+        # Magnitudes are from the simulation, directions are surface normals at the nearest points.
         touch = self._distances.of(frame.palm_pose, frame.joints, frame.object_pose)
         self._marks.forces(touch.place, frame.forces[:, None] * touch.inward)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the nodes from the scene."""
         self._marks.clear()
         self._root.remove()
 
@@ -207,7 +207,7 @@ class EpisodePlayer:
         self._playing = False
         self._syncing = False
         self.status = gui.add_markdown("")
-        """What is being done, and how it ended."""
+        """Current activity or outcome."""
         self._time = gui.add_slider("Time [s]", 0.0, 10.0, 0.02, 0.0, disabled=True)
         self._play = gui.add_button("Play again", disabled=True)
         self._commanded = gui.add_checkbox("Commanded hand", True, hint="Where the hand was told to be")
@@ -228,7 +228,7 @@ class EpisodePlayer:
             box.on_update(lambda _: self._scrub())
 
     def begin(self, scene: EpisodeScene, frames: EpisodeStates) -> None:
-        """Another episode."""
+        """Start showing an episode."""
         if self._scene is not None and self._scene is not scene:
             self._scene.remove()
         self._scene, self._frames = scene, frames
@@ -236,7 +236,7 @@ class EpisodePlayer:
         self._time.disabled = self._play.disabled = True
 
     def live(self, frame: EpisodeState) -> None:
-        """Show the newest state, as often as it helps."""
+        """Show the newest state, at most once per ``PICTURE_PERIOD``."""
         now = time.perf_counter()
         if now - self._shown >= PICTURE_PERIOD:
             self._shown = now
@@ -246,7 +246,7 @@ class EpisodePlayer:
             self._plot(self._frames.curves())
 
     def finish(self) -> None:
-        """It is over: it can be looked at again."""
+        """Enable replay at the end of an episode."""
         if not len(self._frames):
             return
         last = self._frames[len(self._frames) - 1]
@@ -259,13 +259,13 @@ class EpisodePlayer:
         self._show(last)
 
     def go_to(self, time: float) -> None:
-        """Show a time [s]."""
+        """Show the state at a time [s]."""
         self._playing = False
         self._time.value = min(time, float(self._time.max))
         self._page.worker.ask("scrub", self._show_time)
 
     def trajectory(self, mass: float, success: bool, reason: str) -> Trajectory | None:
-        """The episode, to be filmed; None where there is none."""
+        """Return the episode for a video, or None."""
         if self._scene is None or not len(self._frames):
             return None
         return self._frames.as_trajectory(
@@ -273,7 +273,7 @@ class EpisodePlayer:
         )
 
     def clear(self) -> None:
-        """Take the episode out of the scene."""
+        """Remove the episode from the scene."""
         self._playing = False
         if self._scene is not None:
             self._scene.remove()
@@ -300,7 +300,7 @@ class EpisodePlayer:
         begin = float(self._time.value)
         begin = 0.0 if begin > end - 0.1 else begin
         start = time.perf_counter()
-        # Anything else that was asked for ends it.
+        # Any other job ends the replay.
         while self._playing and not self._page.worker.closed and not self._page.worker.busy:
             now = begin + time.perf_counter() - start
             self._show(self._frames[self._frames.index_at(now)])
@@ -331,13 +331,13 @@ class EpisodePlayer:
             curves.slip[some],
             np.nan_to_num(curves.palm_error[some]),
         )
-        # Recordings do not hold the forces.
+        # Recordings have no forces.
         self._force_plot.visible = bool(np.isfinite(curves.force).any())
         self._force_plot.data = (curves.time[some], np.nan_to_num(curves.force[some]))
 
 
 def place_in_front(object_pose: np.ndarray) -> np.ndarray:
-    """Where to put a scene so that its object is in the middle [m], shape [3]."""
+    """Return the position of a scene that centers its object [m], shape [3]."""
     return np.array([-object_pose[0], -object_pose[1], 0.0])
 
 

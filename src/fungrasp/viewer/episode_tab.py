@@ -1,4 +1,4 @@
-"""The tab in which a grasp is tried: an episode is planned, simulated and watched."""
+"""Tab that tests a grasp: plans, simulates and shows an episode."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EpisodeSettings:
-    """How the world differs from the planner's belief."""
+    """Policy and world of an episode."""
 
     policy: str = "reference"
     """Name or file of the policy."""
@@ -48,17 +48,17 @@ class EpisodeSettings:
     friction: float | None = None
     """Sliding friction of hand, object and table; the nominal one if None."""
     position_error: float = 0.0
-    """Distance between where the object is and where it is seen [m], in a direction drawn by the seed."""
+    """Error of the object's estimated position [m], in a random direction."""
     rotation_error: float = 0.0
-    """Angle between how it lies and how it is seen to [rad], about an axis drawn by the seed."""
+    """Error of the object's estimated rotation [rad], about a random axis."""
     rollouts: bool = False
-    """Whether a planner that chooses among candidates tries them in simulation first: it takes longer."""
+    """Whether the planner compares candidates in rollouts, which takes longer."""
     seed: int = 0
-    """Of everything that is drawn."""
+    """Random seed."""
 
     @property
     def randomization(self) -> Randomization:
-        """The same as what worlds are drawn from."""
+        """The settings as a ``Randomization``."""
         return replace(
             NOMINAL,
             mass=(self.mass, self.mass),
@@ -70,36 +70,36 @@ class EpisodeSettings:
 
 @dataclass(frozen=True)
 class EpisodeEnd:
-    """How an episode ended."""
+    """Outcome of an episode."""
 
     success: bool
     """Whether the object was lifted and held."""
     reason: str
-    """Why not; "" on success."""
+    """Reason of failure; "" on success."""
 
 
 class LiveEpisode:
-    """Plans and plays one grasp. ``push`` may be set while it runs."""
+    """Plans and simulates one grasp. ``push`` may be set while it runs."""
 
     def __init__(self, hand: Hand, model: ObjectModel, grasp: RobotGraspSet, settings: EpisodeSettings):
         self.hand, self.model, self._grasp, self._settings = hand, model, grasp, settings
         self.frames = EpisodeStates()
-        """What has happened so far."""
+        """States so far."""
         self.push = np.zeros(3)
         """Force on the object's center of mass [N], world frame."""
 
     def run(self, say: Callable[[str], None], watch: Callable[[EpisodeState], bool]) -> EpisodeEnd | None:
-        """Plan and play.
+        """Plan and simulate.
 
         Args:
-            say: called with what is being done.
-            watch: called with each state; False ends the episode.
+            say: called with the current activity.
+            watch: called with each state; returning False ends the episode.
 
         Returns:
-            None where it was ended.
+            The outcome, or None if ``watch`` ended the episode.
 
         Raises:
-            FungraspError: unknown policy, or not for this hand.
+            FungraspError: the policy is unknown or does not support this hand.
         """
         s, objects = self._settings, {self.model.name: self.model}
         r = s.randomization
@@ -168,33 +168,33 @@ class LiveEpisode:
 
 
 STIFFNESS = 40.0
-"""Force with which a drag of the mouse pulls at the object [N/m]."""
+"""Force of a mouse drag on the object per distance [N/m]."""
 
 STRONGEST = 6.0
-"""The largest such force [N]."""
+"""Largest force of a mouse drag [N]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A grasp to be tried."""
+    """A grasp to test."""
 
     hand: Hand
     """The robot hand."""
     model: ObjectModel
     """The object."""
     grasp: RobotGraspSet
-    """A single one."""
+    """Set of one grasp."""
 
 
 class EpisodeTab:
-    """Controls of an episode. What is tried is asked for when it begins."""
+    """Controls of an episode. The grasp is requested when the episode begins."""
 
     def __init__(self, page: BrowserPage, trial: Callable[[], Trial], begin: Callable[[], None]):
         """
         Args:
-            page: that it is a part of.
-            trial: gives the grasp to be tried.
-            begin: called when the scene is about to change to the episode's.
+            page: page of the tab.
+            trial: returns the grasp to test.
+            begin: called before the scene changes to the episode.
         """
         self._page, self._trial, self._begin = page, trial, begin
         self._episode: LiveEpisode | None = None
@@ -219,18 +219,18 @@ class EpisodeTab:
                 "Speed", 0.25, 4.0, 0.25, 1.0, hint="Seconds of the episode in a second"
             )
         self.player = EpisodePlayer(page)
-        """What shows it."""
+        """Player of the episode."""
         self._film = gui.add_button("Save film (.mp4)", disabled=True)
         self._start.on_click(lambda _: page.worker.ask("episode", self._run))
         self._stop.on_click(lambda _: self.stop())
         self._film.on_click(lambda _: page.worker.ask("film", self._save_film))
 
     def choose_policy(self, hand: Hand) -> None:
-        """Take the best policy that comes with a hand."""
+        """Select the best policy that comes with a hand."""
         self._policy.value = PLAN if default_policy(hand.name) == PLAN else "student"
 
     def stop(self) -> None:
-        """End an episode that runs."""
+        """Stop the running episode."""
         self._stopped = True
 
     def _run(self) -> None:
@@ -287,7 +287,7 @@ class EpisodeTab:
             self.player.status.content = words
 
     def _let_push(self, scene: EpisodeScene, episode: LiveEpisode) -> None:
-        """Let the mouse pull at the object."""
+        """Let the mouse pull the object."""
 
         async def pull(event: Any) -> None:
             away = np.subtract(event.end_position, event.start_position)

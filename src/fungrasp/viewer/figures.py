@@ -1,4 +1,4 @@
-"""What stands in the scene of a page: hands, an object, contacts and forces."""
+"""Scene nodes of pages: hands, objects, contacts and forces."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ Color = tuple[float, float, float]
 """sRGB, each from 0 to 1."""
 
 STILL = 2e-5
-"""What moves by less is not sent to the browser [m, or part of a quaternion]."""
+"""Smallest change of a pose that is sent to the browser [m or quaternion component]."""
 
 
 def creased(
     vertices: np.ndarray, faces: np.ndarray, corner_normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same surface with vertices apart where it has an edge: browsers smooth over shared ones.
+    """Return the surface with separate vertices at creases, because browsers smooth over shared vertices.
 
     Args:
         vertices: [m], shape [V, 3].
         faces: shape [T, 3].
-        corner_normals: as of ``fungrasp.media.surfaces.corner_normals``, shape [T, 3, 3].
+        corner_normals: result of ``fungrasp.media.surfaces.corner_normals``, shape [T, 3, 3].
     """
     corners = np.column_stack([faces.ravel(), np.round(corner_normals.reshape(-1, 3) * 20)]).astype(int)
     _, first, index = np.unique(corners, axis=0, return_index=True, return_inverse=True)
@@ -44,7 +44,7 @@ def creased(
 
 
 def move(handle: Any, pose: np.ndarray) -> None:
-    """Put a node of the scene somewhere. pose: shape [7]."""
+    """Set the pose of a scene node. pose: shape [7]."""
     if np.abs(handle.position - pose[:3]).max() > STILL:
         handle.position = pose[:3]
     if np.abs(handle.wxyz - pose[3:]).max() > STILL:
@@ -52,12 +52,12 @@ def move(handle: Any, pose: np.ndarray) -> None:
 
 
 def pose_of(handle: Any) -> np.ndarray:
-    """Where a node of the scene is, shape [7]."""
+    """Return the pose of a scene node, shape [7]."""
     return np.concatenate([handle.position, handle.wxyz])
 
 
 def color_bytes(color: Any) -> tuple[int, int, int]:
-    """8-bit color. color: sRGB, each from 0 to 1."""
+    """Return an 8-bit color. color: sRGB, each from 0 to 1."""
     red, green, blue = (round(255 * float(c)) for c in np.clip(color, 0, 1))
     return red, green, blue
 
@@ -70,12 +70,12 @@ NEAR: Color = (0.15, 0.65, 0.35)
 
 
 class HumanFigure:
-    """A human hand, links in contact colored, that moves as one piece."""
+    """A rigid human hand with colored links in contact."""
 
     def __init__(self, scene: SceneApi, name: str, joints: np.ndarray, link_contacts: np.ndarray):
         """
         Args:
-            name: of the node that carries it.
+            name: name of the node.
             joints: [m], shape [21, 3].
             link_contacts: shape [16] bool.
         """
@@ -86,7 +86,7 @@ class HumanFigure:
 
         mesh = human_hand_mesh(joints, cell=0.003)
         share = np.clip(mesh.links @ np.asarray(link_contacts, dtype=float), 0, 1)
-        # A whole palm in contact would drown the fingers.
+        # A fully colored palm would dominate the fingers.
         share = share * (1 - 0.6 * mesh.links[:, 0])
         ramp = np.linspace(0, 1, 64)[None, :, None]
         colors = np.asarray(SKIN) + ramp * (np.asarray(CONTACT) - np.asarray(SKIN))
@@ -101,11 +101,11 @@ class HumanFigure:
         self.handle = scene.add_mesh_trimesh(name, solid)
 
     def place(self, motion: np.ndarray) -> None:
-        """Move it. motion: from where it was made, shape [7]."""
+        """Move the hand. motion: motion from the initial pose, shape [7]."""
         move(self.handle, motion)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the node from the scene."""
         self.handle.remove()
 
 
@@ -123,8 +123,8 @@ class ObjectFigure:
     ):
         """
         Args:
-            opacity: None for a solid one.
-            color: of the whole surface; that of its materials if None.
+            opacity: opaque if None.
+            color: color of the surface; those of its materials if None.
         """
         from fungrasp.media.surfaces import corner_normals
 
@@ -132,7 +132,7 @@ class ObjectFigure:
         vertices, faces = model.vertices, model.faces
         normals = corner_normals(vertices, faces)
         self.surfaces: list[Any] = []
-        """What can be clicked and dragged."""
+        """Nodes that can be clicked and dragged."""
         for number, (look, mask) in enumerate(painted_parts(model)):
             points, triangles = creased(vertices, faces[mask], normals[mask])
             paint = color_bytes(look.color if color is None else color)
@@ -141,21 +141,21 @@ class ObjectFigure:
             )
 
     def place(self, pose: np.ndarray) -> None:
-        """Move it. pose: shape [7]."""
+        """Move the object. pose: shape [7]."""
         move(self.handle, pose)
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the node from the scene."""
         self.handle.remove()
 
 
 class ContactMarks:
-    """Where the links touch, or sink in, and the forces there."""
+    """Marks of contact points, penetration and forces."""
 
     def __init__(self, scene: SceneApi, name: str):
         """
         Args:
-            name: of the node, which a figure of the object carries.
+            name: name of the object's node.
         """
         self._scene, self._name = scene, name
         self._points: Any = None
@@ -167,8 +167,8 @@ class ContactMarks:
 
         Args:
             places: [m], shape [L, 3].
-            clearance: of each from the object's surface [m], shape [L].
-            within: what is farther than this is not marked [m].
+            clearance: distance of each point from the object's surface [m], shape [L].
+            within: maximum clearance of marked points [m].
         """
         near = clearance < within
         share = np.clip(-clearance[near, None] / 0.002, 0, 1)
@@ -186,12 +186,12 @@ class ContactMarks:
             self._points.points, self._points.colors = places, colors
 
     def forces(self, places: np.ndarray, forces: np.ndarray, meters_per_newton: float = 0.015) -> None:
-        """Draw forces as arrows that end where they act.
+        """Draw forces as arrows that end at their points of application.
 
         Args:
             places: [m], shape [L, 3].
             forces: [N], shape [L, 3]; zero for none.
-            meters_per_newton: length of an arrow [m/N].
+            meters_per_newton: arrow length per force [m/N].
         """
         which = np.linalg.norm(forces, axis=1) > 0.05
         if not which.any():
@@ -211,7 +211,7 @@ class ContactMarks:
             self._arrows.points = ends
 
     def places(self, marks: PlaceMarks | None) -> None:
-        """Join the person's places, the larger points, to the robot's. marks: None for none."""
+        """Connect human contact points (larger) with the robot's. marks: None for none."""
         for handle in self._places:
             handle.remove()
         self._places = []
@@ -230,7 +230,7 @@ class ContactMarks:
         ]
 
     def clear(self) -> None:
-        """Take all marks away."""
+        """Remove all marks."""
         self.places(None)
         self._points, self._arrows = _removed(self._points), _removed(self._arrows)
 
@@ -244,11 +244,11 @@ MISSED: Color = (0.85, 0.25, 0.45)
 """Color of links that should touch and do not."""
 
 UNWANTED: Color = (0.95, 0.80, 0.25)
-"""Color of links that touch and were not asked to."""
+"""Color of links that touch and should not."""
 
 
 class _Part(NamedTuple):
-    """Surfaces of one body that have one color."""
+    """Surfaces of one body and one color."""
 
     handle: Any
     color: np.ndarray
@@ -256,16 +256,16 @@ class _Part(NamedTuple):
 
 
 class RobotFigure:
-    """A robot hand: a frame for each body, a mesh for each color in it."""
+    """A robot hand, with a frame for each body and a mesh for each color of a body."""
 
     def __init__(
         self, scene: SceneApi, name: str, hand: Hand, *, opacity: float | None = None, collision: bool = False
     ):
         """
         Args:
-            name: of the node that carries it.
-            opacity: below 1 for a hand that is only thought of; None for a solid one.
-            collision: draw the shapes that collide in the place of those that look like the hand.
+            name: name of the root node.
+            opacity: opaque if None.
+            collision: draw collision shapes instead of visual meshes.
         """
         self.hand = hand
         self._model = dressed_model(hand)
@@ -297,7 +297,7 @@ class RobotFigure:
                 self._parts.append(_Part(handle, color, owner.get(title, 0)))
 
     def _joined(self, geoms: np.ndarray, materials: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices and faces of some geoms, in the frame of their body; creases keep their edges."""
+        """Return vertices and faces of some geoms in the frame of their body, with creases."""
         vertices, faces, count = [], [], 0
         rotation = np.empty(9)
         for geom in geoms.tolist():
@@ -311,17 +311,17 @@ class RobotFigure:
 
     @property
     def corners(self) -> np.ndarray:
-        """Lowest and highest corners of boxes that hold what is drawn, where the joints are now, palm frame
-        [m], shape [N, 3]."""
+        """Lowest and highest corners of boxes around the visible geoms at the current joints [m], palm frame,
+        shape [N, 3]."""
         geoms = np.isin(self._model.geom_bodyid, list(self._frames))
         centers, sizes = self._data.geom_xpos[geoms], self._model.geom_rbound[geoms, None]
         return transform_points(self._back, np.concatenate([centers - sizes, centers + sizes]))
 
     def place(self, wrist_pose: np.ndarray, joint_positions: np.ndarray) -> None:
-        """Move it.
+        """Set wrist pose and joints.
 
         Args:
-            wrist_pose: of the palm body, in the frame of the node's parent, shape [7].
+            wrist_pose: pose of the palm body in the frame of the node's parent, shape [7].
             joint_positions: in the order of ``hand.joint_names`` [rad], shape [M].
         """
         self._data.qpos[self._joints] = joint_positions
@@ -335,7 +335,7 @@ class RobotFigure:
 
         Args:
             reached: links that touch, shape [L] bool; None for none.
-            wanted: links that should, shape [L] bool; None where nothing is asked.
+            wanted: links that should touch, shape [L] bool; as ``reached`` if None.
         """
         for part in self._parts:
             touches = reached is not None and bool(reached[part.link])
@@ -350,19 +350,19 @@ class RobotFigure:
                 part.handle.color = color
 
     def paint_links(self, colors: np.ndarray | None) -> None:
-        """Give each link a color. colors: sRGB, at least L rows; None for the hand's own."""
+        """Color each link. colors: sRGB, one row per link; the hand's colors if None."""
         for part in self._parts:
             part.handle.color = color_bytes(part.color if colors is None else colors[part.link % len(colors)])
 
     @property
     def handles(self) -> list[Any]:
-        """What can be clicked and dragged."""
+        """Nodes that can be clicked and dragged."""
         return [part.handle for part in self._parts]
 
     def show(self, visible: bool) -> None:
-        """Whether it is seen."""
+        """Show or hide the hand."""
         self._root.visible = visible
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the node from the scene."""
         self._root.remove()

@@ -1,4 +1,4 @@
-"""The page of grasps: human and robot grasp side by side; the robot hand follows what is dragged."""
+"""Page of human grasps: human and robot grasp side by side; the robot hand follows drags."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from fungrasp.evaluation import StaticQuality
 
 APART = 0.3
-"""Distance between the hands that stand side by side [m]."""
+"""Distance between the hands [m]."""
 
 SAY_PERIOD = 0.3
-"""Time between two updates of the numbers during a drag [s]: text is slower than shapes in browsers."""
+"""Update period of the numbers during a drag [s]; browsers update text more slowly than shapes."""
 
 NOTHING = "nothing"
 
@@ -44,15 +44,15 @@ class PickableGrasps:
     grasps: HumanGraspSet
     """Grasps to choose from."""
     objects: Mapping[str, ObjectModel]
-    """Theirs, by name."""
+    """Objects of the grasps by name."""
     hand: str = "allegro"
     """Name of a hand, or the path of its TOML file."""
     row: int = 0
-    """Of the grasp that is shown first."""
+    """Row of the initial grasp."""
 
 
 class GraspPage(BrowserPage):
-    """Pick a grasp and a hand; drag the object or the wrist; compare, bend, save."""
+    """Page to select a grasp and hands, drag the object or the wrist, move joints, compare and save."""
 
     def __init__(self, client: ClientHandle, choice: PickableGrasps):
         super().__init__(client)
@@ -68,7 +68,7 @@ class GraspPage(BrowserPage):
         self._controls()
         self.worker.ask("pick", self._show_picked)
 
-    # What can be clicked.
+    # Controls.
 
     def _controls(self) -> None:
         gui, choice = self.client.gui, self._choice
@@ -118,7 +118,7 @@ class GraspPage(BrowserPage):
 
     def _on_object(self) -> None:
         labels = list(self._rows(self._object.value))
-        # Setting the options picks the first of them, which counts as an update.
+        # Setting the options selects the first one, which triggers an update.
         self._row.options = labels
         self._on_row()
 
@@ -133,7 +133,7 @@ class GraspPage(BrowserPage):
         self._other_method.visible = self._other.value != NOTHING
         self.worker.ask("pick", self._show_picked)
 
-    # What is shown.
+    # Display.
 
     def _show_picked(self) -> None:
         grasp = self._picked
@@ -144,14 +144,14 @@ class GraspPage(BrowserPage):
         hands = [(load_hand(name), method) for name, method in wanted]
         self._clear()
         self._human, self._motion = grasp, IDENTITY
-        # Grasps may be anywhere on the table: they are shown around the middle, side by side for the eye.
+        # Grasps may be anywhere on the table; show them side by side around the middle.
         aside, count = view_across(grasp), 1 + len(hands)
         center = np.array([*-grasp.object_pose[:2], 0.0])
         places = [center + (i - (count - 1) / 2) * APART * aside for i in range(count)]
         scene = self.client.scene
         height = float(grasp.object_pose[2])
         look_at(self.client, (0.0, 0.0, height), 0.30 + 0.24 * count, aside)
-        # Names of their own: what is taken away and what is put there must not be taken for each other.
+        # Unique names keep removed nodes and new nodes apart.
         self._shown += 1
         person = f"/human-{self._shown}"
         with self.client.atomic():
@@ -184,11 +184,11 @@ class GraspPage(BrowserPage):
         return Trial(robot.hand, robot.model, robot.grasp_set())
 
     def _show_episode(self) -> None:
-        """The episode takes the place of the grasps."""
+        """Hide the grasps for an episode."""
         self._stand(False)
 
     def _stand(self, visible: bool) -> None:
-        """Show the grasps, or make room."""
+        """Show or hide the grasps."""
         if visible:
             self._lift.player.clear()
         for node in self._figures:
@@ -231,13 +231,13 @@ class GraspPage(BrowserPage):
             self._say(f"follows in {1e3 * (now - start):.0f} ms", [])
 
     def _say(self, words: str, quality: list[StaticQuality]) -> None:
-        """Put the numbers beside the hands."""
+        """Show the numbers."""
         heads = ("", *(robot.hand.name for robot in self._robots))
         rows = quality_rows(self._robots, quality)
         table = values_table(rows, heads)
         self._numbers.content = f"{table}\n\n*{words}.* {LEGEND}"
 
-    # Moving.
+    # Motion.
 
     def _add_handles(self, person: str, grasp: HumanGrasp) -> None:
         scene = self.client.scene
@@ -260,7 +260,7 @@ class GraspPage(BrowserPage):
             self.worker.ask("imitate", self._imitate)
 
     def _on_numbers(self) -> None:
-        """The object has been moved by its numbers: what the keyboard can do."""
+        """Move the object as entered in the number fields."""
         if self._syncing:
             return
         angle = np.radians(self._turn.value)

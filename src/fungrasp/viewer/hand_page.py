@@ -1,4 +1,4 @@
-"""The page of a hand: joints, key points, contact links, shapes, and findings of the check."""
+"""Page of a hand: joints, key points, contact links, shapes and findings of the check."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from viser import ClientHandle
 
 STANDING = 0.1
-"""Height of the lowest point of a hand that is shown [m]."""
+"""Height of the hand's lowest point [m]."""
 
 
 class HandPage(BrowserPage):
-    """A hand that stands on the table and can be bent."""
+    """Page of a hand above the table with joint sliders."""
 
     def __init__(self, client: ClientHandle, path: Path):
         """
         Args:
-            path: of the TOML file; a hand that can't be read is shown by what is wrong with it.
+            path: TOML file. If it can't be read, the page shows the findings.
         """
         super().__init__(client)
         self._path, self._figure, self._shapes = path, None, None
@@ -66,7 +66,7 @@ class HandPage(BrowserPage):
         self._title.content = f"**{hand.title}**\n\n{counts}"
         scene = self.client.scene
         self._figure = RobotFigure(scene, "/hand", hand)
-        # The palm's origin may be far from what is drawn.
+        # The palm's origin may be far from the visible shapes.
         ends = transform_points(self._wrist(hand), self._figure.corners)
         self._height = STANDING - float(ends[:, 2].min())
         low, high = ends.min(axis=0), ends.max(axis=0)
@@ -81,8 +81,8 @@ class HandPage(BrowserPage):
         self._draw()
 
     def _wrist(self, hand: Hand) -> np.ndarray:
-        """Where the palm is: upright, palm to the front. Shape [7]."""
-        # Fingers up (z), normal out of the palm towards the eye (x).
+        """Return the palm pose: fingers up, palm to the front, shape [7]."""
+        # Fingers along z, palm normal along x toward the eye.
         axes = np.stack([hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal), hand.palm_fingers])
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())

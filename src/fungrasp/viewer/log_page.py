@@ -1,4 +1,4 @@
-"""The page of a deployment's log: where hand and object were, setpoints, and what happened."""
+"""Page of a deployment log: motion of hand and object, setpoints, events."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ if TYPE_CHECKING:
     from viser import ClientHandle
 
 WIDE_MODAL = "<style>.mantine-Modal-content { flex-basis: min(62em, 96vw) !important; }</style>"
-"""viser's modals are as wide as a message; curves need more."""
+"""Widens viser's modals, which are too narrow for curves."""
 
 PHASES = {"approach": "approach", "lift": "lift", "hold": "hold"}
-"""Phases of a deployment that episodes have too; all else counts as approach."""
+"""Phases of a deployment that episodes have too; other phases count as approach."""
 
 
 def check_log(log: RecordedDeployment, path: Path) -> None:
-    """
+    """Check that a log can be shown.
+
     Raises:
-        FungraspError: there is nothing in it to show.
+        FungraspError: the log has no plan or no setpoints.
     """
     if log.plan is None:
         raise FungraspError(f"{path} ends before a plan was made: there is nothing to show")
@@ -46,12 +47,12 @@ def check_log(log: RecordedDeployment, path: Path) -> None:
 
 
 class LogPage(BrowserPage):
-    """A deployment."""
+    """Page of a deployment."""
 
     def __init__(self, client: ClientHandle, log: RecordedDeployment):
         """
         Args:
-            log: with a plan and setpoints.
+            log: a log with a plan and setpoints.
         """
         super().__init__(client)
         self._log = log
@@ -112,13 +113,12 @@ def logged_states(
     object_pose: np.ndarray,
     measured_palm: Callable[..., np.ndarray] | None,
 ) -> tuple[EpisodeStates, float]:
-    """Frames of a log, and the time at which it begins.
+    """Return the states of a log and the time of its first setpoint.
 
     Args:
-        log: with setpoints.
-        object_pose: where the object is as long as it is not tracked, shape [7].
-        measured_palm: the palm's pose of the arm's joints; None where the arm is not known: then the palm is
-            shown where it was told to be.
+        log: a log with setpoints.
+        object_pose: object pose before tracking, shape [7].
+        measured_palm: function from arm joints to the palm pose; the palm is shown at its setpoints if None.
     """
     setpoints = log.messages["/setpoint"]
     start = float(setpoints[0]["time"])
@@ -145,7 +145,7 @@ def logged_states(
 
 
 def _measured_palm(log: RecordedDeployment, hand: Hand) -> Callable[..., np.ndarray] | None:
-    """Forward kinematics of the arm that the log names, if its cell is there."""
+    """Return the forward kinematics of the log's arm, or None if its cell can't be loaded."""
     try:
         return ArmKinematics(load_cell(str(log.about.get("cell", ""))), hand).palm_pose
     except FungraspError:
@@ -153,12 +153,12 @@ def _measured_palm(log: RecordedDeployment, hand: Hand) -> Callable[..., np.ndar
 
 
 def _fault(log: RecordedDeployment) -> str:
-    """The first fault of a deployment; "" if there was none."""
+    """Return the first fault of a deployment, or ""."""
     return next((str(e["text"]) for e in log.messages["/event"] if e["what"] == "fault"), "")
 
 
 def curves(log: RecordedDeployment) -> str:
-    """Palm, object, hand, arm and lateness over time, as SVG. log: with setpoints."""
+    """Plot palm, object, hand, arm and lateness over time as SVG. log: a log with setpoints."""
     setpoints, phases = log.messages["/setpoint"], _phases(log)
     time = _times(log)
     (arm, arm_seen), (hand, hand_seen), late = _joints(log, "arm"), _joints(log, "hand"), _lateness(log)
@@ -185,25 +185,25 @@ def curves(log: RecordedDeployment) -> str:
 
 
 def _times(log: RecordedDeployment) -> np.ndarray:
-    """Of the setpoints, from the first one on [s], shape [N]."""
+    """Return the times of setpoints since the first one [s], shape [N]."""
     times = np.array([message["time"] for message in log.messages["/setpoint"]])
     return times - times[0]
 
 
 def _joints(log: RecordedDeployment, part: str) -> tuple[np.ndarray, np.ndarray]:
-    """Joints of "arm" or "hand" as told and as measured [rad], shape [N, J] each."""
+    """Return commanded and measured joints of "arm" or "hand" [rad], shape [N, J] each."""
     setpoints = log.messages["/setpoint"]
     told = [message["sent"][part] for message in setpoints]
     return np.array(told), np.array([message[part]["positions"] for message in setpoints])
 
 
 def _lateness(log: RecordedDeployment) -> np.ndarray:
-    """How late each control step began [ms]."""
+    """Return the lateness of each control step [ms]."""
     return 1e3 * np.array([step["late"] for step in log.messages["/step"]] or [0.0])
 
 
 def _phases(log: RecordedDeployment) -> list[tuple[float, str]]:
-    """Start [s] and name of each phase."""
+    """Return start [s] and name of each phase."""
     found: list[tuple[float, str]] = []
     for message, when in zip(log.messages["/setpoint"], _times(log), strict=True):
         if not found or message["phase"] != found[-1][1]:
@@ -212,7 +212,7 @@ def _phases(log: RecordedDeployment) -> list[tuple[float, str]]:
 
 
 def _names(log: RecordedDeployment, count: int) -> list[str]:
-    """Of the driven joints of the hand, by numbers where the hand is not known."""
+    """Return names of the hand's driven joints, or numbers if the hand is unknown."""
     try:
         names = [] if log.plan is None else list(load_hand(log.plan.hand).actuators)
     except FungraspError:

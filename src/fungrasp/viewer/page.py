@@ -1,4 +1,4 @@
-"""A page for one browser, from its connection to its end."""
+"""A page for one browser connection."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 FIELD_OF_VIEW = float(np.radians(42.0))
-"""Of a page's camera, vertical [rad]."""
+"""Vertical field of view of a page's camera [rad]."""
 
 WIDE = 1.15
-"""Width over height of a picture below which the camera steps back."""
+"""Aspect ratio (width / height) below which the camera moves back."""
 
 UPRIGHT = 0.8
-"""Width over height of a phone's picture."""
+"""Aspect ratio below which a screen counts as an upright phone."""
 
 SHEET = 0.46
-"""Share of a phone's screen that its controls cover."""
+"""Share of a phone's screen that controls cover."""
 
 
 class Worker:
@@ -37,33 +37,33 @@ class Worker:
     def __init__(self, fail: Callable[[str], None]):
         """
         Args:
-            fail: called with a sentence when a job can't be done.
+            fail: called with a message when a job fails.
         """
         self._fail = fail
         self._waiting: dict[str, Callable[[], None]] = {}
         self._changed = threading.Condition()
         self.closed = False
-        """Whether it takes no more jobs; a long one looks at it from time to time."""
+        """Whether the worker is closed; long jobs poll this."""
         self._thread = threading.Thread(target=self._run, name="fungrasp page", daemon=True)
         self._thread.start()
 
     def ask(self, kind: str, job: Callable[[], None]) -> None:
-        """Do something soon; it takes the place of a job of the same kind that has not begun."""
+        """Queue a job. It replaces a waiting job of the same kind."""
         with self._changed:
             self._waiting[kind] = job
             self._changed.notify()
 
     def waits(self, kind: str) -> bool:
-        """Whether a job of a kind has not begun."""
+        """Return whether a job of a kind is waiting."""
         return kind in self._waiting
 
     @property
     def busy(self) -> bool:
-        """Whether a job waits: one that takes its time may make room."""
+        """Whether a job is waiting; long jobs may then stop."""
         return bool(self._waiting)
 
     def close(self) -> None:
-        """Take no more jobs."""
+        """Accept no more jobs."""
         with self._changed:
             self.closed = True
             self._waiting.clear()
@@ -81,54 +81,54 @@ class Worker:
             except FungraspError as error:
                 self._fail(str(error))
             except Exception as error:
-                # The browser may have gone in the middle of a job.
+                # The browser may have disconnected during the job.
                 if not self.closed:
                     _log.exception("a job of a page failed")
                     self._fail(f"internal error: {type(error).__name__}: {error}")
 
 
 class BrowserPage:
-    """What all pages have: the browser's handle, a worker, a line for what went wrong."""
+    """Base class of pages: the browser's handle, a worker and notifications."""
 
     def __init__(self, client: ClientHandle):
         self.client = client
         self.worker = Worker(self.fail)
 
     def fail(self, words: str) -> None:
-        """Say in the page what can't be done."""
+        """Show an error message."""
         if not self.worker.closed:
             self.client.add_notification(
                 "Not possible", " ".join(words.split()), color="red", auto_close_seconds=12.0
             )
 
     def note(self, words: str) -> None:
-        """Say something in passing."""
+        """Show a short notification."""
         if not self.worker.closed:
             self.client.add_notification("fungrasp", words, auto_close_seconds=5.0)
 
     def close(self) -> None:
-        """The browser is gone: let go of everything."""
+        """Release all resources after the browser disconnected."""
         self.worker.close()
 
 
 def look_at(
     client: ClientHandle, target: tuple[float, float, float], distance: float, aside: np.ndarray | None = None
 ) -> None:
-    """Put a page's camera in front of something, slightly above it.
+    """Place a page's camera in front of a point, slightly above it.
 
     Args:
-        target: what is in the middle [m].
-        distance: of the eye from it [m].
-        aside: horizontal unit vector that is to point to the right, shape [3]; x if None.
+        target: point in the middle of the view [m].
+        distance: distance of the camera from the target [m].
+        aside: horizontal unit vector that points right in the view, shape [3]; x if None.
     """
-    # A phone held upright sees less to the sides.
+    # An upright phone has a narrow horizontal view.
     distance /= float(np.clip(client.camera.aspect / WIDE, 0.35, 1.0))
     right = np.array([1.0, 0.0, 0.0]) if aside is None else aside
     back = np.array([right[1], -right[0], 0.0])
     away = 0.92 * back + np.array([0.0, 0.0, 0.38])
     middle = np.array(target, dtype=float)
     if client.camera.aspect < UPRIGHT:
-        # Its controls cover the lower part of the screen: what is looked at is above them.
+        # Controls cover the lower part of the screen, so the target is moved above them.
         up = np.array([0.0, 0.0, 1.0]) - 0.38 * away
         middle -= SHEET * np.tan(FIELD_OF_VIEW / 2) * distance * up / np.linalg.norm(up)
     client.camera.up_direction = (0.0, 0.0, 1.0)
@@ -139,7 +139,7 @@ def look_at(
 
 
 def add_table(client: ClientHandle, size: float = 1.6) -> None:
-    """The table top, the plane z = 0, with squares of 5 cm."""
+    """Add the table top, the plane z = 0, with squares of 5 cm."""
     client.scene.add_grid(
         "/table",
         width=size,
@@ -154,7 +154,7 @@ def add_table(client: ClientHandle, size: float = 1.6) -> None:
 
 
 def values_table(rows: Sequence[tuple[str, ...]], heads: tuple[str, ...] = ("", "")) -> str:
-    """A table in Markdown."""
+    """Return a Markdown table."""
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
@@ -165,7 +165,7 @@ class JointSliders:
     def __init__(self, gui: GuiApi, folder: Any, hand: Hand, moved: Callable[[], None]):
         """
         Args:
-            moved: called when somebody has moved one.
+            moved: called when a user has moved a slider.
         """
         self._hand, self._syncing, self._sliders = hand, False, []
         with folder:
@@ -177,18 +177,18 @@ class JointSliders:
 
     @property
     def joints(self) -> np.ndarray:
-        """Of all joints [rad], shape [M]."""
+        """Positions of all joints [rad], shape [M]."""
         values = np.array([slider.value for slider in self._sliders])
         return self._hand.all_joints(self._hand.independent(values))
 
     def show(self, joints: np.ndarray) -> None:
-        """Put them where a hand is, without calling anybody. joints: [rad], shape [M]."""
+        """Set the sliders without calling ``moved``. joints: [rad], shape [M]."""
         self._syncing = True
         for slider, value in zip(self._sliders, joints, strict=True):
             slider.value = float(np.clip(value, slider.min, slider.max))
         self._syncing = False
 
     def remove(self) -> None:
-        """Take them out of the page."""
+        """Remove the sliders."""
         for slider in self._sliders:
             slider.remove()

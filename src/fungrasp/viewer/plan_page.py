@@ -1,4 +1,4 @@
-"""The page of plans: the motion that each asks for, without physics."""
+"""Page of plans: the planned motion without physics."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from viser import ClientHandle
 
 LIFT_STEPS = 10
-"""Control steps in which the lift is shown, which is not a part of a plan."""
+"""Number of control steps of the displayed lift, which is not part of a plan."""
 
 
 def planned_states(plans: GraspPlan, row: int, hand: Hand) -> EpisodeStates:
-    """What a plan asks for at each control step, and the lift: the palm where its setpoint is, the fingers
-    where their servos are told to be, the object at rest until it is lifted."""
+    """Return the states of a plan at each control step, and of the lift: palm and fingers at their setpoints,
+    the object at rest until it is lifted."""
     states, rest = EpisodeStates(), plans.object_pose[row]
     palms = compose(rest[None], plans.palm_setpoint_object[row])
     goals = compose(rest[None], plans.palm_goal_object[row])
@@ -54,7 +54,7 @@ def planned_states(plans: GraspPlan, row: int, hand: Hand) -> EpisodeStates:
 
 
 class PlanPage(BrowserPage):
-    """Choose a plan, scrub through its motion, and play it again."""
+    """Page to select a plan, scrub through its motion and replay it."""
 
     def __init__(self, client: ClientHandle, plans: GraspPlan, objects: Mapping[str, ObjectModel]):
         super().__init__(client)

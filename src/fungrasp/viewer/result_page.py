@@ -1,4 +1,4 @@
-"""The pages of a recorded episode, and of a result, whose episodes are filtered and played again."""
+"""Pages of a recorded episode, and of a result with filtering and replay of its episodes."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 
 class RecordingPage(BrowserPage):
-    """Scrub through an episode, and play it again."""
+    """Page to scrub through an episode and replay it."""
 
     def __init__(
         self, client: ClientHandle, trajectory: Trajectory, objects: Mapping[str, ObjectModel] | None = None
     ):
         """
         Args:
-            objects: by name; a built-in object if None.
+            objects: objects by name; the built-in object if missing.
         """
         super().__init__(client)
         self._trajectory, self._objects = trajectory, objects or {}
@@ -48,10 +48,10 @@ class RecordingPage(BrowserPage):
 def show_recording(
     page: BrowserPage, player: EpisodePlayer, trajectory: Trajectory, objects: Mapping[str, ObjectModel]
 ) -> None:
-    """Put a recorded episode into a page.
+    """Show a recorded episode in a page.
 
     Raises:
-        FungraspError: no such hand or object.
+        FungraspError: the hand or object is unknown.
     """
     hand = load_hand(trajectory.hand)
     name = trajectory.object_name
@@ -68,33 +68,33 @@ def show_recording(
 ALL, FAILED, HELD, OTHERWISE, AS_SHOWN = "all", "failed", "held", "held, not as shown", "held as shown"
 """Kinds of episodes."""
 OUTCOMES = ("success", "reason", "held_as_shown", "not_as_shown", "place_error_mm")
-"""Fields of ``Outcomes`` that a page shows."""
+"""Fields of ``Outcomes`` on a page."""
 LISTED = 12
-"""Episodes in the list at once."""
+"""Number of episodes in the list at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShownResult:
-    """A result, and where its episodes can be had from."""
+    """A result with the sources of its episodes."""
 
     title: str
-    """Hand, policy and protocol in words."""
+    """Hand, policy and protocol as text."""
     episodes: list[dict[str, Any]]
-    """One for each: index, object, task, seed, and those of ``OUTCOMES`` that are known."""
+    """Episodes: index, object, task, seed, and the known fields in ``OUTCOMES``."""
     spec: LiftTestSpec | None = None
-    """What was asked; None where an old result does not know."""
+    """Settings of the test; None in old results."""
     grasps: RobotGraspSet | None = None
-    """What was tried, if it is there."""
+    """Tested grasps, if available."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
-    """Theirs."""
+    """Objects of the grasps by name."""
     recordings: Path | None = None
     """Folder of recorded episodes."""
     missing: str = ""
-    """Why episodes can't be played again; "" if they can."""
+    """Why episodes can't be simulated again; "" if they can."""
 
     @classmethod
     def of(cls, result: LiftTestResult) -> Self:
-        """A result that ``evaluate`` has returned."""
+        """Create from a result of ``evaluate``."""
         episodes = [
             {
                 "index": int(result.index[i]),
@@ -110,10 +110,10 @@ class ShownResult:
 
     @classmethod
     def read(cls, path: Path, file: ResultFile) -> Self:
-        """A result file. Grasps, objects and recordings are expected where its command had them.
+        """Create from a result file. Grasps, objects and recordings are searched at the paths in its command.
 
         Raises:
-            FungraspError: not a result of a lift test.
+            FungraspError: the file is not a result of a lift test.
         """
         header = file.header
         rows = [row for row in file.rows if {"index", "object", "success"} <= set(row)]
@@ -137,7 +137,7 @@ class ShownResult:
 
 
 class ResultPage(BrowserPage):
-    """Episodes of a lift test."""
+    """Page of the episodes of a lift test."""
 
     def __init__(self, client: ClientHandle, shown: ShownResult):
         super().__init__(client)
@@ -173,7 +173,7 @@ class ResultPage(BrowserPage):
     def _rows(self) -> list[dict[str, Any]]:
         rows = self._shown.episodes
         if self._outcome.value != ALL:
-            # All that is held, or one kind of it.
+            # HELD includes both kinds of held episodes.
             wanted = self._outcome.value
             rows = [e for e in rows if wanted == _kind(e) or (wanted == HELD and e["success"])]
         if self._object.value != ALL:
@@ -244,7 +244,7 @@ class ResultPage(BrowserPage):
         shown = self._shown
         grasps, spec = shown.grasps, shown.spec
         assert grasps is not None and spec is not None
-        # What is drawn depends on seed and row alone: the other episodes are not needed.
+        # Random parameters depend only on seed and row, so other episodes are not needed.
         spec = replace(spec, seeds=(int(row.get("seed", 0)),), attempts=1, use=False, static=False)
         with TemporaryDirectory() as folder:
             again = evaluate_row(grasps, shown.objects, spec, int(row["index"]), Path(folder))
@@ -254,10 +254,10 @@ class ResultPage(BrowserPage):
 def evaluate_row(
     grasps: RobotGraspSet, objects: Mapping[str, ObjectModel], spec: LiftTestSpec, row: int, folder: Path
 ) -> Path:
-    """Play the episode of one row again, as it was played among the others.
+    """Repeat the episode of one row exactly and return its recording.
 
     Raises:
-        FungraspError: of ``evaluate``.
+        FungraspError: as ``evaluate``.
     """
     from fungrasp.evaluation.lift_episodes import Episodes, LiftTest
 
@@ -268,7 +268,7 @@ def evaluate_row(
 
 
 def _kind(episode: Mapping[str, Any]) -> str:
-    """How an episode ended: ``HELD`` where the person's places are not known."""
+    """Return the kind of an episode: ``HELD`` if the human contact points are unknown."""
     if not episode["success"]:
         return FAILED
     error = episode.get("place_error_mm")
@@ -278,7 +278,7 @@ def _kind(episode: Mapping[str, Any]) -> str:
 
 
 def _reason(episode: Mapping[str, Any]) -> str:
-    """Why it failed, or was not held as shown; "" for neither."""
+    """Return why an episode failed or was not held as shown, or ""."""
     return str(episode.get("reason") or episode.get("not_as_shown") or "")
 
 
@@ -292,7 +292,7 @@ def _by_object(episodes: list[dict[str, Any]]) -> str:
 
 
 def _options(command: str) -> dict[str, str]:
-    """Options of a command line that take a value."""
+    """Return the options of a command line that have a value."""
     try:
         words = shlex.split(command)
     except ValueError:
@@ -304,7 +304,7 @@ def _options(command: str) -> dict[str, str]:
 
 
 def _beside(result: Path, name: str | None) -> Path | None:
-    """A path of the command that wrote a result: as it is, or beside the result."""
+    """Return the existing path for ``name``: as given or beside the result, or None."""
     if name is None:
         return None
     for path in (Path(name), result.parent / name, result.parent / Path(name).name):

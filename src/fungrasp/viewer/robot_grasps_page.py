@@ -1,4 +1,4 @@
-"""The page of robot grasps: look at each, and try it."""
+"""Page of robot grasps: view and test each."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 class RobotGraspsPage(BrowserPage):
-    """Grasps of one hand."""
+    """Page of the grasps of one hand."""
 
     def __init__(self, client: ClientHandle, grasps: RobotGraspSet, objects: Mapping[str, ObjectModel]):
         """
         Args:
-            grasps: of any hand that is found.
+            grasps: grasps of a known hand.
         """
         super().__init__(client)
         self._grasps, self._objects, self._hand = grasps, objects, grasps.load_hand()

@@ -1,4 +1,4 @@
-"""A robot hand in a page: retarget, follow drags, measure, save."""
+"""A robot hand in a page: retargeting, following drags, measurement, saving."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
     from viser import SceneApi
 
 MARKED = 0.006
-"""Links farther from the object than this get no mark [m]."""
+"""Maximum clearance of links with a mark [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinkTouch:
-    """Where the links of a hand are nearest to the object, object frame."""
+    """Points of a hand's links nearest to the object, object frame."""
 
     place: np.ndarray
-    """[m], shape [L, 3]."""
+    """Points [m], shape [L, 3]."""
     inward: np.ndarray
     """Unit normals into the object, shape [L, 3]."""
     clearance: np.ndarray
-    """[m], negative inside, shape [L]."""
+    """Clearances [m], negative inside, shape [L]."""
 
     @property
     def reached(self) -> np.ndarray:
@@ -54,7 +54,7 @@ class LinkTouch:
 
 
 class LinkDistances:
-    """How far the links of a hand are from one object, in a millisecond."""
+    """Distances of a hand's links from one object, computed in a millisecond."""
 
     def __init__(self, hand: Hand, model: ObjectModel):
         self._hand = hand
@@ -64,11 +64,11 @@ class LinkDistances:
         )
 
     def of(self, wrist_pose: np.ndarray, joints: np.ndarray, object_pose: np.ndarray) -> LinkTouch:
-        """Of a hand somewhere.
+        """Return the nearest points of a hand.
 
         Args:
-            wrist_pose: of the palm body, world frame, shape [7].
-            joints: all of the hand [rad], shape [M].
+            wrist_pose: pose of the palm body, world frame, shape [7].
+            joints: all joints of the hand [rad], shape [M].
             object_pose: world frame, shape [7].
         """
         pose = compose(invert(object_pose), wrist_pose)[None]
@@ -77,7 +77,7 @@ class LinkDistances:
 
 
 class RobotView:
-    """A robot hand beside its own copy of the object."""
+    """A robot hand with a copy of the object."""
 
     def __init__(
         self,
@@ -90,9 +90,9 @@ class RobotView:
     ):
         """
         Args:
-            name: of the node that carries all of it.
-            place: of that node [m], shape [3].
-            mirrored: whether a left hand gets the mirror image of the object, as it does of the human grasp.
+            name: name of the root node.
+            place: position of the root node [m], shape [3].
+            mirrored: whether a left hand gets the mirror image of the object, as of the human grasp.
         """
         self.hand = hand
         self.model = model if hand.side == "right" or not mirrored else mirrored_object(model)
@@ -103,31 +103,31 @@ class RobotView:
         self._distances = LinkDistances(hand, self.model)
         self._follower: Retargeter | None = None
         self.grasp: RobotGrasp | None = None
-        """Where it is now; contacts are those that the human grasp asks for."""
+        """The current grasp; its contacts are those of the human grasp."""
         self.touch: LinkTouch | None = None
-        """What it touches."""
+        """Nearest points of its links."""
         self.marks: PlaceMarks | None = None
-        """Its places beside the person's; None while it follows, or if they are not known."""
+        """Human and robot contact points; None while the hand follows or if they are unknown."""
 
     def imitate(self, human: HumanGrasp, method: str) -> None:
-        """Retarget a grasp, with contacts and the balance of forces."""
+        """Retarget a grasp with contacts and force closure."""
         self._follower = None
         one = _one_sided(human, self.hand)
         self.grasp = retarget(one, {self.model.name: self.model}, self.hand, method, threads=1)[0]
         self._put()
 
     def hold(self, grasp: RobotGrasp) -> None:
-        """Take a grasp as it is."""
+        """Show a grasp unchanged."""
         self._follower, self.grasp = None, grasp
         self._put()
 
     def follow(self, human: HumanGrasp) -> None:
-        """Stay with a hand and an object that are being moved."""
+        """Follow a human hand and object that are moved."""
         if self.grasp is None:
             return
         one = _one_sided(human, self.hand)[0]
         if self._follower is None:
-            # The mouse has no noise, and stops without a last frame.
+            # No filter: the mouse has no noise, and there is no last frame when it stops.
             self._follower = Retargeter(self.hand, self.model, RetargeterSettings(rate=None))
         pose = self._follower.follow(one.hand_joints, one.object_pose)
         self.grasp = replace(
@@ -141,21 +141,21 @@ class RobotView:
         self._put()
 
     def set_joints(self, joint_positions: np.ndarray) -> None:
-        """Bend it by hand. joint_positions: shape [M]."""
+        """Set the joints. joint_positions: [rad], shape [M]."""
         if self.grasp is not None:
             self._follower = None
             self.grasp = replace(self.grasp, joint_positions=joint_positions)
             self._put()
 
     def quality(self, human: HumanGrasp) -> StaticQuality | None:
-        """The numbers of the docs, of this one grasp."""
+        """Return the static quality of the current grasp; None if there is no grasp."""
         if self.grasp is None:
             return None
         robot, one = self.grasp_set(), _one_sided(human, self.hand)
         return static_quality(robot, one, {self.model.name: self.model}, self.hand)
 
     def grasp_set(self) -> RobotGraspSet:
-        """The grasp as it is, to be kept."""
+        """Return the current grasp as a set, for saving."""
         from fungrasp.hands import hand_origin
 
         assert self.grasp is not None
@@ -175,11 +175,11 @@ class RobotView:
         )
 
     def show(self, visible: bool) -> None:
-        """Whether it is seen."""
+        """Show or hide the hand and the object."""
         self._root.visible = visible
 
     def remove(self) -> None:
-        """Take it out of the scene."""
+        """Remove the nodes from the scene."""
         self._marks.clear()
         self._root.remove()
 
@@ -213,7 +213,7 @@ _KEPT = (
 
 
 def _one_sided(human: HumanGrasp, hand: Hand) -> HumanGraspSet:
-    """The grasp as a set, of a left hand for a left one."""
+    """Return the grasp as a set, mirrored for a left hand."""
     one = HumanGraspSet.of([replace(human, hand_qpos=None)])
     return one if hand.side == "right" else mirrored_grasps(one)
 
@@ -234,14 +234,14 @@ QUANTITIES = {
     "force_closure_residual": ("Forces that stay unbalanced", ""),
     "force_closure_epsilon": ("Weakest wrench resisted", ""),
 }
-"""Numbers of ``StaticQuality`` that are shown: title and unit."""
+"""Title and unit of the displayed fields of ``StaticQuality``."""
 
 
 def quality_rows(robots: Sequence[RobotView], quality: Sequence[StaticQuality]) -> list[tuple[str, ...]]:
-    """Lines of a table, a column for each hand.
+    """Return table rows with a column for each hand.
 
     Args:
-        quality: of each; none while something is dragged: then there is only what costs nothing.
+        quality: quality of each hand; empty during a drag, when only cheap numbers are shown.
     """
     rows: list[tuple[str, ...]] = []
     if quality:
@@ -260,13 +260,13 @@ def quality_rows(robots: Sequence[RobotView], quality: Sequence[StaticQuality]) 
 
 
 def view_across(grasp: HumanGrasp) -> np.ndarray:
-    """The unit vector to the right of somebody who looks at the grasp from where thumb and fingertips are
-    seen, across the forearm; horizontal, shape [3]."""
+    """Return the horizontal unit vector that points right for a viewer who looks across the forearm from the
+    side of the thumb and fingertips, shape [3]."""
     forearm = (grasp.hand_joints[0] - grasp.hand_joints[9])[:2]
     size = float(np.linalg.norm(forearm))
     aside = forearm / size if size > 0.02 else np.array([1.0, 0.0])
     towards = np.array([aside[1], -aside[0]])
-    # The eye is at that side of the knuckles where the tips are.
+    # The viewer is on the side of the knuckles where the tips are.
     tips = grasp.hand_joints[[4, 8, 12, 20]][:, :2].mean(axis=0) - grasp.hand_joints[[5, 17]][:, :2].mean(
         axis=0
     )
@@ -276,7 +276,7 @@ def view_across(grasp: HumanGrasp) -> np.ndarray:
 
 
 def _worded(name: str, value: float, unit: str) -> str:
-    """A number, marked where it is good or bad."""
+    """Return a number as text, with a mark if it is good or bad."""
     if not np.isfinite(value):
         return "–"
     if name == "held_as_shown":
@@ -287,11 +287,11 @@ def _worded(name: str, value: float, unit: str) -> str:
 
 
 def add_downloads(page: BrowserPage, robot: Callable[[], RobotView | None]) -> None:
-    """Buttons that save a grasp and a picture.
+    """Add buttons that save the grasp and a picture.
 
     Args:
-        page: in whose controls they are put.
-        robot: gives what is shown now; None if nothing is.
+        page: page for the buttons.
+        robot: returns the displayed robot hand, or None.
     """
     gui = page.client.gui
     with gui.add_folder("Keep", expand_by_default=False):

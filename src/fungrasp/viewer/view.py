@@ -37,15 +37,15 @@ PORTS = range(8080, 8100)
 """Default ports; the first free one is used."""
 
 WIDE = 700
-"""Width of a browser's window from which on the controls stand beside the scene [pixels]."""
+"""Minimum window width for controls beside the scene [pixels]."""
 
 _SHEET = 'div[style*="position: fixed"][style*="max-height: 60%"]'
 NARROW = f"""<style>@media (max-width: 36em) {{
   {_SHEET} {{ width: 100% !important; max-height: 46% !important; }}
   {_SHEET} div[style*="width: 20em"] {{ width: 100% !important; }}
 }}</style>"""
-"""On a phone viser's controls are a sheet at the right lower corner, over most of the picture: here it is as
-wide as the screen, the scene above it, and a tap on its title folds it."""
+"""Style for phones, where viser's controls would cover most of the scene: a sheet as wide as the screen,
+below the scene, that folds with a tap on its title."""
 
 MISSING = 'the interactive page needs packages that are not installed: pip install ".[viewer]" in the clone'
 
@@ -62,8 +62,8 @@ class Viewer:
     ):
         """
         Args:
-            make_page: what a browser sees; called when it connects.
-            title: of the browser's tab and of the panel.
+            make_page: creates the page of a browser when it connects.
+            title: title of the browser's tab and of the panel.
             host: address to listen on. Default: reachable from this machine only.
             port: 0 for any free port; the first free one of ``PORTS`` if None.
 
@@ -76,7 +76,7 @@ class Viewer:
             raise FungraspError(f"{MISSING} ({error})") from error
         port = _first_free_port(host) if port is None else _free_port(host, port)
         logging.getLogger("websockets").setLevel(logging.ERROR)
-        # A browser may go while its page is still drawing.
+        # A browser may disconnect while its page is still drawing.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
@@ -91,13 +91,13 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         host = "localhost" if self._host in (LOOPBACK, "0.0.0.0") else self._host
         return f"http://{host}:{self._server.get_port()}"
 
     @property
     def summary(self) -> str:
-        """Where the page is and who reaches it, in a sentence."""
+        """Address of the page and who can access it, in a sentence."""
         who = (
             "only this machine reaches it" if self._host == LOOPBACK else "everyone in the network reaches it"
         )
@@ -105,12 +105,12 @@ class Viewer:
 
     @property
     def pages(self) -> list[BrowserPage]:
-        """Of the browsers that are there."""
+        """Pages of the connected browsers."""
         with self._lock:
             return list(self._pages.values())
 
     def wait(self) -> None:
-        """Until it is closed, or Ctrl-C."""
+        """Wait until the viewer is closed or Ctrl-C is pressed."""
         try:
             while not self._closed.wait(0.5):
                 pass
@@ -118,7 +118,7 @@ class Viewer:
             self.close()
 
     def close(self) -> None:
-        """Stop, and free what all pages held."""
+        """Stop the server and close all pages."""
         self._closed.set()
         for page in self.pages:
             page.close()
@@ -159,14 +159,14 @@ class Viewer:
             page = self._pages.pop(client.client_id, None)
         if page is not None:
             page.close()
-            # Handles and their callbacks know each other.
+            # Handles and their callbacks are reference cycles.
             del page
             gc.collect()
 
 
 def _light(scene: SceneApi) -> None:
-    """A sky above a light table, and lamps at both sides. An environment map and shadows, which viser has by
-    itself, take seconds of a processor where the browser has no GPU."""
+    """Add sky light and lamps at both sides. viser's default environment map and shadows take seconds in
+    browsers without a GPU."""
     scene.configure_environment_map(None)
     scene.configure_default_lights(enabled=False)
     scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=2.2)
@@ -185,10 +185,10 @@ def _first_free_port(host: str) -> int:
 
 
 def _free_port(host: str, port: int) -> int:
-    """A port that can be listened at.
+    """Return a port that is free.
 
     Raises:
-        FungraspError: it is in use, or the address is none of this machine's.
+        FungraspError: the port is in use, or the address is not of this machine.
     """
     try:
         with socket.socket() as probe:
@@ -201,8 +201,8 @@ def _free_port(host: str, port: int) -> int:
 
 
 Viewable: TypeAlias = "AnyGrasps | GraspPlan | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
-"""Types that can be viewed. A path may be a file of grasps or plans, a result, a recorded episode, a
-deployment log, a capture or a hand."""
+"""Types that can be viewed. A path may be that of grasps, plans, a result, a recorded episode, a deployment
+log, a capture or a hand."""
 
 
 def view(
@@ -216,14 +216,14 @@ def view(
     browser: bool = False,
     wait: bool | None = None,
 ) -> Viewer | Path:
-    """Show something in a browser, or write a page. In a browser, it can be dragged, played and compared.
+    """View grasps, plans, results, episodes, captures or hands in a browser, or write a page.
 
     Args:
         what: grasps (a set or a single one), plans, a result, a recorded episode, the result of ``perceive``,
             a hand, or the path of one of their files, a deployment log or a capture. None: the built-in
             grasps.
-        objects: of grasps or plans, as for ``retarget``. A result has its own.
-        out: HTML file to write instead (self-contained). For grasps, results and perceived grasps.
+        objects: objects of grasps or plans, as for ``retarget``. A result has its own.
+        out: self-contained HTML file to write instead, for grasps, results and perceived grasps.
         hand: initial robot hand for human grasps.
         host: address to listen on. Default: reachable from this machine only.
         port: 0 for any free port; the first free one from 8080 if None.
@@ -234,8 +234,8 @@ def view(
         The running server (call ``close``), or the path of the written page.
 
     Raises:
-        FungraspError: wrong type, a missing object, a port in use, a file that can't be read or written, or
-            the extra ``viewer`` is missing.
+        FungraspError: wrong type, a missing object, a port in use, a file can't be read or written, or the
+            extra ``viewer`` is missing.
     """
     if out is not None:
         from fungrasp.media.grasp_pages import write_view
@@ -249,7 +249,7 @@ def view(
     page = choose_page(what, objects, hand)
     viewer = Viewer(page.make, page.title, host, port)
     if page.prepare is not None:
-        # Python can't end in the middle of a compilation: it waits for this thread.
+        # Not a daemon thread: Python can't exit during a compilation.
         threading.Thread(target=page.prepare, name="fungrasp prepares").start()
     if browser:
         webbrowser.open(viewer.url)
