@@ -1,4 +1,4 @@
-"""Exceptions for users. Messages name the mistake and what is allowed."""
+"""Exceptions for users. Messages name the mistake and the valid input."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class FungraspError(ValueError):
-    """Invalid input. The message is one line; the command line prints it and exits with 2."""
+    """Invalid input. The message is one line; the command line prints it and exits with status 2."""
 
 
 class UnknownNameError(FungraspError):
@@ -16,7 +16,7 @@ class UnknownNameError(FungraspError):
     def __init__(self, kind: str, given: str, known: Iterable[str]):
         """
         Args:
-            kind: of thing, singular ("hand", "object", ...).
+            kind: kind of name, singular ("hand", "object", ...).
         """
         names = sorted(known)
         near = difflib.get_close_matches(given.lower(), names, n=1, cutoff=0.5)

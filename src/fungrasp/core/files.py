@@ -1,5 +1,4 @@
-"""Writing files whole or not at all, the folder where computed things are kept, and digests that name
-them."""
+"""Atomic writing of files, the cache folder, and digests for cache keys."""
 
 from __future__ import annotations
 
@@ -20,18 +19,18 @@ from fungrasp.core.errors import FungraspError
 MOVE_CACHE = "set FUNGRASP_CACHE to a folder that can be written to"
 
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
-"""Tells processes of this machine from those of others that share a folder."""
+"""Identifies processes of this machine among machines that share a folder."""
 
 
 class CannotWriteError(FungraspError):
-    """A file or folder that can't be made or written to, or a disk that is full."""
+    """A file or folder can't be created or written to, or the disk is full."""
 
 
 @contextlib.contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; on a clean exit it replaces ``path``, else it is removed.
+    """Yield a temporary path beside ``path``. It replaces ``path`` on success and is removed otherwise.
 
-    The temporary name ends in the same suffix, so that libraries which choose a format by suffix agree.
+    The temporary name has the same suffix, for libraries that choose a format by suffix.
 
     Raises:
         CannotWriteError: the folder can't be written to, or the disk is full.
@@ -58,10 +57,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def check_writable(paths: Mapping[str, str | Path]) -> None:
-    """Check before the work starts that its output files can be written. Nothing is created.
+    """Check that output files can be written, before the work starts. Nothing is created.
 
     Args:
-        paths: of output files, by the name of their option.
+        paths: output files by option name.
 
     Raises:
         FungraspError: a path is a folder, lies below a file or in a folder that can't be written to, or two
@@ -82,7 +81,7 @@ def check_writable(paths: Mapping[str, str | Path]) -> None:
 
 
 def remove_leftovers(path: str | Path) -> None:
-    """Delete temporary files of ``path`` left by killed processes of this machine."""
+    """Delete temporary files of ``path`` that killed processes of this machine left."""
     path = Path(path)
     for left in path.parent.glob(f".{glob.escape(path.stem)}.{_HOST}-*{glob.escape(path.suffix)}"):
         owner = left.name.removeprefix(f".{path.stem}.{_HOST}-").partition("-")[0]
@@ -92,10 +91,10 @@ def remove_leftovers(path: str | Path) -> None:
 
 
 def cache_path(kind: str) -> Path:
-    """Cache folder for one ``kind`` of data ("convex_pieces", ...), whether it exists or not.
+    """Return the cache folder for one ``kind`` of data ("convex_pieces", ...), existing or not.
 
-    ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``; a folder that
-    can't be made where there is no home.
+    It is in ``$FUNGRASP_CACHE`` if set, else ``$XDG_CACHE_HOME/fungrasp``, else ``~/.cache/fungrasp``. The
+    path can't be created without a home folder.
     """
     root = os.environ.get("FUNGRASP_CACHE")
     if root is None:
@@ -105,10 +104,11 @@ def cache_path(kind: str) -> Path:
 
 
 def cache_folder(kind: str) -> Path:
-    """``cache_path`` for writing: the folder is made if missing.
+    """Return ``cache_path`` for writing, creating the folder if necessary.
 
     Raises:
-        CannotWriteError: it can't be made or written to; the message names the variable that moves it.
+        CannotWriteError: the folder can't be created or written to; the message names the variable that moves
+            it.
     """
     folder = cache_path(kind)
     try:
@@ -122,8 +122,8 @@ def cache_folder(kind: str) -> Path:
 
 
 def digest(*things: Any) -> str:
-    """SHA-256 of arrays, bytes, mappings, lists, objects with a ``digest``, and anything described by
-    ``repr``."""
+    """Return the SHA-256 of arrays, bytes, mappings, lists, objects with a ``digest``, and anything described
+    by ``repr``."""
     result = hashlib.sha256()
 
     def add(obj: Any) -> None:

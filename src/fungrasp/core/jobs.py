@@ -1,5 +1,5 @@
-"""Long jobs in independent parts, run here or on a Ray cluster. Finished parts are kept, and interrupted jobs
-can continue."""
+"""Long jobs of independent parts, run in this process or on a Ray cluster. Finished parts are stored, so that
+interrupted jobs can continue."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MOST_ARRAYS = 1000
 class PartStore:
     """Stored results of finished parts by key, one file each.
 
-    As a context manager, it deletes itself at the end of the block, unless there was an exception::
+    As a context manager, it deletes its files at the end of the block, unless there was an exception::
 
         with PartStore.beside(out) as store:
             result = evaluate(robot, objects, store=store)
@@ -45,7 +45,7 @@ class PartStore:
 
     @classmethod
     def beside(cls, result: str | Path) -> Self:
-        """The store for a result file: the folder ``<result>.partial``."""
+        """Return the store for a result file: the folder ``<result>.partial``."""
         path = Path(result)
         return cls(path.with_name(f"{path.name}.partial"))
 
@@ -61,7 +61,7 @@ class PartStore:
         return self._file(key).is_file()
 
     def load(self, key: str) -> dict[str, np.ndarray] | None:
-        """Arrays of a part by name, None if it is not stored."""
+        """Return the arrays of a part by name, or None if it is not stored."""
         if key not in self:
             return None
         try:
@@ -79,7 +79,7 @@ class PartStore:
             np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
 
     def kept(self, key: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Arrays of a part; computed and stored if they are missing.
+        """Return the arrays of a part, computed and stored if they are missing.
 
         Raises:
             FungraspError: the file can't be written.
@@ -91,7 +91,7 @@ class PartStore:
         return found
 
     def remove(self) -> None:
-        """Delete the parts, and the folder if nothing else is in it."""
+        """Delete the parts, and the folder if it is then empty."""
         for file in self._folder.glob("*.npz"):
             file.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
@@ -104,19 +104,19 @@ class PartStore:
 Result = TypeVar("Result")
 
 WAITING = 2
-"""Jobs per processor that are sent out: one running and one waiting. Limits memory."""
+"""Jobs per processor that are sent at a time, one running and one waiting, to limit memory."""
 
 MOST_LOSSES = 5
-"""Number of repetitions of a job whose worker or machine is lost."""
+"""Maximum number of repetitions of a job whose worker or machine is lost."""
 
 CONNECTING = 10.0
-"""Timeout for the head of a cluster [s]."""
+"""Timeout of the connection to the head of a cluster [s]."""
 
 COUNTING = 1.0
-"""Time after which the processors are counted again at the latest [s]."""
+"""Maximum period between counts of the processors [s]."""
 
 LOCAL = "local"
-"""Address of a cluster of this machine alone, which is started."""
+"""Address of a cluster that is started on this machine alone."""
 
 
 @dataclass(frozen=True)
@@ -124,15 +124,15 @@ class ClusterUse:
     """Utilization of a cluster."""
 
     jobs: int
-    """That were done."""
+    """Number of finished jobs."""
     processors: float
-    """At hand, on average."""
+    """Average number of available processors."""
     seconds: float
-    """From the first job to be sent to the last result."""
+    """Time from the first job sent to the last result [s]."""
     working: float
-    """Sum of the times that finished jobs took [s]."""
+    """Sum of the wall times of finished jobs [s]."""
     processor_seconds: float
-    """Sum of the processor time that they took [s]."""
+    """Sum of the processor times of finished jobs [s]."""
 
     @property
     def share(self) -> float:
@@ -141,7 +141,7 @@ class ClusterUse:
 
     @property
     def words(self) -> str:
-        """In a line."""
+        """The utilization as one line of text."""
         return (
             f"{self.jobs} jobs on {self.processors:.3g} processors in {self.seconds:.0f} s, of which they "
             f"worked {self.share:.0%}"
@@ -149,14 +149,14 @@ class ClusterUse:
 
 
 class RayCluster:
-    """A Ray cluster. It connects when there is work."""
+    """A Ray cluster. It connects with the first job."""
 
     def __init__(self, address: str = LOCAL):
-        """address: of the head of a running cluster ("auto": the one on this machine), or ``LOCAL``. A
-        process that is already connected keeps its cluster."""
+        """address: head of a running cluster ("auto": on this machine), or ``LOCAL``. A process that is
+        already connected keeps its cluster."""
         self._address = address
         self.use: ClusterUse | None = None
-        """Utilization in the last ``run``; None before."""
+        """Utilization in the last ``run``; None before the first."""
 
     def run(
         self,
@@ -165,20 +165,20 @@ class RayCluster:
         finished: Callable[[tuple[Any, ...], Result], None],
         shared: Any = None,
     ) -> None:
-        """Do each job once on some processor.
+        """Run each job once on any processor.
 
-        Jobs run in the folder of this process, if the machine has it. A job is repeated if its machine is
-        lost. Jobs must be independent of each other and of the machine; their order is not kept.
+        Jobs run in the current folder of this process if the machine has it. A job is repeated if its machine
+        is lost. Jobs must be independent of each other and of the machine; their order is not kept.
 
         Args:
-            work: a function of a module that every machine can import, called with ``shared`` and a job's
+            work: function of a module that every machine can import, called with ``shared`` and a job's
                 items.
-            finished: called here with each job and its result, one after another.
+            finished: called in this process with each job and its result, one after another.
             shared: data for all jobs, sent to each machine once.
 
         Raises:
-            FungraspError: a missing package, no cluster at the address, a machine with another version of
-                fungrasp, or an error of ``work``.
+            FungraspError: Ray is not installed, there is no cluster at the address, a machine has a different
+                version of fungrasp, or ``work`` fails.
         """
         ray, begun = _connected(self._address)
         send = ray.remote(num_cpus=1, max_retries=MOST_LOSSES)(_work)
@@ -189,7 +189,7 @@ class RayCluster:
         start = last = perf_counter()
         try:
             while True:
-                # Machines come and go, so their processors are counted anew.
+                # Machines may join or leave, so count the processors again.
                 processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
                 for job in islice(remaining, max(WAITING * processors - len(running), 0)):
                     running[send.remote(work, __version__, folder, sent, job)] = job
@@ -211,7 +211,7 @@ class RayCluster:
 
 
 def _connected(address: str) -> tuple[Any, bool]:
-    """Ray, and whether this process was not connected before."""
+    """Return Ray, and whether this call connected the process."""
     try:
         import ray
     except ImportError as error:
@@ -229,7 +229,7 @@ def _connected(address: str) -> tuple[Any, bool]:
 
 
 def _check_reachable(address: str) -> None:
-    """Ray itself would try for minutes."""
+    """Fail early: Ray itself would try for minutes."""
     host, _, port = address.rpartition(":")
     if not (host and port.isdigit()):
         return
@@ -242,10 +242,10 @@ def _check_reachable(address: str) -> None:
 def _work(
     work: Callable[..., Result], version: str, folder: Path, shared: Any, job: tuple[Any, ...]
 ) -> tuple[Result, float, float]:
-    """Its result, and the time and the processor time that it took [s]."""
+    """Return the result, wall time [s] and processor time [s] of a job."""
     if version != __version__:
         raise FungraspError(f"a machine of the cluster has fungrasp {__version__}, not {version}")
-    # A worker begins in the folder in which its machine joined, where relative paths mean something else.
+    # A worker starts in the folder in which its machine joined; relative paths need the caller's folder.
     if folder.is_dir():
         os.chdir(folder)
     start, used = perf_counter(), process_time()
@@ -260,7 +260,7 @@ def _result(ray: Any, done: Any) -> Any:
         if isinstance(error.cause, FungraspError):
             raise FungraspError(str(error.cause)) from None
         if isinstance(error.cause, ray.exceptions.RaySystemError):
-            # The last line of a traceback from there, as where a package is missing.
+            # The last line of the remote traceback, for example a missing package.
             words = str(error.cause).strip().splitlines()[-1]
             raise FungraspError(f"a machine of the cluster can't begin a job: {words}") from None
         raise
@@ -275,54 +275,54 @@ Arrays = dict[str, np.ndarray]
 """Result of a part: the content of an ``.npz`` file."""
 
 VERSIONS = (__version__, version("mujoco-core"))
-"""Of what computes: parts of other versions are not taken for those of this one."""
+"""Versions in part keys, so that parts of other versions are not reused."""
 
 
 def part_key(*inputs: Any) -> str:
-    """Key of a part in the store.
+    """Return the key of a part in the store.
 
     Args:
-        inputs: everything that determines the result, except the versions of fungrasp and MuJoCo, which are
-            added (``fungrasp.core.files.digest``).
+        inputs: everything that determines the result (``fungrasp.core.files.digest``). The versions of
+            fungrasp and MuJoCo are added.
     """
     return digest(VERSIONS, *inputs)[:32]
 
 
 class Job(ABC, Generic[Part]):
-    """Work in parts. A subclass is a frozen dataclass with the inputs. Values of ``cached_property`` are not
-    sent to other processes."""
+    """A job of independent parts. A subclass is a frozen dataclass with the inputs. Values of
+    ``cached_property`` are not sent to other processes."""
 
     @abstractmethod
     def parts(self) -> list[Part]:
-        """All parts, in the order of the results."""
+        """Return all parts, in the order of the results."""
 
     @abstractmethod
     def key(self, part: Part) -> str:
-        """``part_key`` of a part."""
+        """Return the ``part_key`` of a part."""
 
     @abstractmethod
     def run(self, parts: Sequence[Part], progress: Callable[[float], None]) -> list[Arrays]:
-        """The results of some parts. They must not depend on which parts are run together.
+        """Return the results of some parts. They must not depend on which parts are run together.
 
         Args:
-            parts: a single one, or a group of ``together``.
+            parts: a single part, or a group of ``together``.
             progress: called with the finished size.
         """
 
     def size(self, part: Part) -> float:
-        """How much work a part is."""
+        """Return the amount of work of a part."""
         return 1.0
 
     def together(self, missing: list[Part]) -> list[list[Part]]:
-        """Groups of parts for one process, to keep all of its threads busy."""
+        """Return groups of parts to run together, which keeps all threads of a process busy."""
         return [[part] for part in missing]
 
     def is_whole(self, part: Part) -> bool:
-        """Whether all that the part has left elsewhere (recordings) is still there."""
+        """Return whether the files that the part wrote elsewhere (recordings) still exist."""
         return True
 
     def on_one_processor(self) -> Self:
-        """The job as a worker of a cluster does it."""
+        """Return the job for a worker of a cluster, which has one processor."""
         return self
 
     def __getstate__(self) -> dict[str, Any]:
@@ -340,7 +340,7 @@ def run_job(
     """Run the parts of a job that are not stored yet.
 
     Args:
-        store: keeps finished parts so that an interrupted run can continue. The caller removes it.
+        store: stores finished parts, so that an interrupted run can continue. The caller removes it.
         ray: cluster to run on; this process if None. The results are the same.
         progress: called with the finished share, 0 to 1.
 
@@ -348,7 +348,7 @@ def run_job(
         The results in the order of ``job.parts()``.
 
     Raises:
-        FungraspError: of the job, of the cluster, or a part can't be written.
+        FungraspError: the job or the cluster fails, or a part can't be written.
     """
     parts = job.parts()
     keys = ["" if store is None else job.key(part) for part in parts]
@@ -391,7 +391,7 @@ def run_job(
 
 
 _jobs: dict[str, Job[Any]] = {}
-"""The job that this worker does, by its key, so that what it makes once is made once."""
+"""The current job of this worker by key, so that its cached properties are computed once."""
 
 
 def _run_part(shared: tuple[str, Job[Any]], number: int, part: Any) -> Arrays:

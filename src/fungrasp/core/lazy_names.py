@@ -9,10 +9,10 @@ from typing import Any
 
 
 def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
-    """A package's ``__getattr__``.
+    """Return the ``__getattr__`` of a package.
 
     Args:
-        package: its ``__name__``.
+        package: ``__name__`` of the package.
         modules: public names, separated by spaces, by defining module. A name must differ from all module
             names.
     """

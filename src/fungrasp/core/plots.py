@@ -1,5 +1,4 @@
-"""Plots with axes, units, legends and marked phases, as SVG that fits into a page or a file. Drawn by
-matplotlib, the same bytes every time."""
+"""Plots with axes, units, legends and marked phases, as reproducible SVG by matplotlib."""
 
 from __future__ import annotations
 
@@ -15,23 +14,23 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MOST_POINTS = 1500
-"""Of a line: more would not be seen."""
+"""Approximate maximum number of plotted points per line."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlotLine:
-    """A line; gaps where it is NaN."""
+    """A line, with gaps at NaN."""
 
     x: np.ndarray
     """Shape [N]."""
     y: np.ndarray
     """Shape [N]."""
     label: str = ""
-    """For the legend; "" for none."""
+    """Label in the legend; "" for none."""
     color: str | None = None
-    """Of matplotlib; the next one of its cycle if None."""
+    """Color in matplotlib; the next one of the cycle if None."""
     style: str = "-"
-    """Of matplotlib: "-", "--", ":", or "o" for marks alone."""
+    """Style in matplotlib: "-", "--", ":", or "o" for markers only."""
     band: np.ndarray | None = None
     """Lower and upper end of a band around the line, shape [2, N]; no band if None."""
 
@@ -41,46 +40,43 @@ class PlotPanel:
     """Lines in one pair of axes."""
 
     title: str
-    """Above it."""
+    """Title of the panel."""
     x: str
-    """What is to the right, with its unit."""
+    """Label of the x axis, with its unit."""
     y: str
-    """What is up, with its unit."""
+    """Label of the y axis, with its unit."""
     lines: Sequence[PlotLine]
-    """What is drawn."""
+    """Lines to plot."""
     phases: Sequence[tuple[float, str]] = ()
-    """Start and name of each phase of the time to the right."""
+    """Start (x value) and name of each phase."""
     limits: tuple[float, float] | None = None
-    """Of what is up; they follow from the lines if None."""
+    """Limits of the y axis; automatic if None."""
 
 
 @dataclass(frozen=True, eq=False)
 class RateBars:
-    """Rates of several things with their intervals."""
+    """N rates with intervals."""
 
     title: str
-    """Above it."""
+    """Title of the plot."""
     names: Sequence[str]
-    """Of the things, length N."""
+    """Labels of the bars, length N."""
     rates: np.ndarray
-    """0 to 1, shape [N]."""
+    """Rates, 0 to 1, shape [N]."""
     intervals: np.ndarray
-    """Lower and upper end of each, shape [N, 2]."""
+    """Lower and upper end of each interval, shape [N, 2]."""
     counts: Sequence[str] = field(default_factory=tuple)
-    """Words at the end of each bar, length N."""
+    """Text at the end of each bar, length N."""
     behind: np.ndarray | None = None
-    """Larger rates, drawn pale behind them, shape [N]."""
+    """Larger rates, drawn in a pale color behind the bars, shape [N]."""
 
 
 def panels_svg(panels: Sequence[PlotPanel], columns: int = 1, width: float = 9.0, height: float = 2.3) -> str:
-    """Panels below and beside each other.
+    """Plot a grid of panels as SVG.
 
     Args:
-        width: of it all [inches of 96 pixels].
-        height: of a panel [inches of 96 pixels].
-
-    Returns:
-        SVG.
+        width: total width [inches of 96 pixels].
+        height: height of a panel [inches of 96 pixels].
     """
     rows = -(-len(panels) // columns)
     with _figure(width, height * rows) as figure:
@@ -91,11 +87,7 @@ def panels_svg(panels: Sequence[PlotPanel], columns: int = 1, width: float = 9.0
 
 
 def rates_svg(bars: RateBars, width: float = 9.0) -> str:
-    """Rates as bars with their intervals.
-
-    Returns:
-        SVG.
-    """
+    """Plot rates as bars with intervals, as SVG."""
     count = len(bars.names)
     with _figure(width, 0.9 + 0.24 * count) as figure:
         axes = figure.add_subplot()
@@ -165,13 +157,13 @@ def _draw_panel(axes: Any, panel: PlotPanel) -> None:
 
 
 def _style(style: str) -> tuple[str, str]:
-    """Line and mark of a style."""
+    """Return line style and marker."""
     return ("", style) if style == "o" else (style, "")
 
 
 @contextmanager
 def _figure(width: float, height: float) -> Iterator[Any]:
-    """A figure that is the same wherever it is drawn."""
+    """Yield a figure with fixed settings, for reproducible output."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

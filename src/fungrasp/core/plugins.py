@@ -1,4 +1,4 @@
-"""What other packages bring by their entry points."""
+"""Plugins from entry points of other packages."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 
 
 def load_plugin(group: str, kind: str, name: str) -> Any:
-    """What an installed package brings.
+    """Load an entry point of an installed package.
 
     Args:
-        group: of the entry points.
-        kind: what it is, for messages.
-        name: of the entry point.
+        group: group of the entry point.
+        kind: kind of plugin, for messages.
+        name: name of the entry point.
 
     Raises:
-        FungraspError: no installed package has it, or it can't be loaded.
+        FungraspError: no installed package has the entry point, or it can't be loaded.
     """
     found = {entry.name: entry for entry in entry_points(group=group)}
     if not found:

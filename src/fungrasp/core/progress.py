@@ -1,4 +1,4 @@
-"""Progress of long work: bars in terminals and notebooks, lines elsewhere."""
+"""Progress of long work: bars in terminals and notebooks, text lines elsewhere."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from time import monotonic
 from typing import TypeAlias
 
 LINE_PERIOD = 30.0
-"""Time between two lines of progress where there is no terminal [s]."""
+"""Period of progress lines without a terminal [s]."""
 
 ShowProgress: TypeAlias = "Callable[[float], None] | bool | None"
 """Progress of a function: a function called with the finished amount, a bar (True), nothing (False), or a bar
 only in terminals and notebooks (None)."""
 
 _bars = threading.Lock()
-"""Held by the bar on the screen: a verb that another one calls shows none."""
+"""Held by the displayed bar, so that nested verbs show none."""
 
 
 @contextmanager
 def shown_progress(how: ShowProgress, words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A function to report the finished amount, shown as the caller requested.
+    """Yield a function that reports the finished amount, displayed as the caller requested.
 
     Args:
         words: label of the bar.
@@ -38,7 +38,7 @@ def shown_progress(how: ShowProgress, words: str, total: float) -> Iterator[Call
 
 
 def _watched() -> bool:
-    """Whether somebody would see a bar of this thread."""
+    """Return whether a bar of this thread would be visible."""
     if threading.current_thread() is not threading.main_thread() or _bars.locked():
         return False
     return sys.stderr.isatty() or "ipykernel" in sys.modules
@@ -46,20 +46,20 @@ def _watched() -> bool:
 
 @contextmanager
 def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A progress bar on stderr. If stderr is not a terminal, a line from time to time, and one at the end.
+    """Show a progress bar on stderr. If stderr is not a terminal, print periodic lines and one at the end.
 
     Args:
         total: total amount.
 
     Yields:
-        A function to report the finished amount.
+        a function that reports the finished amount.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
     if _bars.locked():
-        # A terminal has room for one.
+        # A terminal can show only one bar.
         yield lambda done: None
         return
     if not (console.is_terminal or console.is_jupyter):
@@ -74,7 +74,7 @@ def progress_bar(words: str, total: float) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def _plain_lines(words: str, total: float) -> Iterator[Callable[[float], None]]:
-    """``progress_bar`` without a terminal: a line every ``LINE_PERIOD`` seconds."""
+    """Report progress without a terminal: a line every ``LINE_PERIOD`` seconds."""
     last, shown = monotonic(), 100
 
     def line(percent: int) -> None:

@@ -19,10 +19,10 @@ from fungrasp.core.files import cache_path
 
 
 def run_record(seed: int | list[int]) -> dict[str, Any]:
-    """Provenance for result files: command, versions, seed, machine and date.
+    """Return the provenance for result files: command, versions, seed, machine and date.
 
     Args:
-        seed: of the run, or its seeds.
+        seed: seed or seeds of the run.
     """
     import mujoco
 
@@ -38,7 +38,7 @@ def run_record(seed: int | list[int]) -> dict[str, Any]:
 
 
 def page_provenance(source: Mapping[str, str], seed: int, seconds: float | None = None) -> dict[str, str]:
-    """Program, command, source, seed, machine and date, for people.
+    """Return the provenance for pages: program, command, source, seed, machine and date as text.
 
     Args:
         source: inputs by kind.
@@ -58,13 +58,13 @@ def page_provenance(source: Mapping[str, str], seed: int, seconds: float | None 
 
 
 def _program() -> list[str]:
-    """How this process was started: ``fungrasp``, or ``python -m`` and a module."""
+    """Return the start of this process's command: ``fungrasp``, or ``python -m`` and a module."""
     spec = getattr(sys.modules["__main__"], "__spec__", None)
     return ["fungrasp"] if spec is None else ["python", "-m", spec.name.removesuffix(".__main__")]
 
 
 def machine() -> str:
-    """Operating system, processors, and the versions of Python and MuJoCo, in words."""
+    """Return operating system, processors, and versions of Python and MuJoCo as text."""
     import mujoco
 
     return (
@@ -74,7 +74,7 @@ def machine() -> str:
 
 
 def git_revision() -> str:
-    """Git commit of the checkout, with "+changes" if it was edited; "" outside a checkout."""
+    """Return the git commit of the checkout, with "+changes" if it was edited; "" outside a checkout."""
 
     def git(*arguments: str) -> str:
         return subprocess.run(
@@ -93,7 +93,7 @@ def git_revision() -> str:
 
 
 MAIN_PACKAGES = ("mujoco-core", "numpy", "scipy", "numba", "torch", "viser")
-"""Whose versions explain most differences."""
+"""Packages whose versions explain most differences."""
 
 
 @dataclass(frozen=True)
@@ -101,37 +101,37 @@ class ExtraState:
     """An optional extra."""
 
     name: str
-    """As in ``pip install 'fungrasp[NAME]'``."""
+    """Name, as in ``pip install 'fungrasp[NAME]'``."""
     missing: tuple[str, ...]
-    """What it needs and is not installed, or is too old or too new."""
+    """Requirements that are not installed or have a wrong version."""
 
 
 @dataclass(frozen=True)
 class CacheState:
-    """A folder of things that can be made or fetched again."""
+    """A cache folder, whose content can be recreated."""
 
     what: str
-    """That it holds."""
+    """Kind of content."""
     path: str
-    """Where it is."""
+    """Path of the folder."""
     exists: bool
-    """Whether there is anything."""
+    """Whether the folder has files."""
     megabytes: float
-    """Its size."""
+    """Total size [MB]."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found."""
+    """State of the installation."""
 
     programs: tuple[tuple[str, str], ...]
-    """Name and version."""
+    """Names and versions of programs."""
     extras: tuple[ExtraState, ...]
-    """All of the package."""
+    """All extras of the package."""
     devices: tuple[tuple[str, str], ...]
-    """Kind and what is there."""
+    """Kinds and names of devices."""
     caches: tuple[CacheState, ...]
-    """All of the package."""
+    """All caches of the package."""
 
 
 def diagnose() -> Diagnosis:
@@ -160,7 +160,7 @@ def _extras() -> list[ExtraState]:
 
 
 def _missing(extra: str, needs: list[str]) -> list[str]:
-    """Requirements of an extra that are not met."""
+    """Return the unmet requirements of an extra."""
     from packaging.requirements import Requirement
 
     found: list[str] = []
@@ -181,7 +181,7 @@ def _missing(extra: str, needs: list[str]) -> list[str]:
 
 
 def _devices() -> list[tuple[str, str]]:
-    """Processors, graphics card, cameras, serial ports and CAN interfaces."""
+    """Return processors, graphics cards, cameras, serial ports and CAN interfaces."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     found = [("processors", str(usable))]
     cards = sorted(str(path) for path in Path("/dev").glob("nvidia[0-9]*"))
@@ -209,7 +209,7 @@ def _text(path: Path) -> str:
 
 
 def _caches() -> list[CacheState]:
-    """Folders of things that can be made or fetched again."""
+    """Return all cache folders."""
     root, found = cache_path("all").parent, []
     for path in sorted(root.glob("*")) if root.is_dir() else []:
         files = [file for file in path.rglob("*") if file.is_file()]

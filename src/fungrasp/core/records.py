@@ -1,4 +1,4 @@
-"""Frozen dataclasses: batches of arrays in NumPy files, and settings as JSON."""
+"""Serialization of frozen dataclasses: batches of arrays in NumPy files, and settings as JSON."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from fungrasp.core.formats.numpy_files import read_npz
 
 
 class BatchRecord:
-    """Base of the data types shared by planner, policy, simulation and robot.
+    """Base class of the data types shared by planner, policy, simulation and robot.
 
-    A subclass is a frozen dataclass. Its fields are arrays with the batch first, ``None`` for unknown
+    A subclass is a frozen dataclass. Its fields are arrays with the batch axis first, None for unknown
     quantities, and scalars (in ``SCALARS``) for the whole batch.
     """
 
     SCALARS: ClassVar[tuple[str, ...]] = ()
     FORMER_NAMES: ClassVar[Mapping[str, str]] = {}
-    """Old names of fields in files, and their new names."""
+    """New names of fields by their old names in files."""
 
     def __len__(self) -> int:
         return next(len(value) for value in self._rows().values())
@@ -37,24 +37,24 @@ class BatchRecord:
         return f"<{type(self).__name__}: {len(self)} rows of {known}>"
 
     def __getitem__(self, rows: int | slice | Sequence[int] | np.ndarray) -> Self:
-        """Some rows of the batch; a number gives a batch of one."""
+        """Return some rows of the batch; a number selects a batch of one."""
         if isinstance(rows, slice):
             return self.select(rows)
         return self.select(np.atleast_1d(np.asarray(rows)))
 
     def select(self, rows: np.ndarray | slice) -> Self:
-        """Some rows of the batch. rows: indices, flags or a slice."""
+        """Return some rows of the batch. rows: indices, a mask or a slice."""
         return self._with({name: value[rows] for name, value in self._rows().items()})
 
     def replaced(self, rows: np.ndarray, other: Self) -> Self:
-        """A copy with some rows replaced.
+        """Return a copy with some rows replaced.
 
         Args:
             rows: indices, shape [I].
             other: I rows with the same quantities.
 
         Raises:
-            FungraspError: a quantity is known in one of the two only.
+            FungraspError: a quantity is known in only one of the two.
         """
         self._check_same(other)
         arrays = {name: value.copy() for name, value in self._rows().items()}
@@ -63,7 +63,7 @@ class BatchRecord:
         return self._with(arrays)
 
     def mapped(self, function: Callable[[Any], Any]) -> Self:
-        """A copy with a function applied to each array, for example to move it to a device."""
+        """Return a copy with a function applied to each array, for example to move it to a device."""
         return self._with({name: function(value) for name, value in self._rows().items()})
 
     @classmethod
@@ -71,7 +71,7 @@ class BatchRecord:
         """Concatenate batches; scalars are those of the first.
 
         Raises:
-            FungraspError: a quantity is known in some of them only.
+            FungraspError: a quantity is known in only some of them.
         """
         for part in parts[1:]:
             parts[0]._check_same(part)
@@ -92,7 +92,7 @@ class BatchRecord:
         """Read a file of ``save``.
 
         Raises:
-            FungraspError: no such file, or it holds something else.
+            FungraspError: the file does not exist or has different content.
         """
         arrays = read_npz(path, f"{cls.__name__} file")
         try:
@@ -101,16 +101,16 @@ class BatchRecord:
             raise FungraspError(f"{path} holds no {cls.__name__}: {one_line(error)}") from error
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What is known, by name, to be kept in a file."""
+        """Return the known quantities by name, for a file."""
         shared = {name: np.asarray(getattr(self, name)) for name in self.SCALARS}
         return shared | self._rows()
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Self:
-        """What ``arrays`` gave; names of other things are left alone.
+        """Create a record from the result of ``arrays``; other names are ignored.
 
         Raises:
-            KeyError: a quantity that has no default is missing.
+            KeyError: a quantity without a default is missing.
         """
         arrays = {cls.FORMER_NAMES.get(name, name): value for name, value in arrays.items()}
         wanted = fields(cls)  # pyright: ignore[reportArgumentType]
@@ -122,13 +122,13 @@ class BatchRecord:
         return cls(**values)
 
     def _check_same(self, other: Self) -> None:
-        """Complain if a quantity is known in one of two records only."""
+        """Raise an error if a quantity is known in only one of two records."""
         names = ", ".join(sorted(set(self._rows()) ^ set(other._rows())))
         if names:
             raise FungraspError(f"{type(self).__name__}: {names} is given in one of the two records only")
 
     def _rows(self) -> dict[str, np.ndarray]:
-        """The arrays that have one row for each member of the batch."""
+        """Return the known arrays with one row for each member of the batch."""
         names = [f.name for f in fields(self)]  # pyright: ignore[reportArgumentType]
         values = {name: getattr(self, name) for name in names if name not in self.SCALARS}
         return {name: value for name, value in values.items() if value is not None}
@@ -142,10 +142,10 @@ Record = TypeVar("Record")
 
 
 def record_to_json(record: Any) -> Any:
-    """A dataclass as JSON, with all fields.
+    """Convert a dataclass with all its fields to JSON data.
 
     Raises:
-        FungraspError: an unsupported type, or a number that is not finite.
+        FungraspError: a type is not supported, or a number is not finite.
     """
     if is_dataclass(record) and not isinstance(record, type):
         return {f.name: record_to_json(getattr(record, f.name)) for f in fields(record)}
@@ -163,13 +163,13 @@ def record_to_json(record: Any) -> Any:
 
 
 def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
-    """A dataclass from the JSON of ``record_to_json``; missing fields get their defaults.
+    """Create a dataclass from the JSON data of ``record_to_json``; missing fields get their defaults.
 
     Args:
-        where: begins the messages: "the specification lift.json".
+        where: prefix of error messages, for example "the specification lift.json".
 
     Raises:
-        FungraspError: an unknown field, or a value of the wrong type.
+        FungraspError: a field is unknown or missing, or a value has a wrong type.
     """
     if not isinstance(data, Mapping):
         raise FungraspError(f"{where}: expected the fields of {kind.__name__}, not {_words(data)}")
@@ -188,7 +188,7 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
-    """A value of a type, as strictly as JSON allows: a whole number is a float as well."""
+    """Return a value checked against a type; whole numbers are accepted as floats."""
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return value

@@ -1,4 +1,4 @@
-"""Tables of text."""
+"""Text tables."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import sys
 from collections.abc import Collection, Sequence
 
 PIPE_WIDTH = 10_000
-"""Width of a table that is not printed on a terminal [characters]."""
+"""Width of tables outside a terminal [characters]."""
 
 
 def table(
     rows: Sequence[Sequence[str]], left: Collection[int] | None = (0,), widest: int | None = None
 ) -> str:
-    """Rows of cells as aligned lines; on a terminal, cells are folded so that the lines fit.
+    """Format rows of cells as aligned lines. On a terminal, cells are folded to its width.
 
     Args:
-        rows: the head first, all of the same length.
-        left: columns that are aligned to the left, all if None; the others are aligned to the right.
-        widest: a longer cell is folded, terminal or not [characters].
+        rows: rows of equal length, starting with the header.
+        left: left-aligned columns, all if None; other columns are right-aligned.
+        widest: width beyond which cells are always folded [characters].
     """
     from io import StringIO
 
@@ -34,6 +34,6 @@ def table(
         grid.add_row(*map(Text, row))
     stream = StringIO()
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else PIPE_WIDTH
-    # In a notebook, rich would show the table in place of writing it.
+    # In a notebook, rich would display the table instead of writing it.
     Console(file=stream, width=width, color_system=None, force_jupyter=False).print(grid)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())

@@ -1,4 +1,4 @@
-"""Warnings of a command: one line on stderr for each kind."""
+"""Warnings of commands: one line on stderr for each kind."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import logging
 import sys
 
 NAMED = 6
-"""Most files or objects to name in one line."""
+"""Maximum number of files or objects named in one line."""
 
 
 class WarningLines(logging.Handler):
-    """Prints warnings as ``fungrasp: warning: ...``, the same one once. If several files or objects share one
-    ("%s: no thickness"), the others are listed in one more line at the end."""
+    """Prints warnings as ``fungrasp: warning: ...``, each only once. If several files or objects share a
+    warning ("%s: no thickness"), one more line at the end lists the others."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self._subjects: dict[str, list[str]] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a warning of a new kind; note the subject of a known one."""
+        """Print a new kind of warning; collect the subjects of known kinds."""
         message, subject = record.getMessage(), ""
         if isinstance(record.args, tuple) and record.args and record.msg.startswith("%s: "):
             subject = str(record.args[0])

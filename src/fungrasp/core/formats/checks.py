@@ -1,4 +1,4 @@
-"""Checks of foreign files before they are understood (size, kind, nesting), and the last safeguard."""
+"""Checks of files from unknown sources (size, kind, nesting), and a decorator that converts other errors."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Any, TypeVar
 from fungrasp.core.errors import FungraspError
 
 DEEPEST = 32
-"""Most containers inside each other in JSON, TOML and YAML."""
+"""Maximum nesting depth in JSON, TOML and YAML."""
 
 MOST_NODES = 2_000_000
-"""Most values in JSON, TOML and YAML; a value referred to twice counts twice."""
+"""Maximum number of values in JSON, TOML and YAML; a value that is referenced twice counts twice."""
 
 LARGEST_INTEGER = 2**63 - 1
 
 
 def check_file(path: str | Path, what: str, largest: int) -> Path:
-    """The path, if it is a file of at most ``largest`` bytes.
+    """Return the path after checking that it is a file of at most ``largest`` bytes.
 
     Raises:
-        FungraspError: it does not exist, is not a regular file or is larger.
+        FungraspError: the file does not exist, is not a regular file or is larger.
     """
     path = Path(path)
     try:
@@ -45,10 +45,10 @@ def check_file(path: str | Path, what: str, largest: int) -> Path:
 
 
 def read_bytes(path: str | Path, what: str, largest: int) -> bytes:
-    """All bytes of a file.
+    """Read all bytes of a file.
 
     Raises:
-        FungraspError: see ``check_file``; or it can't be read.
+        FungraspError: see ``check_file``; or the file can't be read.
     """
     path = check_file(path, what, largest)
     try:
@@ -59,10 +59,10 @@ def read_bytes(path: str | Path, what: str, largest: int) -> bytes:
 
 
 def read_text(path: str | Path, what: str, largest: int = 4_000_000) -> str:
-    """A text file in UTF-8, with or without a byte-order mark.
+    """Read a UTF-8 text file, with or without a byte-order mark.
 
     Raises:
-        FungraspError: see ``read_bytes``; or it is no text.
+        FungraspError: see ``read_bytes``; or the file is not UTF-8 text.
     """
     try:
         return read_bytes(path, what, largest).decode("utf-8-sig").replace("\r\n", "\n")
@@ -71,11 +71,11 @@ def read_text(path: str | Path, what: str, largest: int = 4_000_000) -> str:
 
 
 def check_tree(tree: Any, where: str) -> None:
-    """Refuse plain data that the code behind could choke on.
+    """Check plain data for values that other code may not handle.
 
     Raises:
-        FungraspError: containers nested too deeply, too many values, integers beyond 64 bits, or text with
-            half a character.
+        FungraspError: containers are nested too deeply, there are too many values, an integer exceeds 64
+            bits, or text has an unpaired surrogate.
     """
     waiting = [(tree, 0)]
     nodes = 0
@@ -98,14 +98,14 @@ def check_tree(tree: Any, where: str) -> None:
 
 
 def one_line(obj: Any, longest: int = 300) -> str:
-    """The words of an exception, path or other thing in one line of limited length; never empty."""
+    """Return the text of an exception, path or other object as one line of limited length, never empty."""
     text = " ".join(str(obj).split()) or type(obj).__name__
     text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= longest else f"{text[:longest]} ..."
 
 
 def cannot_read(path: str | Path, error: Exception) -> FungraspError:
-    """The error to raise when the system does not let a file be read."""
+    """Return the error for a file that the system can't read."""
     return FungraspError(
         f"cannot read {one_line(path)}: {one_line(getattr(error, 'strerror', None) or error)}"
     )
@@ -130,15 +130,15 @@ _SENSELESS = (
     RuntimeError,
     MemoryError,
 )
-"""What values of a wrong type or size raise in code that computes with them."""
+"""Exceptions that invalid values raise in code that computes with them."""
 
 
 def guarded(what: str) -> Callable[[Reader], Reader]:
-    """Decorator of a reader whose first argument is a path: what its content raises beyond ``FungraspError``
-    becomes one, of one line and with the cause attached.
+    """Decorate a reader whose first argument is a path, so that exceptions due to file content become
+    one-line ``FungraspError`` exceptions with the cause attached.
 
     Args:
-        what: the reader reads, for messages: "hand file".
+        what: kind of file, for messages: "hand file".
     """
 
     def decorate(reader: Reader) -> Reader:

@@ -11,28 +11,28 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import check_file, one_line
 
 LARGEST_PIXELS = 60_000_000
-"""Pixels of the largest image that is read."""
+"""Maximum number of pixels of an image."""
 
 LARGEST = 500_000_000
-"""Bytes of the largest file that is read."""
+"""Maximum size of a file [bytes]."""
 
 ORIENTATION = 0x0112
-"""EXIF tag: how the stored pixels are to be turned to be shown; 1 is as they are."""
+"""EXIF tag of the orientation; 1 for unrotated pixels."""
 
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF")
 
 
 def read_image(path: str | Path, what: str) -> Image.Image:
-    """An image, its pixels loaded.
+    """Read an image with its pixels.
 
-    One that is to be shown turned or mirrored is refused: whether the other images and the intrinsics that
-    belong to it are of the pixels as stored or as shown, no file says, and programs that write them differ.
+    Images with an EXIF rotation or reflection are refused, because it is unknown whether their intrinsics and
+    the other images refer to the stored or the displayed pixels.
 
     Args:
-        path: a file of one of ``FORMATS``.
+        path: a file in one of ``FORMATS``.
 
     Raises:
-        FungraspError: it can't be read, is cut short, no image or too large, or is to be shown turned.
+        FungraspError: the file can't be read, is truncated, not an image, too large, or rotated by EXIF.
     """
     path = check_file(path, what, LARGEST)
     where = f"the {what} {one_line(path)}"
@@ -44,7 +44,7 @@ def read_image(path: str | Path, what: str) -> Image.Image:
                     f"{where} has {image.width} x {image.height} pixels; the largest allowed is "
                     f"{LARGEST_PIXELS // 1_000_000} million"
                 )
-            # Before TIFF files are loaded, which Pillow turns then.
+            # Check before loading, because Pillow then rotates TIFF files.
             turned = image.getexif().get(ORIENTATION, 1)
             if turned in range(2, 9):
                 raise FungraspError(

@@ -1,4 +1,4 @@
-"""Mesh files, read by trimesh in a child process with limits."""
+"""Mesh files, read by trimesh in a limited child process."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ if TYPE_CHECKING:
     import trimesh
 
 LARGEST = 400_000_000
-"""Bytes of the largest file that is read."""
+"""Maximum size of a file [bytes]."""
 
 MOST_FACES = 2_000_000
-"""Faces of the largest mesh that is read."""
+"""Maximum number of faces."""
 
 
 def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndarray]:
-    """The triangles of any mesh file that trimesh reads; a scene's meshes are joined.
+    """Read the triangles of any mesh file that trimesh supports; meshes of a scene are joined.
 
     Returns:
         vertices: shape [V, 3] float64, finite.
         faces: vertex indices, shape [F, 3] int32, F >= 1.
 
     Raises:
-        FungraspError: it can't be read in the time and memory there is, has no faces, too many, or a vertex
-            that is not finite.
+        FungraspError: the file can't be read within the limits, has no or too many faces, or a vertex is not
+            finite.
     """
     arrays = _arrays(path, what, "triangles")
     return arrays["vertices"], arrays["faces"]
 
 
 def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh | None:
-    """The triangles of a mesh file with its colors, of vertices or faces or in a texture.
+    """Read the triangles of a mesh file with its vertex colors, face colors or texture.
 
     Returns:
-        None where the file has no colors.
+        The mesh, or None if the file has no colors.
 
     Raises:
         FungraspError: see ``read_mesh``; or the colors or the texture can't be read.
@@ -64,7 +64,7 @@ def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh |
 
 
 def is_colorless(path: str | Path) -> bool:
-    """Whether a mesh file says at first glance that it has no colors; False where that takes reading it.
+    """Return whether a mesh file evidently has no colors, without parsing it; False if that is unclear.
 
     Raises:
         FungraspError: the file can't be read.
@@ -74,19 +74,19 @@ def is_colorless(path: str | Path) -> bool:
     if suffix == ".obj":
         text = b"\n" + path.read_bytes()
         vertex = text[text.find(b"\nv ") :].lstrip().split(b"\n", 1)[0]
-        # Colors follow the three coordinates; others are in files of materials, or in textures.
+        # Colors follow the three coordinates, or are in material files or textures.
         return b"mtl" not in text and b"\nvt " not in text and len(vertex.split()) <= 4
     if suffix == ".ply":
         with path.open("rb") as stream:
             head, ended, _ = stream.read(10_000).partition(b"end_header")
-        # Names of colors, textures and places in them.
+        # Property names of colors, textures and texture coordinates.
         said = set(head.lower().split()) & {b"red", b"texturefile", b"texture_u", b"u", b"s"}
         return bool(ended) and not said
     return suffix == ".stl"
 
 
 def _arrays(path: str | Path, what: str, job: str) -> dict[str, np.ndarray]:
-    """What a job of ``sandbox_worker`` finds in a mesh file, checked."""
+    """Return the checked arrays of a ``sandbox_worker`` job on a mesh file."""
     path = check_file(path, f"{what} file", LARGEST)
     with np.load(io.BytesIO(run_limited(job, path, what, path.stat().st_size))) as file:
         arrays = dict(file)

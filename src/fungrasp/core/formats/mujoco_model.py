@@ -1,4 +1,4 @@
-"""MJCF and URDF files, tried in a child process with limits before MuJoCo reads them here."""
+"""MJCF and URDF files, tested in a limited child process before MuJoCo reads them in this process."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from fungrasp.core.formats.sandbox import run_limited
 from fungrasp.core.formats.text_files import check_entities
 
 LARGEST = 20_000_000
-"""Bytes of the largest file that is read, those of its meshes not counted."""
+"""Maximum size of a file without its meshes [bytes]."""
 
 LARGEST_SIZE = 100_000
-"""Largest of the sizes that a model may declare: user data, constraints, contacts, keyframes."""
+"""Maximum of the sizes that a model declares: user data, constraints, contacts, keyframes."""
 
 SIZES = ("njmax", "nconmax", "nuserdata", "nkey", "nuser_body", "nuser_geom", "nuser_jnt", "nuser_site")
 
@@ -32,19 +32,19 @@ NUMBERS = {
     "site": ("pos", "quat"),
     "eq": ("data",),
 }
-"""Fields of a compiled model that ``check_model_numbers`` looks at, by kind of element."""
+"""Fields of a compiled model that ``check_model_numbers`` checks, by element type."""
 
 LENGTHS = ("pos", "ipos", "size")
-"""Those of them that are lengths [m]."""
+"""Checked fields that are lengths [m]."""
 
 _PACKAGE = Path(__file__).parents[2]
 
 
 def read_model_text(path: str | Path, what: str = "hand's model") -> str:
-    """The XML text of a model file, without entities of its own.
+    """Read the XML text of a model file.
 
     Raises:
-        FungraspError: it can't be read or declares entities.
+        FungraspError: the file can't be read or declares entities.
     """
     text = read_text(path, what, LARGEST)
     check_entities(text, f"the {what} {one_line(path)}")
@@ -52,10 +52,10 @@ def read_model_text(path: str | Path, what: str = "hand's model") -> str:
 
 
 def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
-    """A model for editing and compiling.
+    """Read a model for editing and compiling.
 
     Raises:
-        FungraspError: it can't be read, or takes too much time or memory.
+        FungraspError: the file can't be read, or takes too much time or memory.
     """
     path = Path(path)
     if not path.resolve().is_relative_to(_PACKAGE):
@@ -72,11 +72,11 @@ def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
 
 
 def parse_model(text: str, where: str) -> mujoco.MjSpec:
-    """A model for editing and compiling, from XML text; files that it names are not looked for.
+    """Parse XML text as a model for editing and compiling, without loading files that it names.
 
     Raises:
-        ValueError: MuJoCo does not understand it.
-        FungraspError: it takes too much time or memory.
+        ValueError: MuJoCo can't parse the text.
+        FungraspError: parsing takes too much time or memory.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.xml"
@@ -88,11 +88,11 @@ def parse_model(text: str, where: str) -> mujoco.MjSpec:
 
 
 def check_model_numbers(model: mujoco.MjModel, where: str, longest: float = 1000.0) -> None:
-    """Refuse a model in which a place, direction, size, mass or limit is not finite, or a place or size is
-    beyond ``longest`` [m]: what samples surfaces takes time and memory in proportion.
+    """Check that positions, directions, sizes, masses and limits are finite, and positions and sizes at most
+    ``longest`` [m], because sampling of surfaces takes time and memory in proportion.
 
     Raises:
-        FungraspError: the message begins with ``where`` and names the first.
+        FungraspError: a value is invalid; the message begins with ``where`` and names the first.
     """
     for kind, fields in NUMBERS.items():
         for name in fields:
@@ -117,7 +117,7 @@ def _check_sizes(spec: mujoco.MjSpec, where: str) -> None:
 
 @functools.lru_cache(maxsize=256)
 def _fault(path: Path, stamp: int) -> str | None:
-    """Why a model is not read here, if so; kept while the file is the same."""
+    """Return why a model can't be read, or None; cached until the file changes."""
     try:
         size = sum(file.stat().st_size for file in path.parent.iterdir() if file.is_file())
         run_limited("model", path, "model", min(size, 100_000_000))
@@ -130,8 +130,7 @@ def _fault(path: Path, stamp: int) -> str | None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keep MuJoCo's own warnings, those by Python too, from the terminal and from a log file: the findings
-    say it better."""
+    """Suppress warnings of MuJoCo and Python in the terminal and in a log file; findings replace them."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:

@@ -1,4 +1,4 @@
-"""NumPy's files, ``.npy`` and ``.npz``, of limited size and without objects."""
+"""NumPy files, ``.npy`` and ``.npz``, of limited size and without objects."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import cannot_read, check_file, one_line
 
 LARGEST = 1 << 28
-"""Bytes that all arrays of a file may take together, eight for each number of fewer."""
+"""Maximum total size of the arrays in a file, counting at least 8 bytes per number [bytes]."""
 
 MOST_ARRAYS = 1000
 MOST_AXES = 8
 LONGEST_HEADER = 10_000
-"""Of an array [bytes]."""
+"""Maximum size of an array's header [bytes]."""
 
 
 def read_npy(path: str | Path, what: str) -> np.ndarray:
-    """The array in an ``.npy`` file: numbers, flags or text.
+    """Read the array in an ``.npy`` file: numbers, booleans or text.
 
     Raises:
-        FungraspError: it can't be read, is no such file, or too large.
+        FungraspError: the file can't be read, is not an ``.npy`` file, or is too large.
     """
     where = f"the {what} {one_line(path)}"
     path = check_file(path, what, LARGEST + LONGEST_HEADER)
@@ -44,15 +44,15 @@ def read_npz(
     most: int = MOST_ARRAYS,
     largest: int = LARGEST,
 ) -> dict[str, np.ndarray]:
-    """The arrays in an ``.npz`` file by name: numbers, flags or text.
+    """Read the arrays in an ``.npz`` file by name: numbers, booleans or text.
 
     Args:
-        wanted: names to read; others are skipped completely.
-        most: largest number of arrays.
-        largest: total bytes of the arrays, at least eight per number.
+        wanted: returns whether to read a name; other arrays are skipped.
+        most: maximum number of arrays.
+        largest: maximum total size of the arrays, counting at least 8 bytes per number [bytes].
 
     Raises:
-        FungraspError: unreadable, not such a file, or too large.
+        FungraspError: the file can't be read, is not an ``.npz`` file, or is too large.
     """
     where = f"the {what} {one_line(path)}"
     path = check_file(path, what, largest + most * LONGEST_HEADER)
@@ -81,7 +81,7 @@ def read_npz(
 
 
 def npz_names(path: str | Path, what: str) -> list[str]:
-    """The names of all arrays in an ``.npz`` file that ``read_npz`` can read."""
+    """Return the names of all arrays in an ``.npz`` file."""
     with check_file(path, what, LARGEST * 2).open("rb") as stream, zipfile.ZipFile(stream) as archive:
         return [one_line(name, 60) for name in _members(archive, str(path), MOST_ARRAYS)]
 
@@ -108,7 +108,7 @@ def _field(where: str, name: str) -> str:
 
 
 def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
-    """The array of an ``.npy`` file, if it takes at most ``room`` bytes, in this machine's order of bytes."""
+    """Read the array of an ``.npy`` file in native byte order, if it takes at most ``room`` bytes."""
     try:
         with warnings.catch_warnings(action="ignore"):
             array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=LONGEST_HEADER)
@@ -117,7 +117,7 @@ def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
             raise FungraspError(
                 f"{where} holds Python objects; only numbers, flags and text are read"
             ) from None
-        # Python's own parser reads the header, which can raise almost any exception.
+        # NumPy reads the header with Python's parser, which can raise almost any exception.
         raise FungraspError(f"{where} can't be read: not a NumPy array, or damaged") from error
     if array.dtype.kind not in "biufSU":
         raise FungraspError(
@@ -129,7 +129,7 @@ def _array(stream: IO[bytes], room: int, where: str) -> np.ndarray:
         raise FungraspError(f"{where} takes more than {room >> 20} MB")
     array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype.kind == "U":
-        # Python fails on numbers that are no characters only when it uses them.
+        # Python fails on invalid code points only when it uses them.
         points = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
         if ((points > 0x10FFFF) | ((points >= 0xD800) & (points < 0xE000))).any():
             raise FungraspError(f"{where} holds text with numbers that are no characters")

@@ -1,9 +1,9 @@
 """The operators of an ONNX file, read without the package ``onnx``, and a trial run in a child process.
 
-An ONNX file is one protocol-buffers message. ONNX Runtime itself refuses operators that it does not have and
-weights in other files; that a network ends and takes little memory is tried in a child process with limits.
-Here it is only checked that nothing but plain arithmetic is run, so that what one trial shows holds for all
-inputs. The numbers of the fields are those of the public schema, onnx.proto.
+An ONNX file is one protocol-buffers message. ONNX Runtime itself refuses unknown operators and weights in
+other files. A limited child process tests that a network terminates and takes little memory. This module
+checks that it consists of plain arithmetic, so that one trial run is valid for all inputs. Field numbers are
+those of the public schema, onnx.proto.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.sandbox import run_limited
 
 GRAPH, FUNCTION = 7, 25
-"""Fields of a model."""
+"""Field numbers of a model."""
 NODE = 1
-"""Field of a graph."""
+"""Field number of a graph."""
 OPERATOR, DOMAIN = 4, 7
-"""Fields of a node."""
+"""Field numbers of a node."""
 
 LARGEST = 200_000_000
-"""Bytes of the largest model that is run."""
+"""Maximum size of a model [bytes]."""
 
 OPERATORS = frozenset(
     """
@@ -36,10 +36,10 @@ OPERATORS = frozenset(
     Slice Softmax Softplus Softsign Split Sqrt Squeeze Sub Sum Swish Tan Tanh Transpose Unsqueeze Where
     """.split()  # noqa: SIM905
 )
-"""What a network that is run may be made of: no loops, no branches, no random numbers."""
+"""Allowed operators: no loops, branches or random numbers."""
 
 _FIXED = {1: 8, 5: 4}
-"""Bytes of the values of protocol buffers that have a fixed size, by their wire type."""
+"""Sizes of fixed-size protocol-buffers values by wire type [bytes]."""
 
 _tried: set[bytes] = set()
 """Digests of the models that ``try_network`` has run."""
@@ -57,10 +57,10 @@ class Field(NamedTuple):
 
 
 def message_fields(data: bytes, start: int, end: int) -> Iterator[Field]:
-    """The fields of the message at ``data[start:end]``.
+    """Yield the fields of the message at ``data[start:end]``.
 
     Raises:
-        FungraspError: these bytes are no message.
+        FungraspError: the bytes are not a message.
     """
     while start < end:
         tag, start = _varint(data, start, end)
@@ -78,11 +78,11 @@ def message_fields(data: bytes, start: int, end: int) -> Iterator[Field]:
 
 
 def check_operators(data: bytes) -> None:
-    """Refuse a model that is more than a network of ``OPERATORS``.
+    """Check that a model consists of ``OPERATORS``.
 
     Raises:
-        FungraspError: these bytes are no ONNX model, it has functions, other operators or operators outside
-            the default ONNX domain; the message names the first.
+        FungraspError: the bytes are not an ONNX model, or it has functions, other operators or operators
+            outside the default ONNX domain; the message names the first.
     """
     parts = list(message_fields(data, 0, len(data)))
     if any(part.number == FUNCTION for part in parts):
@@ -108,11 +108,11 @@ def _check_node(data: bytes, node: Field) -> None:
 
 
 def try_network(data: bytes) -> None:
-    """Run a model once, in a child process with limits, for two worlds: what it computes between its weights
-    and its outputs may be large, however small the file.
+    """Run a model once for two worlds in a limited child process, because intermediate results of a small
+    file may be large.
 
     Raises:
-        FungraspError: it can't be run in the time and memory there is.
+        FungraspError: the model can't be run within the limits.
     """
     name = hashlib.sha256(data).digest()
     if name in _tried:
@@ -125,7 +125,7 @@ def try_network(data: bytes) -> None:
 
 
 def _varint(data: bytes, position: int, end: int) -> tuple[int, int]:
-    """The integer at ``position``, seven bits a byte, low ones first, and the offset after it."""
+    """Return the base-128 varint at ``position``, low bits first, and the offset after it."""
     value = 0
     for shift, byte in enumerate(data[position : min(position + 10, end)]):
         value |= (byte & 0x7F) << 7 * shift

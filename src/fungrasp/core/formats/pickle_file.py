@@ -1,8 +1,8 @@
-"""Reading pickles that hold nothing but arrays, tensors, numbers, text and containers of them.
+"""Reading pickles of arrays, tensors, numbers, text and containers of them.
 
-A pickle is a program. Here it can call nothing: the names by which NumPy (and joblib, which D-Grasp wrote its
-labels with) rebuild arrays stand for the small classes below, every other name is refused. It is run in a
-child process with limited time and memory first.
+A pickle is a program. Here it can't call foreign code: the names with which NumPy (and joblib, which D-Grasp
+used for its labels) rebuild arrays refer to the stand-in classes below, and every other name is refused. The
+pickle is first tested in a child process with limited time and memory.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fungrasp.core.formats.checks import one_line, read_bytes
 from fungrasp.core.formats.sandbox import run_limited
 
 LARGEST = 1 << 28
-"""Bytes of the largest pickle that is read."""
+"""Maximum size of a pickle [bytes]."""
 
 _COMPRESSED: dict[bytes, Callable[[bytes], bytes]] = {
     b"x": zlib.decompress,
@@ -35,17 +35,17 @@ _COMPRESSED: dict[bytes, Callable[[bytes], bytes]] = {
     b"\xfd7zXZ": lzma.decompress,
     b"]\x00": lzma.decompress,
 }
-"""How joblib's compressed files begin."""
+"""Decompressors by the first bytes of joblib's compressed files."""
 
 
 def load_arrays_pickle(path: str | Path) -> Any:
-    """Read a pickle written by ``pickle.dump`` or ``joblib.dump``, or an ``.npz`` file with such in it.
+    """Read a pickle written by ``pickle.dump`` or ``joblib.dump``, or an ``.npz`` file that contains pickles.
 
     Returns:
-        Containers (dict, list, tuple, set), numbers, text, bytes and arrays of numbers, flags or text.
+        containers (dict, list, tuple, set), numbers, text, bytes and arrays of numbers, booleans or text.
 
     Raises:
-        FungraspError: the file is missing, cut short, no pickle, asks for anything else, or takes too much
+        FungraspError: the file is missing, truncated, not a pickle, requests other types, or takes too much
             time or memory.
     """
     data = read_bytes(path, "pickle", LARGEST)
@@ -54,10 +54,10 @@ def load_arrays_pickle(path: str | Path) -> Any:
 
 
 def unpickled(data: bytes) -> Any:
-    """What a pickle's bytes hold.
+    """Return the content of a pickle.
 
     Raises:
-        Exception: they hold something else, or are no pickle.
+        Exception: the bytes are not a pickle or have other content.
     """
     if data.startswith(b"PK\x03\x04"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -70,7 +70,7 @@ def unpickled(data: bytes) -> Any:
 
 
 def _npy(stream: io.BytesIO) -> Any:
-    """The array of an ``.npy`` file; what a single object of Python's in it holds."""
+    """Read the array of an ``.npy`` file, or the content of a single Python object in it."""
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     if not read(stream)[2].hasobject:
@@ -80,7 +80,7 @@ def _npy(stream: io.BytesIO) -> Any:
 
 
 class _DType:
-    """Stands for ``numpy.dtype``; only what plain numbers, flags and text need."""
+    """Stand-in for ``numpy.dtype``, for plain numbers, booleans and text."""
 
     def __init__(self, code: str, *_: Any):
         self.dtype = np.dtype(code)
@@ -92,7 +92,7 @@ class _DType:
             self.dtype = self.dtype.newbyteorder(state[1])
 
     def array(self, data: Any, shape: Any, fortran: Any) -> np.ndarray:
-        """The array of these bytes; a view of them, as far as the order of bytes allows."""
+        """Return the array of these bytes, a view if they are in native byte order."""
         if self.dtype.hasobject:
             raise FungraspError("it holds an array of objects, which is not plain data")
         raw = data.encode("latin1") if isinstance(data, str) else data
@@ -101,7 +101,7 @@ class _DType:
 
 
 class _Array:
-    """Stands for ``numpy.ndarray``."""
+    """Stand-in for ``numpy.ndarray``."""
 
     value: Any = np.zeros(0)
 
@@ -114,7 +114,7 @@ class _Array:
 
 
 class _Sparse:
-    """Stands for SciPy's sparse matrices by columns or rows."""
+    """Stand-in for SciPy's sparse matrices in column or row format."""
 
     by_rows = False
 
@@ -134,7 +134,7 @@ class _SparseByRows(_Sparse):
 
 
 class _Chumpy:
-    """Stands for ``chumpy.ch.Ch``, which models of bodies are pickled with: its array."""
+    """Stand-in for ``chumpy.ch.Ch`` in pickles of body models: its array."""
 
     value = np.zeros(0)
 
@@ -148,8 +148,8 @@ class _Chumpy:
 
 
 class _Storage(pickle.Unpickler):
-    """The numbers of a PyTorch tensor, as pickles of tensors hold them: pickles of a magic number, a version,
-    the system, a reference and its key; then the count and the numbers themselves."""
+    """Reads the storage of a pickled PyTorch tensor: pickles of a magic number, a version, the system, a
+    reference and its key, then the count and the numbers."""
 
     def find_class(self, module: str, name: str) -> Any:
         if module != "torch" or name not in _STORAGES:
@@ -169,7 +169,7 @@ _STORAGES = {
     "BoolStorage": "?",
     "ByteStorage": "u1",
 }
-"""NumPy's types by PyTorch's."""
+"""NumPy types by PyTorch storage type."""
 
 
 def _storage(data: bytes) -> np.ndarray:
@@ -193,7 +193,7 @@ def _tensor(
 
 
 def _rebuilt(kind: Any, *_: Any) -> Any:
-    """How pickles of protocols before 2 make an object without its ``__init__``."""
+    """Create an object without ``__init__``, as in pickle protocols before 2."""
     return kind() if kind in (_Chumpy, _Sparse, _SparseByRows) else None
 
 
@@ -224,20 +224,19 @@ def _encode(text: str, encoding: str) -> bytes:
 
 
 def _no_bytes() -> bytes:
-    """How pickles of protocols before 3 spell empty bytes."""
+    """Return empty bytes, as written in pickle protocols before 3."""
     return b""
 
 
 class _ArraysUnpickler(pickle.Unpickler):
-    """Knows the names of ``ALLOWED`` alone. joblib writes an array's bytes behind the note that describes it:
-    they are read when the note gets its fields, from the stream that the unpickler reads without looking
-    ahead."""
+    """Unpickler of the names in ``allowed``. joblib writes an array's bytes after the record that describes
+    it. They are read when the record gets its fields, because the unpickler does not read ahead."""
 
     def __init__(self, stream: io.BytesIO):
         super().__init__(stream, encoding="latin1")
 
         class Note(_Array):
-            """Stands for joblib's note that an array's bytes follow in the file."""
+            """Stand-in for joblib's record of an array whose bytes follow in the file."""
 
             def __setstate__(self, state: Any) -> None:
                 if state.get("numpy_array_alignment_bytes") is not None:
@@ -283,7 +282,7 @@ class _ArraysUnpickler(pickle.Unpickler):
 
 
 def _plain(value: Any) -> Any:
-    """The same with arrays in the place of their stand-ins."""
+    """Replace stand-ins by their arrays."""
     if isinstance(value, _Array | _Sparse | _Chumpy):
         return value.value
     if isinstance(value, dict):

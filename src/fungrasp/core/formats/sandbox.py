@@ -1,7 +1,7 @@
 """A child process with limited time and memory, for files that third-party libraries read.
 
-One process waits and forks a child for each file, so that a child costs milliseconds. Where a system can't
-fork or limit processes, the work is done in this process, without limits.
+A server process forks a child for each file, so that a child costs milliseconds. On systems without fork, the
+work is done in this process, without limits.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from fungrasp.core.formats import sandbox_worker
 from fungrasp.core.parallel import worker_environment
 
 MEMORY = 1_600_000_000
-"""Bytes that a child may take."""
+"""Memory limit of a child [bytes]."""
 
 SECONDS = 4.0
-"""Processor time that a child may take for a small file [s]; by the clock it may take ten times as long, for
-where other programs keep the processors busy."""
+"""Limit of processor time for a small file [s]. The limit of wall time is ten times as long, in case other
+programs use the processors."""
 
 BYTES_PER_SECOND = 5e6
-"""A larger file gets one more second for each of these many bytes."""
+"""A file gets one more second for each such number of bytes."""
 
 _lock = threading.Lock()
 _server: tuple[int, subprocess.Popen[bytes]] | None = None
 
 
 def run_limited(job: str, path: str | Path, what: str, size: int = 0, where: str | None = None) -> bytes:
-    """What a job of ``sandbox_worker`` gives for a file.
+    """Return the result of a ``sandbox_worker`` job on a file.
 
     Args:
         job: one of ``sandbox_worker.JOBS``.
-        size: of all that is to be read [bytes].
-        where: begins the messages; "the WHAT PATH" if None.
+        size: total size of the files to read [bytes].
+        where: prefix of error messages; "the WHAT PATH" if None.
 
     Raises:
-        FungraspError: the job refused the file, took too much time or memory, or crashed.
+        FungraspError: the job refused the file, exceeded its time or memory, or crashed.
     """
     seconds = SECONDS + size / BYTES_PER_SECOND
     request = {"job": job, "path": str(Path(path).absolute()), "seconds": seconds, "memory": MEMORY}
@@ -80,7 +80,7 @@ def _ask(request: dict[str, Any]) -> tuple[int, bytes]:
                 process.kill()
                 process.wait()
             except BaseException:
-                # Interrupted: the next answer would be that of this request.
+                # Interrupted: the next answer would belong to this request.
                 process.kill()
                 process.wait()
                 raise

@@ -1,4 +1,4 @@
-"""What runs in the child process of ``sandbox``: requests come in on stdin, a fork answers each."""
+"""Server process of ``sandbox``: it reads requests from stdin and forks a child for each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 HEAD = struct.Struct("<BQ")
-"""Of an answer: its status, and how many bytes follow."""
+"""Header of an answer: status and number of following bytes."""
 
 DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
 """Status of an answer."""
@@ -25,14 +25,14 @@ DONE, REFUSED, SLOW, LARGE, CRASHED = range(5)
 LONGEST_REASON = 300
 
 PICKLES = "fungrasp.core.formats.pickle_file"
-"""By name, as that module itself asks for this process."""
+"""Module name, because that module imports ``sandbox``."""
 
 SPARED = ("networkx", "scipy")
-"""What trimesh works without; to import them takes longer than all else that reads a mesh."""
+"""Optional dependencies of trimesh, whose import takes longer than reading a mesh."""
 
 
 def read_triangles(path: str) -> bytes:
-    """Vertices [V, 3] and faces [F, 3] of a mesh file, as an ``.npz`` file."""
+    """Return vertices [V, 3] and faces [F, 3] of a mesh file, as an ``.npz`` file."""
     import numpy as np
 
     mesh = _load_mesh(path, skip_materials=True)
@@ -46,8 +46,8 @@ def read_triangles(path: str) -> bytes:
 
 
 def read_colored_triangles(path: str) -> bytes:
-    """The same with "vertex_colors" [V, 3] or "face_colors" [F, 3], or with "uv" [V, 2] and "texture"
-    [H, W, 3], where the file has colors; these are uint8."""
+    """Return vertices and faces of a mesh file, with uint8 "vertex_colors" [V, 3], "face_colors" [F, 3] or
+    "texture" [H, W, 3] and "uv" [V, 2] if it has colors, as an ``.npz`` file."""
     import numpy as np
 
     mesh = _load_mesh(path)
@@ -61,7 +61,7 @@ def read_colored_triangles(path: str) -> bytes:
         material = visual.material
         image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
         if image is None:
-            # Its texture is missing or can't be read: the material's own color is left.
+            # The texture is missing or can't be read; use the material's color.
             arrays["vertex_colors"] = np.tile(
                 np.asarray(material.main_color)[:3], (len(arrays["vertices"]), 1)
             )
@@ -81,8 +81,8 @@ def read_colored_triangles(path: str) -> bytes:
 
 
 def _load_mesh(path: str, **options: bool) -> Any:
-    """What trimesh reads of a mesh file; without ``SPARED`` first, if it was imported so: files that are in
-    order hardly ever need them."""
+    """Load a mesh file with trimesh, first without ``SPARED`` if it was imported so, because valid files
+    rarely need them."""
     try:
         return _trimesh_load(path, **options)
     except Exception:
@@ -94,8 +94,8 @@ def _load_mesh(path: str, **options: bool) -> Any:
 
 
 def _trimesh_load(path: str, **options: bool) -> Any:
-    """What trimesh reads of a mesh file; of a binary PLY whose faces have different numbers of corners, which
-    it reads as text only, too."""
+    """Load a mesh file with trimesh. Binary PLY files with mixed face sizes are converted to text, because
+    trimesh reads them only as text."""
     import trimesh
 
     load: Any = trimesh.load
@@ -115,8 +115,8 @@ def _trimesh_load(path: str, **options: bool) -> Any:
 
 
 def _as_collada_says(mesh: Any, data: bytes) -> Any:
-    """A mesh of a .dae file in meters, z up, as far as the file names its unit and axis. MeshLab names one
-    that it does not mean: it keeps the coordinates of whatever it has read."""
+    """Convert the mesh of a .dae file to meters and z up, according to its declared unit and axis. The axis
+    is ignored in files of MeshLab, which writes coordinates unchanged."""
     unit = re.search(rb"<unit[^>]*\bmeter\s*=\s*[\"']([^\"']+)", data)
     axis = re.search(rb"<up_axis>\s*([XY])_UP", data)
     if unit is not None and math.isfinite(float(unit[1])) and float(unit[1]) > 0:
@@ -132,15 +132,14 @@ _PLY_NAMES = (
     "char uchar short ushort int uint float double int8 uint8 int16 uint16 int32 uint32 float32 float64"
 )
 _PLY_TYPES: dict[str, str] = dict(zip(_PLY_NAMES.split(), 2 * "bBhHiIfd", strict=True))
-"""Codes of ``struct`` for the types of PLY, by both their names."""
+"""``struct`` codes of PLY types by both of their names."""
 
 
 def ply_as_text(data: bytes) -> bytes:
-    """A binary PLY file in PLY's text format. Source of the format: G. Turk, The PLY Polygon File Format,
-    1994.
+    """Convert a binary PLY file to text (G. Turk, The PLY Polygon File Format, 1994).
 
     Raises:
-        ValueError: it ends too early, or its header is not PLY's.
+        ValueError: the file is truncated, or its header is invalid.
     """
     end = data.index(b"\n", data.index(b"end_header")) + 1
     header = data[:end].decode("ascii").splitlines()
@@ -177,18 +176,18 @@ def ply_as_text(data: bytes) -> bytes:
 
 
 def compile_model(path: str) -> bytes:
-    """Nothing, if MuJoCo parses and compiles a model file in the time and memory there is."""
+    """Parse and compile a model file with MuJoCo. Returns nothing."""
     import mujoco
 
     mujoco.set_mju_user_warning(lambda _: None)
     try:
         spec = mujoco.MjSpec.from_file(path)
     except ValueError:
-        return b""  # The caller meets the same error, and can say more about it.
+        return b""  # The caller gets the same error and can report more about it.
     try:
         mujoco.MjData(spec.compile())
     except ValueError:
-        # The caller may go on without the meshes.
+        # The caller may continue without the meshes.
         for geom in list(spec.geoms):
             if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
                 spec.delete(geom)
@@ -200,14 +199,14 @@ def compile_model(path: str) -> bytes:
 
 
 def run_network(path: str) -> bytes:
-    """Nothing, if ONNX Runtime runs a network for two worlds in the time and memory there is."""
+    """Run a network for two worlds with ONNX Runtime. Returns nothing."""
     import numpy as np
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
-    # Weights must lie in the file itself.
+    # Weights must be in the file itself.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     kinds = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(int64)": np.int64}
@@ -222,7 +221,7 @@ def run_network(path: str) -> bytes:
 
 
 def try_pickle(path: str) -> bytes:
-    """Nothing, if a pickle of arrays is read in the time and memory there is."""
+    """Read a pickle of arrays. Returns nothing."""
     importlib.import_module(PICKLES).unpickled(Path(path).read_bytes())
     return b""
 
@@ -234,14 +233,14 @@ JOBS: dict[str, tuple[Callable[[str], bytes], tuple[str, ...]]] = {
     "network": (run_network, ("numpy", "onnxruntime")),
     "pickle": (try_pickle, (PICKLES,)),
 }
-"""By name: the job and the modules that are imported once, before the fork."""
+"""Jobs by name, with modules that are imported once before the fork."""
 
 _lighter: set[str] = set()
-"""Modules of this process that were imported without ``SPARED``."""
+"""Modules that were imported without ``SPARED``."""
 
 
 def work(job: str, path: str) -> tuple[int, bytes]:
-    """Status and answer of a job."""
+    """Run a job and return status and answer."""
     try:
         return DONE, JOBS[job][0](path)
     except MemoryError:
@@ -264,7 +263,7 @@ def serve() -> None:
 
 
 def import_for(job: str) -> None:
-    """Import what a job needs; trimesh without ``SPARED``, where they are not imported yet."""
+    """Import the modules of a job; trimesh without ``SPARED`` if they are not imported yet."""
     missing: Any = None
     for module in JOBS[job][1]:
         spared = () if module != "trimesh" or module in sys.modules else set(SPARED) - set(sys.modules)

@@ -17,23 +17,23 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import DEEPEST, check_tree, one_line, read_bytes, read_text
 
 LARGEST_JSON = 16_000_000
-"""Bytes of the largest file that is read."""
+"""Default maximum size of a file [bytes]."""
 
 
 def read_json(path: str | Path, what: str, largest: int = LARGEST_JSON) -> Any:
-    """Content of a JSON file.
+    """Read a JSON file.
 
     Raises:
-        FungraspError: it can't be read, is too large or is not valid JSON.
+        FungraspError: the file can't be read, is too large or is not valid JSON.
     """
     return parse_json(read_bytes(path, what, largest), f"the {what} {path}")
 
 
 def parse_json(text: str | bytes, where: str) -> Any:
-    """Content of JSON text; ``where`` begins the messages.
+    """Parse JSON text. where: prefix of error messages.
 
     Raises:
-        FungraspError: it is not valid JSON, is nested too deeply or holds integers beyond 64 bits.
+        FungraspError: the text is not valid JSON, is nested too deeply or has integers beyond 64 bits.
     """
     try:
         tree = json.loads(text)
@@ -46,7 +46,7 @@ def parse_json(text: str | bytes, where: str) -> Any:
 
 
 def finite(value: Any) -> Any:
-    """The same for JSON: NumPy's numbers as Python's, paths as text, None for NaN and infinities."""
+    """Convert a value for JSON: NumPy numbers to Python's, paths to text, NaN and infinities to None."""
     if isinstance(value, dict):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -61,24 +61,24 @@ def finite(value: Any) -> Any:
 
 
 LARGEST_TOML = 250_000
-"""Bytes of the largest file that is read."""
+"""Maximum size of a file [bytes]."""
 
 Schema = type | tuple[type, ...] | list[Any] | Mapping[str, Any]
-"""Types that a value may have; ``[schema]``: a list of such values; a mapping: a table whose keys, if they
-are there, have such values, where the key "*" stands for all others."""
+"""Allowed types of a value; ``[schema]`` for a list of such values; a mapping for a table with the schemas of
+its optional keys, where "*" matches all other keys."""
 
 _PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[\w-]++)[ \t]*+"""
 _LONG_NAME = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{{DEEPEST}}}")
-"""A dotted name with so many parts that the parser's time, which grows with their square, matters."""
+"""A dotted name with many parts; the parser's time is quadratic in their number."""
 
 _WORDS = {str: "a text", float: "a number", int: "a whole number", bool: "true or false"}
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Content of a TOML file.
+    """Read a TOML file.
 
     Raises:
-        FungraspError: it can't be read, is too large or is not valid TOML.
+        FungraspError: the file can't be read, is too large or is not valid TOML.
     """
     text = read_text(path, what, LARGEST_TOML)
     if _LONG_NAME.search(text):
@@ -94,7 +94,7 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 
 def type_faults(value: Any, schema: Schema, name: str = "") -> Iterator[str]:
-    """Violations of the schema, one phrase each: "'palm' must be a text, not 3"."""
+    """Yield violations of the schema, for example "'palm' must be a text, not 3"."""
     if isinstance(schema, Mapping):
         if not isinstance(value, Mapping):
             yield f"'{name}' must be a table, not {one_line(repr(value), 60)}"
@@ -118,18 +118,17 @@ def type_faults(value: Any, schema: Schema, name: str = "") -> Iterator[str]:
 
 
 LARGEST_YAML = 1_000_000
-"""Bytes of the largest file that is read: PyYAML takes about a second for each 100 kB."""
+"""Maximum size of a file [bytes]; PyYAML takes about a second for 100 kB."""
 
 TUPLE = "tag:yaml.org,2002:python/tuple"
-"""How PyYAML marks Python's tuples, as in DexYCB's ``extrinsics.yml``."""
+"""PyYAML's tag of Python tuples, as in DexYCB's ``extrinsics.yml``."""
 
 
 def read_yaml(path: Path) -> Mapping[str, Any]:
-    """Fields of a YAML file. Of the tags that name Python's types only that of tuples is known; they are read
-    as lists.
+    """Read the fields of a YAML file. Tuples are read as lists; other tags of Python types are not supported.
 
     Raises:
-        FungraspError: PyYAML is missing, or the file can't be read or holds no fields.
+        FungraspError: PyYAML is missing, or the file can't be read or has no fields.
     """
     try:
         import yaml
@@ -155,31 +154,31 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
 
 
 DEEPEST_ELEMENT = 200
-"""Most elements inside each other."""
+"""Maximum nesting depth of XML elements."""
 
 
 def check_entities(text: str, where: str) -> None:
-    """Refuse XML text that declares entities: a few lines can stand for gigabytes, or for other files.
+    """Refuse XML text that declares entities, which can expand to gigabytes or include other files.
 
     Raises:
-        FungraspError: it does.
+        FungraspError: the text declares entities.
     """
     if "<!ENTITY" in text:
         raise FungraspError(f"{where} declares XML entities; write what they stand for")
 
 
 def parse_xml_text(text: str, where: str) -> ElementTree.Element:
-    """Root element of an XML document without entities of its own; ``where`` begins the messages.
+    """Return the root element of an XML document. where: prefix of error messages.
 
     Raises:
-        FungraspError: it is not valid XML, declares entities or is nested too deeply.
+        FungraspError: the text is not valid XML, declares entities or is nested too deeply.
     """
     check_entities(text, where)
     parser = ElementTree.XMLPullParser(("start", "end"))
     root: ElementTree.Element | None = None
     depth = 0
     try:
-        # In pieces, so that a document that is nested too deeply is not read to its end.
+        # Parse in pieces, to stop early at too deep nesting.
         for start in range(0, len(text), _PIECE):
             parser.feed(text[start : start + _PIECE])
             for event, element in parser.read_events():  # pyright: ignore[reportAssignmentType]
