@@ -10,9 +10,6 @@ from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.task import DIVERGED
 from fungrasp.task.use import UseOutcomes
 
-PALM_JOINTS = (0, 1, 5, 9, 13)
-"""Human joints around the palm: wrist and four knuckles."""
-
 
 def use_json(use: UseOutcomes, task: np.ndarray) -> dict[str, Any]:
     """Return rates over held grasps whose task has a motion: in total and by task.

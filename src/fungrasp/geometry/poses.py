@@ -240,6 +240,18 @@ def relative(pose_a_b: Array, pose_a_c: Array) -> Array:
     return _carried(quaternion_conjugate(pose_a_b[..., 3:]), apart)
 
 
+def interpolate(pose: Array, goal: Array, share: Array | float) -> Array:
+    """Interpolate poses: straight translation, rotation about a fixed axis by the shorter way.
+
+    Args:
+        pose, goal: shape [W, 7].
+        share: fraction of the way, shape [W, 1] or a number.
+    """
+    turn = quaternion_from_rotation_vector(share * rotation_vector(relative(pose, goal)[:, 3:]))
+    place = pose[:, :3] + share * (goal[:, :3] - pose[:, :3])
+    return array_namespace(pose).concat([place, quaternion_multiply(pose[:, 3:], turn)], axis=1)
+
+
 def transform_points(pose_a_b: Array, points_b: Array) -> Array:
     """Transform points from frame b to frame a. pose: shape [..., 7]; points: [m], shape [..., P, 3]."""
     return pose_a_b[..., None, :3] + rotate(pose_a_b[..., None, 3:], points_b)

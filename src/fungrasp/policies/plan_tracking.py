@@ -13,8 +13,8 @@ from fungrasp.geometry.poses import (
     array_namespace,
     clip,
     compose,
+    interpolate,
     quaternion_conjugate,
-    quaternion_from_rotation_vector,
     quaternion_multiply,
     relative,
     rotate,
@@ -133,7 +133,7 @@ class PlanTracker:
         self._before, self._now = self._now, self._measure(observation)
         opened = array_namespace(self._step).astype(self._step < self._closing, self._anchor.dtype)
         share = ANCHOR_SHARE * opened
-        self._anchor = moved_towards(self._anchor, self._origin(self._now), share[:, None])
+        self._anchor = interpolate(self._anchor, self._origin(self._now), share[:, None])
         risen = self._center_height(self._now.object_pose) - self._center_height(self._anchor)
         palm, lifting = self._now.palm_pose[:, 2], self._since_lift >= 0
         self._reaction.update(lifting, palm, risen, observation.object_pose_age)
@@ -291,16 +291,6 @@ def turned_upright(before: Array, now: Array) -> Array:
     none[:, 0] = 1.0
     about = xp.where(length > 1e-6, about / xp.where(length > 1e-6, length, 1.0), none)
     return quaternion_multiply(about, before)
-
-
-def moved_towards(pose: Array, goal: Array, share: Array) -> Array:
-    """Interpolate poses: straight translation, rotation about a fixed axis. pose, goal: shape [W, 7]; share:
-    fraction, shape [W, 1]."""
-    xp = array_namespace(pose)
-    turn = share * rotation_vector(relative(pose, goal)[:, 3:])
-    step = xp.concat([xp.zeros_like(turn), quaternion_from_rotation_vector(turn)], axis=1)
-    place = pose[:, :3] + share * (goal[:, :3] - pose[:, :3])
-    return xp.concat([place, compose(pose, step)[:, 3:]], axis=1)
 
 
 def link_directions_of(hand: Hand, keypoints: Array) -> Array:

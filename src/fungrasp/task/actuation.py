@@ -7,15 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fungrasp.geometry.arrays import copied, may_be_any, put_back, rows_like
-from fungrasp.geometry.poses import (
-    Array,
-    array_namespace,
-    clip,
-    quaternion_from_rotation_vector,
-    quaternion_multiply,
-    relative,
-    rotation_vector,
-)
+from fungrasp.geometry.poses import Array, array_namespace, clip, interpolate
 from fungrasp.sim2real import offset_pose
 from fungrasp.task.setpoints import SetpointSequence
 
@@ -111,10 +103,7 @@ class Actuation:
             share = (1.0 - xp.exp(-period / self.wrist_lag))[:, None]
         poses, velocities = [], []
         for goal, speed in zip(palm, velocity, strict=True):
-            turn = share * rotation_vector(relative(self._pose, goal)[:, 3:])
-            position = self._pose[:, :3] + share * (goal[:, :3] - self._pose[:, :3])
-            rotation = quaternion_multiply(self._pose[:, 3:], quaternion_from_rotation_vector(turn))
-            self._pose = xp.concat([position, rotation], axis=1)
+            self._pose = interpolate(self._pose, goal, share)
             self._velocity = self._velocity + share * (speed - self._velocity)
             poses.append(self._pose)
             velocities.append(self._velocity)

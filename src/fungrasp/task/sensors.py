@@ -8,17 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from fungrasp.geometry.arrays import at_least, copied, is_numpy, may_be_any, moved_to, rows_like
-from fungrasp.geometry.poses import (
-    Array,
-    array_namespace,
-    clip,
-    inverse_transform_points,
-    like,
-    quaternion_from_rotation_vector,
-    quaternion_multiply,
-    relative,
-    rotation_vector,
-)
+from fungrasp.geometry.poses import Array, array_namespace, clip, interpolate, inverse_transform_points, like
 from fungrasp.sim2real import EpisodeSample, MeasurementError, Randomization, offset_pose
 from fungrasp.task.hand_clearance import HandClearance
 from fungrasp.task.lift import LiftTask
@@ -195,10 +185,7 @@ class SimulatedSensors:
         xp = array_namespace(pose)
         share = 1.0 - np.exp(-self._task.protocol.control_period / self._r.tracker_time_constant)
         before = xp.where(xp.isfinite(self._filtered), self._filtered, pose)
-        turn = rotation_vector(relative(before, pose)[:, 3:])
-        after = quaternion_multiply(before[:, 3:], quaternion_from_rotation_vector(share * turn))
-        position = before[:, :3] + share * (pose[:, :3] - before[:, :3])
-        self._filtered = xp.concat([position, after], axis=1)
+        self._filtered = interpolate(before, pose, share)
         return copied(self._filtered)
 
     def _center(self) -> Array:

@@ -12,6 +12,7 @@ from fungrasp.geometry.poses import (
     Array,
     array_namespace,
     clip,
+    interpolate,
     norm,
     quaternion_conjugate,
     quaternion_from_rotation_vector,
@@ -241,10 +242,7 @@ def more_setpoints(
     when = np.arange(1, count + 1) * (len(palms) - 1) / count
     low = np.minimum(when.astype(int), len(palms) - 2)
     share = (when - low)[:, None]
-    turn = rotation_vector(quaternion_multiply(palms[low + 1, 3:], quaternion_conjugate(palms[low, 3:])))
-    turned = quaternion_multiply(quaternion_from_rotation_vector(share * turn), palms[low, 3:])
-    place = palms[low, :3] + share * (palms[low + 1, :3] - palms[low, :3])
     return (
-        np.concatenate([place, turned], axis=1),
+        interpolate(palms[low], palms[low + 1], share),
         fingers[low] + share * (fingers[low + 1] - fingers[low]),
     )
