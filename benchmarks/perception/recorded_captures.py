@@ -15,6 +15,7 @@ with a file ``truth.json``; all entries of that are optional::
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -130,7 +131,8 @@ def _object(folder: Path, name: Any) -> tuple[ObjectModel | None, trimesh.Trimes
     if name is None:
         return None, None
     for path in (folder / str(name), folder.parent / str(name)):
-        if path.is_file():
+        # Unlike Path.is_file it takes a name of any length.
+        if os.path.isfile(path):  # noqa: PTH113
             model = object_from_file(path, MASS)
             return model, colored_mesh(path, model)
     if is_plain_shape(str(name)):

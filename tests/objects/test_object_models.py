@@ -20,6 +20,7 @@ from fungrasp.objects import (
     object_from_file,
     object_names,
     object_registry,
+    resolve_object,
     scaled_name,
     scaled_object,
     shifted_mass,
@@ -185,6 +186,14 @@ def test_shapes_are_mirrored_like_other_objects():
 def test_other_names_are_refused_in_words(name, words):
     with pytest.raises(FungraspError, match=words):
         load_object(name, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("9" * 300, "unknown object"), ("a/" * 3000 + "b.obj", "too long")]
+)
+def test_names_too_long_for_a_file_are_refused_in_words(name, words):
+    with pytest.raises(FungraspError, match=words):
+        resolve_object(name)
 
 
 def test_a_shape_needs_a_mass():

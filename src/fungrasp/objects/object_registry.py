@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 from importlib.metadata import entry_points
@@ -90,7 +91,8 @@ def object_from_file(path: str | Path, mass: float | None, name: str = "") -> Ob
     path = Path(path)
     if mass is None:
         raise FungraspError(f"object '{path.stem}': a mesh needs a mass [kg]")
-    stamp = path.stat().st_mtime_ns if path.is_file() else 0
+    # Unlike Path.is_file it takes a path of any length.
+    stamp = path.stat().st_mtime_ns if os.path.isfile(path) else 0  # noqa: PTH113
     return _from_file(path.absolute(), float(mass), stamp, name or path.stem)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,7 +86,8 @@ def resolve_object(
         between = None if mass is not None else (DENSITIES[0] * volume, DENSITIES[1] * volume)
         return ResolvedObject(model, mass_range=between)
     mesh = str(obj)
-    is_file = Path(mesh).is_file()
+    # Unlike Path.is_file it takes a name of any length.
+    is_file = os.path.isfile(mesh)  # noqa: PTH113
     shape = not is_file and is_plain_shape(mesh)
     if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
         return ResolvedObject(builtin_object(mesh, mass))

@@ -91,6 +91,7 @@ def test_without_a_mask_or_an_object_less_is_measured(tmp_path: Path) -> None:
     ("truth", "words"),
     [
         ({"object": "no_such_thing"}, "neither a mesh file"),
+        ({"object": 300 * "9"}, "neither a mesh file"),
         ({"object": "mug", "object_pose_camera_wxyz": [0, 0, 1]}, "object_pose_camera_wxyz must be numbers"),
         ({"object": "mug", "object_pose_camera_wxyz": [0, 0, 1, 2, 0, 0, 0]}, "must have length 1"),
         ({"object_pose_camera_wxyz": [0, 0, 1, 1, 0, 0, 0]}, 'a pose without "object"'),
