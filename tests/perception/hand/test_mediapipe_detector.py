@@ -150,7 +150,6 @@ def test_the_answer_that_most_others_confirm_wins():
     sure = answer(wrong, 0.98, "left")
     hand = consensus([sure, *near], [sure, *near], 100.0)
     assert np.abs(hand.pixels - true).max() < 5 and hand.side == "right"
-    assert len(hand.others) == 3 and hand.others[-1].pixels is sure.pixels
     # Three of four windows confirm it, each of them with 0.6.
     assert 0.4 < hand.score < 0.5
     lonely = consensus([sure, answer(true, 0.6)], [answer(true, 0.6)], 100.0)

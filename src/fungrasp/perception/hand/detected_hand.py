@@ -47,8 +47,6 @@ class DetectedHand:
     """Probability of ``side``, 0.5 to 1."""
     score: float
     """Probability that this is a hand, 0 to 1."""
-    others: tuple[DetectedHand, ...] = ()
-    """Detections of the same hand in other windows of the image; each may be the better one."""
     spread: float | None = None
     """Standard deviation of a landmark, hidden or not, each way [pixels]; None: as MediaPipe's err, see
     ``fit_problem.LANDMARK_SPREAD``."""

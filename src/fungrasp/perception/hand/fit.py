@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -49,23 +48,11 @@ COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
 STAGE_ITERATIONS = 5  # Gauss-Newton steps of a stage.
 THROUGH_ITERATIONS = 8  # Gauss-Newton steps of ``skeleton_through``.
 REFINE_ITERATIONS = 10  # Gauss-Newton steps of ``refine_hand``.
-# Detections whose landmarks differ by less, on average and as a part of the hand's extent, are one.
-SAME_GUESS = 0.035
-SEARCHED = 3  # Number of the best candidates whose fingers are searched.
-MOST_GUESSES = 8  # Largest number of detections that are fitted.
 FITTED_SPREAD = 0.004  # How near a candidate begins to joints that are given [m].
 OTHER_SIDE = 0.8  # If a side is less probable than this, the other is tried, too.
 
 _PALM_JOINTS = np.array([0, 1, 5, 9, 13])
 _AGREEMENT = 0.012
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    detected: DetectedHand
-    problem: HandFitProblem
-    parameters: HandParameters
-    cost: float
 
 
 def fit_hand(detected: DetectedHand, capture: Capture) -> HandEstimate:
@@ -94,13 +81,13 @@ def fit_held_hand(
 ) -> HandEstimate:
     """The hand that holds a known object.
 
-    Each different detection of the hand in some window of the image, taken for one side, makes a candidate.
-    It is fitted to the landmarks, to depth, to the points that show the hand, to the object that it touches
-    and to the free space that it can't be in. Of the best candidates the fingers are searched, too, as they
-    may be behind the object. The candidate of least cost wins.
+    The landmarks, taken for each side that it may have, and the hand that was fitted without the object each
+    make a candidate. It is fitted to the landmarks, to depth, to the points that show the hand, to the object
+    that it touches and to the free space that it can't be in. Its fingers are searched, too, as they may be
+    behind the object. The candidate of least cost wins.
 
     Args:
-        detected: landmarks in the color image, and those in other windows.
+        detected: landmarks in the color image.
         joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
 
     Raises:
@@ -118,16 +105,14 @@ def fit_held_hand(
     everywhere = [skeleton.joints() * _flip(guess) for guess, _, skeleton in begun]
     view = hand_view(capture, surroundings, [joints, *everywhere])
     views: dict[Side, HandView] = {"right": view, "left": view.mirrored()}
-    candidates = []
+    fitted = []
     for guess, seen, skeleton in begun:
         problem = HandFitProblem(seen=seen, view=views[guess.side])
         parameters = _in_stages(problem, HandParameters(skeleton), PALM_STAGES)
-        cost = problem.cost(parameters, dataclasses.replace(COMPARED, contact=False))
-        candidates.append(_Candidate(guess, problem, parameters, cost))
-    candidates.sort(key=lambda candidate: candidate.cost)
-    searched = (_with_fingers_searched(candidate, seed) for candidate in candidates[:SEARCHED])
-    best = min(searched, key=lambda candidate: candidate.cost)
-    return _estimate(best.problem, best.parameters, COMPARED, best.detected)
+        parameters = _with_fingers_searched(problem, parameters, seed)
+        fitted.append((problem.cost(parameters, COMPARED), problem, parameters, guess))
+    _, problem, parameters, guess = min(fitted, key=lambda candidate: candidate[0])
+    return _estimate(problem, parameters, COMPARED, guess)
 
 
 def refine_hand(hand: HandEstimate, surroundings: HandSurroundings) -> HandEstimate:
@@ -158,8 +143,7 @@ def _in_stages(
     return parameters
 
 
-def _with_fingers_searched(candidate: _Candidate, seed: int) -> _Candidate:
-    problem, parameters = candidate.problem, candidate.parameters
+def _with_fingers_searched(problem: HandFitProblem, parameters: HandParameters, seed: int) -> HandParameters:
     assert problem.seen is not None and problem.view is not None
     skeleton = search_fingers(
         parameters.skeleton,
@@ -173,7 +157,7 @@ def _with_fingers_searched(candidate: _Candidate, seed: int) -> _Candidate:
     for stage in HELD_STAGES:
         parameters = problem.solve(parameters, stage, STAGE_ITERATIONS)
     problem.find_background(parameters.skeleton)
-    return dataclasses.replace(candidate, parameters=parameters, cost=problem.cost(parameters, COMPARED))
+    return parameters
 
 
 def _estimate(
@@ -195,21 +179,11 @@ def _flip(guess: DetectedHand) -> np.ndarray:
 
 
 def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
-    """Detections that differ, for each side that may be right; the most probable first."""
-    kept: list[DetectedHand] = []
-    every = sorted((detected, *detected.others), key=lambda guess: guess is not detected)
-    for guess in every:
-        if all(guess.distance(other) > SAME_GUESS * guess.extent for other in kept):
-            kept.append(guess)
+    """The hand, taken for each side that may be right; the most probable first."""
     sides: list[Side] = [side or detected.side]
     if side is None and detected.side_score < OTHER_SIDE:
         sides.append("left" if detected.side == "right" else "right")
-    guesses = [
-        dataclasses.replace(guess, side=one, score=detected.score, others=())
-        for guess in kept
-        for one in sides
-    ]
-    return guesses[:MOST_GUESSES]
+    return [dataclasses.replace(detected, side=one) for one in sides]
 
 
 def initial_skeleton(seen: HandMeasurements) -> Skeleton:

@@ -313,7 +313,7 @@ def confirms(first: DetectedHand, second: DetectedHand, length: float) -> bool:
 
 
 def consensus(every: list[DetectedHand], last: list[DetectedHand], length: float) -> DetectedHand:
-    """The detection that most others confirm, with the others, most confirmed first.
+    """The detection that most others confirm.
 
     Its score is the part of the last answers, weighted by their scores, that confirms it, and the score of
     its side what part of those agrees.
@@ -328,9 +328,7 @@ def consensus(every: list[DetectedHand], last: list[DetectedHand], length: float
         return np.exp(-np.square(apart / (SAME_ANSWER * length)))
 
     weights = np.array([hand.score for hand in every]) ** 2
-    order = np.argsort([-(confirmed(hand, every) @ weights) for hand in every], kind="stable")
-    best = every[order[0]]
+    best = every[int(np.argmax([confirmed(hand, every) @ weights for hand in every]))]
     worth = np.array([hand.score for hand in last]) * confirmed(best, last)
     vote = float(np.average([hand.right for hand in last], weights=worth + 1e-9))
-    others = tuple(every[i] for i in order[1:])
-    return replace(best, score=float(worth.mean()), others=others, **which_side(vote))
+    return replace(best, score=float(worth.mean()), **which_side(vote))
