@@ -29,6 +29,7 @@ from fungrasp.perception.hand.mediapipe_detector import (
 )
 from fungrasp.perception.hand.mediapipe_models import have_weights
 from fungrasp.perception.hand.palm_windows import Window, anchor_centers, decode_palms, exposed
+from fungrasp.perception.io.estimates import Side
 
 needs_weights = pytest.mark.skipif(
     not have_weights() or find_spec("ai_edge_litert") is None,
@@ -81,7 +82,7 @@ def test_windows_show_what_they_say(u, v, size, angle, at):
     np.testing.assert_allclose(found, [at, 1 - at], atol=0.012)
 
 
-def hand_at(u, v, size=100.0, side="right", score=0.9):
+def hand_at(u, v, size=100.0, side: Side = "right", score=0.9):
     pixels = np.random.default_rng(1).uniform(-size / 2, size / 2, (21, 2))
     pixels += np.array([u, v]) - pixels.mean(axis=0)
     return DetectedHand(pixels, np.zeros((21, 3)), side, 0.9, score)
@@ -139,7 +140,7 @@ def test_no_hand_in_noise():
     assert MediaPipeHandDetector().detect(noise) == []
 
 
-def answer(pixels, score=0.9, side="right"):
+def answer(pixels, score=0.9, side: Side = "right"):
     return DetectedHand(pixels, np.zeros((21, 3)), side, 0.9, score)
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fungrasp.perception.hand.physical_evidence import finger_overlap, nearest_between, overlap_evidence
+from fungrasp.perception.hand.physical_evidence import nearest_between, overlap_evidence
 from fungrasp.perception.hand.skeleton import ANGLE_MEAN, SIZE, Skeleton
 
 
@@ -48,13 +48,3 @@ def test_derivatives_of_overlaps():
         slope = (residuals(hand.moved(step)).residual - here.residual) / 1e-6
         # That the capsules taper is left out.
         np.testing.assert_allclose(slope, here.jacobian[:, parameter], atol=0.15 * scale)
-
-
-def test_a_finger_inside_another_costs():
-    hand = crossed()
-    joints = hand.joints()
-    middle = 0.5 * (joints[6] + joints[7])
-    points = np.array([[middle], [middle + np.array([0, 0, 0.1])]])
-    deep = finger_overlap(points, np.array([0.008]), hand, 0)
-    assert deep[0, 0] > 0.01 and deep[1, 0] == 0
-    assert finger_overlap(points, np.array([0.008]), hand, 1)[0, 0] < deep[0, 0]

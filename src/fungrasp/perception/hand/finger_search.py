@@ -12,7 +12,6 @@ import numpy as np
 from fungrasp.grasps.human_hand import FINGER_RADII
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import HandView
-from fungrasp.perception.hand.physical_evidence import finger_overlap
 from fungrasp.perception.hand.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -39,7 +38,6 @@ POINTS_WEIGHT = 60.0  # Number of independent measurements that all measured poi
 FRONT_SPREAD = 0.006  # Standard deviation of how far skin is in front of what is seen there [m].
 FRONT_WORST = 0.04  # Distance in front beyond which the cost does not grow [m].
 INSIDE_SPREAD = 0.004  # Standard deviation of how deep the finger is in the object or the table [m].
-OVERLAP_SPREAD = 0.004  # Standard deviation of how deep the finger is in other fingers [m].
 TOUCH_SPREAD = 0.008  # Standard deviation of the gap between the last link and the object [m].
 TOUCH_WORST = 0.02  # Gap beyond which the cost does not grow [m].
 UNUSUAL_WEIGHT = 1.0  # Weight of the cost of an unusual posture.
@@ -103,7 +101,6 @@ def finger_cost(
     cost += np.square(np.minimum(distance - 0.5 * radius, 0.0) / INSIDE_SPREAD).sum(axis=1)
     gap = np.maximum((distance - 0.8 * radius)[:, -3:].min(axis=1), 0.0)
     cost += _limited(gap / TOUCH_SPREAD, TOUCH_WORST / TOUCH_SPREAD)
-    cost += np.square(finger_overlap(samples, radius, hand, finger) / OVERLAP_SPREAD).sum(axis=1)
     table = view.surroundings.table_distance(samples.reshape(-1, 3))
     if table is not None:
         height = table[0].reshape(samples.shape[:2])

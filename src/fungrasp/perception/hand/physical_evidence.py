@@ -13,12 +13,7 @@ from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistance
 from fungrasp.grasps.contacts import link_points
 from fungrasp.grasps.human_hand import LINK_RADII
 from fungrasp.perception.hand.detected_hand import MIRROR_X
-from fungrasp.perception.hand.hand_capsules import (
-    FINGERTIP_SAMPLES,
-    HAND_CAPSULES,
-    SURFACE_SAMPLES,
-    capsule_distances,
-)
+from fungrasp.perception.hand.hand_capsules import FINGERTIP_SAMPLES, HAND_CAPSULES, SURFACE_SAMPLES
 from fungrasp.perception.hand.skeleton import (
     ALIKE_SPREAD,
     ANGLE_HIGH,
@@ -127,20 +122,6 @@ def overlap_evidence(hand: Skeleton, joints: np.ndarray, jacobian: np.ndarray) -
     slopes = _slopes(jacobian, _ONE[inside], s[inside]) - _slopes(jacobian, _OTHER[inside], t[inside])
     by_step = np.einsum("pi,pin->pn", normal, slopes)
     return HandEvidence(gap[inside] / OVERLAP_SPREAD, by_step / OVERLAP_SPREAD)
-
-
-def finger_overlap(points: np.ndarray, radius: np.ndarray, hand: Skeleton, finger: int) -> np.ndarray:
-    """How deep points of a finger are in the other fingers [m], shape [S, P].
-
-    Args:
-        points: in several postures [m], shape [S, P, 3].
-        radius: half the finger's thickness there [m], shape [P].
-    """
-    others = (HAND_CAPSULES.finger >= 0) & (HAND_CAPSULES.finger != finger)
-    first, last = HAND_CAPSULES.ends(hand.joints())
-    thick = HAND_CAPSULES.radius[others] * np.exp(hand.size)
-    distance = capsule_distances(points.reshape(-1, 3), first[others], last[others], thick)
-    return np.maximum(radius - OVERLAP_SLACK - distance.reshape(points.shape[:2]), 0.0)
 
 
 def _between(ends: np.ndarray, part: np.ndarray) -> np.ndarray:
