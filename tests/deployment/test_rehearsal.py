@@ -62,6 +62,16 @@ def test_a_rehearsal_sends_nothing_and_goes_the_whole_way(motion: Motion) -> Non
     assert (np.diff(motion.times) > 0).all()
 
 
+def test_on_the_way_back_fingers_are_as_they_were_there_on_the_way_in(motion: Motion) -> None:
+    there = np.flatnonzero(motion.phases == "grasp")
+    back = np.flatnonzero(motion.phases == "put down")[::5]
+    apart = np.linalg.norm(motion.palm[back, None, :3] - motion.palm[None, there, :3], axis=2)
+    # Once the hand has left the object, which stopped its fingers.
+    away = np.linalg.norm(motion.palm[back, :3] - motion.palm[there[-1], :3], axis=1) > 0.05
+    off = np.abs(motion.fingers[back] - motion.fingers[there[apart.argmin(axis=1)]]).max(axis=1)
+    assert away.sum() > 5 and off[away & (apart.min(axis=1) < 0.005)].max() < 0.13
+
+
 def test_nothing_is_collected_for_long_while_a_robot_moves() -> None:
     frozen: list[int] = []
 

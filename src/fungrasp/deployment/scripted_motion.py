@@ -148,7 +148,9 @@ class ScriptedMotion:
             if self.arrived(low, 0.0) and (opened or self._lowered(low)):
                 opened = min(1.0, opened + period / OPEN_TIME)
             go(low, fingers + opened * (opening[:1] - fingers))
-        for pose, targets in zip(back, opening, strict=True):
+        # The palm follows its goals two steps behind; fingers that do not wait would be open too early.
+        late = [*opening[:1], *opening[:1], *opening][: len(back)]
+        for pose, targets in zip(back, late, strict=True):
             go(pose[None], targets[None])
         # The way home begins at rest.
         while not self.arrived(back[-1:], 0.0) or np.abs(robot.setpoints.wrist.turning).max() > STILL:

@@ -145,7 +145,7 @@ LEAST_MANIPULABILITY = 0.04
 
 TABLE_ROOM = 0.005
 """The arm of a plan stays so much farther from the table than the arm that moves must, its hand half of that
-[m]: policies correct the palm by some millimeters, and fingers lag behind, downwards as they open."""
+[m]: policies correct the palm by some millimeters, and fingers are not quite where they are read."""
 
 LARGEST_ERROR = 0.002
 """Error of the palm on the path beyond which it does not follow [m, and rad for ten times as much]."""
