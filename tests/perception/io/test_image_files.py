@@ -13,6 +13,7 @@ from fungrasp.perception import Capture, Intrinsics
 from fungrasp.perception.io.image_files import (
     check_alignment,
     check_hints,
+    check_turned,
     parse_box,
     read_capture,
     read_color,
@@ -171,6 +172,14 @@ def test_depth_that_is_mirrored_or_turned_is_told(tmp_path):
         np.save(tmp_path / "depth.npy", turned)
         warnings = read_capture(path, tmp_path / "depth.npy", lens).warnings
         assert [(one.code, one.values["how"]) for one in warnings] == [("depth_turned", how)] * bool(how)
+
+
+def test_a_shift_is_not_taken_for_a_mirror_image():
+    """The shifted box is where the mirror image of the color has it, too."""
+    color, depth = scene()
+    lens = Intrinsics(WIDTH, HEIGHT, 300, 301, 160, 119)
+    capture = Capture(np.roll(color, -8, axis=1), np.roll(depth, 8, axis=1), lens)
+    assert check_alignment(capture) == (16, 0) and not check_turned(capture)
 
 
 def test_depth_given_as_color_is_named(tmp_path):

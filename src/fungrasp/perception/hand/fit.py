@@ -38,11 +38,11 @@ from fungrasp.perception.io.capture import Capture
 from fungrasp.perception.io.estimates import HandEstimate, Side
 
 # Stages of a fit without the object.
-FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.06, 0.06), (0.02, 0.04), (0.008, 0.03)))
+FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.02, 0.04), (0.008, 0.03)))
 # Stages of a fit with the object, before the fingers are searched.
 PALM_STAGES = (HandFitStage((0.06, 0.06), 0.05), HandFitStage((0.02, 0.04), 0.03))
-# Stages of a fit with the object, after the fingers are searched.
-HELD_STAGES = tuple(HandFitStage((0.02, 0.03), far, contact=True, late=True) for far in (0.02, 0.015))
+# Stage of a fit with the object, after the fingers are searched.
+HELD_STAGE = HandFitStage((0.02, 0.03), 0.015, contact=True, late=True)
 # How candidates are compared and the final estimate is judged.
 COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
 STAGE_ITERATIONS = 5  # Gauss-Newton steps of a stage.
@@ -154,8 +154,7 @@ def _with_fingers_searched(problem: HandFitProblem, parameters: HandParameters, 
     )
     parameters = HandParameters(skeleton, parameters.turn)
     problem.find_background(skeleton)
-    for stage in HELD_STAGES:
-        parameters = problem.solve(parameters, stage, STAGE_ITERATIONS)
+    parameters = problem.solve(parameters, HELD_STAGE, STAGE_ITERATIONS)
     problem.find_background(parameters.skeleton)
     return parameters
 
