@@ -1,5 +1,4 @@
-"""Batched work in chunks on a few threads; the result does not depend on their number. What processes beside
-this one find."""
+"""Batched work in chunks on threads, independent of their number, and the environment of child processes."""
 
 from __future__ import annotations
 
@@ -20,14 +19,15 @@ Result = TypeVar("Result")
 def in_chunks(
     work: Callable[[np.ndarray], Result], count: int, threads: int = 0, chunk: int = 64
 ) -> list[Result]:
-    """``work`` on the row numbers of each chunk, in order.
+    """Return the results of ``work`` for each chunk of row numbers, in order.
 
     Args:
-        work: given row numbers, shape [<= chunk]; mostly NumPy or MuJoCo, which let other threads run.
-        threads: 0 means all processors.
+        work: function of row numbers, shape [<= chunk]; mostly NumPy or MuJoCo code, which lets other threads
+            run.
+        threads: number of threads; 0 for all processors.
 
     Raises:
-        FungraspError: a negative number of threads.
+        FungraspError: the number of threads is negative.
     """
     if threads < 0:
         raise FungraspError(f"the number of threads must be 0 (all processors) or more, not {threads}")
@@ -37,8 +37,7 @@ def in_chunks(
 
 
 def worker_environment() -> dict[str, str]:
-    """Environment in which a Python process finds the packages that this one finds, and computes in one
-    thread: more would take the time of others."""
+    """Return the environment of a child Python process that finds the same packages and uses one thread."""
     search = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path if entry)
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return {**os.environ, **threads, "PYTHONPATH": search}

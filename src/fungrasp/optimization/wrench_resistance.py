@@ -196,8 +196,7 @@ def unresisted_wrenches(
 
 
 class _Columns(NamedTuple):
-    """Wrench and joint torques of a unit force along each edge of a hand's friction cones, ordered by
-    contact."""
+    """Wrench and joint torques of each edge of a hand's friction cones, ordered by contact."""
 
     wrench: np.ndarray
     """Wrenches, shape [K, 6]."""

@@ -76,14 +76,13 @@ class HandDynamics:
     """Identified dynamics of a hand, as factors on the model's."""
 
     damping: np.ndarray
-    """Of each joint and of its servo, shape [M]: what is identified is the sum of both."""
+    """Factor on the damping of each joint and its servo, shape [M]; only their sum is identified."""
     servo_stiffness: np.ndarray
-    """Stiffness of each joint's servo, shape [M]."""
+    """Factor on the stiffness of each joint's servo, shape [M]."""
 
     @classmethod
     def of(cls, hand: Hand, dynamics: JointDynamics) -> HandDynamics:
-        """The factors of identified joints, some or all of the independent ones; those that were not
-        identified are as in the model."""
+        """Return the factors for identified independent joints; the factors of other joints are 1."""
         model, factors = model_dynamics(hand), np.ones((2, len(hand.joint_names)))
         for j, name in enumerate(dynamics.joints):
             joint, row = hand.joint_names.index(name), model.joints.index(name)
@@ -92,7 +91,7 @@ class HandDynamics:
         return cls(factors[1], factors[0])
 
     def stiffness(self, hand: Hand) -> np.ndarray:
-        """Stiffness of the servos [N m/rad], shape [U]."""
+        """Return the stiffness of the servos [N m/rad], shape [U]."""
         driven = [hand.joint_names.index(name) for name in hand.actuators]
         return np.array([servo.kp for servo in hand.actuators.values()]) * self.servo_stiffness[driven]
 
