@@ -74,6 +74,13 @@ def test_missing_objects_and_wrong_kinds_are_named(human):
             GivenPlans(wrong, robot)  # type: ignore[arg-type]
 
 
+def test_evaluate_takes_plans_and_planners_only(human):
+    robot = fungrasp.retarget(human, hand="allegro")
+    for wrong in (robot, "plan"):
+        with pytest.raises(fungrasp.FungraspError, match=r"plans= takes plans .* not a (RobotGraspSet|str)"):
+            fungrasp.evaluate(robot, plans=wrong)  # pyright: ignore[reportArgumentType]
+
+
 def test_what_one_verb_returns_the_next_one_takes():
     """Neither objects nor hand are given again."""
     human = fungrasp.builtin_grasps()[[36, 52]]
@@ -126,7 +133,7 @@ def test_reprs_are_short(human):
 def test_type_checkers_are_told_the_names_that_are_loaded_on_use():
     stub = Path(fungrasp.__file__).with_suffix(".pyi").read_text()
     told = re.findall(r"^from fungrasp\.(\S+) import (\w+) as \2$", stub, re.MULTILINE)
-    offered = {name: module for module, names in fungrasp._NAMES.items() for name in names.split()}
+    offered = {name: module for module, names in fungrasp._NAMES.items() for name in names.split()}  # pyright: ignore[reportAttributeAccessIssue]
     assert {name: module for module, name in told} == offered
 
 

@@ -29,6 +29,7 @@ _NAMES = {
     ),
     "grasps.from_arrays": "human_grasp",
     "hands": "Hand load_hand",
+    "core.errors": "FungraspError",
     "core.jobs": "PartStore RayCluster",
     "objects": "ObjectModel load_object object_from_mesh",
     "perception.pipeline": "perceive",

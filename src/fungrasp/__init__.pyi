@@ -1,5 +1,6 @@
 """The names that ``__init__.py`` loads on use, for type checkers."""
 
+from fungrasp.core.errors import FungraspError as FungraspError
 from fungrasp.core.jobs import PartStore as PartStore
 from fungrasp.core.jobs import RayCluster as RayCluster
 from fungrasp.deployment.deploy import deploy as deploy

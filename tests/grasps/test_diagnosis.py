@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from fungrasp.grasps.diagnosis import checked_grasps, diagnosis
 from fungrasp.grasps.human_hand import ORDERS
 from fungrasp.grasps.scene_checks import rows_in_words
 from fungrasp.objects.object_variants import scaled_object
+from fungrasp.retargeting import retarget
 
 HALF = np.sqrt(0.5)
 
@@ -32,11 +34,11 @@ FORTH = [0, 1, 2, 4, 5, 6, 3]
 """A wxyz pose written as xyzw."""
 
 
-def fields(grasps: HumanGraspSet) -> dict[str, np.ndarray]:
+def fields(grasps: HumanGraspSet) -> dict[str, Any]:
     return {name: getattr(grasps, name) for name in grasps.FIELDS if getattr(grasps, name) is not None}
 
 
-def foreign(kind: str) -> dict[str, np.ndarray]:
+def foreign(kind: str) -> dict[str, Any]:
     """The built-in grasps as others would write them."""
     arrays = fields(builtin_grasps())
     if kind in ORDERS:
@@ -105,7 +107,8 @@ def test_what_fingers_and_table_tell_has_a_remedy_that_works(
     tmp_path, capsys, monkeypatch, kind, options, count
 ):
     right = turned(fields(builtin_grasps().select(np.arange(0, 120, 120 // count)[:count])))
-    monkeypatch.setitem(globals(), "builtin_grasps", lambda: HumanGraspSet(**right))
+    rows: dict[str, Any] = right
+    monkeypatch.setitem(globals(), "builtin_grasps", lambda: HumanGraspSet(**rows))
     arrays = foreign(kind)
     np.savez(tmp_path / "x.npz", **arrays)
     _, out = run(capsys, "check", tmp_path / "x.npz")
@@ -137,7 +140,10 @@ def test_what_has_no_remedy_is_refused_with_its_reason(tmp_path, capsys, kind, r
 
 
 def run_command(capsys, *arguments: object) -> tuple[int, str]:
-    status = main([*map(str, arguments)])
+    try:
+        status = main([*map(str, arguments)])
+    except SystemExit as ended:
+        status = int(ended.code or 0)
     captured = capsys.readouterr()
     return status, captured.out + captured.err
 
@@ -162,7 +168,7 @@ def test_other_conventions_are_refused_on_loading_with_their_remedy(tmp_path, ca
     with pytest.raises(FungraspError, match=f"grasps 0, 1, 2.*convert .*x.npz {option} --out"):
         load_human_grasps(tmp_path / "x.npz")
     status, out = run(capsys, "check", tmp_path / "x.npz")
-    assert status == 0 and f"to convert: fungrasp grasps convert {tmp_path / 'x.npz'} {option} " in out
+    assert status == 1 and f"to convert: fungrasp grasps convert {tmp_path / 'x.npz'} {option} " in out
     status, out = run(capsys, "convert", tmp_path / "x.npz", *option.split(), "--out", tmp_path / "y.npz")
     assert status == 0
     if kind != "left":
@@ -225,13 +231,13 @@ def test_repeated_findings_are_one_line():
 
 
 def test_selecting_grasps(tmp_path, capsys, robot_grasps):
-    from fungrasp.grasps import load_grasps, save_robot_grasps
+    from fungrasp.grasps import load_robot_grasps, save_robot_grasps
 
     extra = {"force_closure_residual": np.array([0.3, 0.1, np.nan, 0.2]), "other": np.arange(4.0)}
     save_robot_grasps(tmp_path / "r.npz", robot_grasps(4, extra=extra))
     _, out = run(capsys, "select", tmp_path / "r.npz", "--best", "0.5", "--out", tmp_path / "s.npz")
     assert "2 of 4 grasps" in out
-    np.testing.assert_array_equal(load_grasps(tmp_path / "s.npz").extra["other"], [1, 3])
+    np.testing.assert_array_equal(load_robot_grasps(tmp_path / "s.npz").extra["other"], [1, 3])
     _, out = run(
         capsys, "select", tmp_path / "r.npz", "--by", "othr", "--best", "0.5", "--out", tmp_path / "s"
     )
@@ -241,7 +247,7 @@ def test_selecting_grasps(tmp_path, capsys, robot_grasps):
     _, out = run(capsys, "select", "builtin", "--rows", "0::3", "1", "--out", tmp_path / "m.npz")
     assert out.endswith("41 of 120 grasps\n")
     first = builtin_grasps().select([0, 1, 3])
-    np.testing.assert_array_equal(load_grasps(tmp_path / "m.npz").hand_joints[:3], first.hand_joints)
+    np.testing.assert_array_equal(load_human_grasps(tmp_path / "m.npz").hand_joints[:3], first.hand_joints)
     for rows in ("120", "3-5", "0:9:0"):
         assert "--rows" in run(capsys, "select", "builtin", "--rows", rows, "--out", tmp_path / "s")[1]
     other = ("--objects", "drill", "--tasks", "drink")
@@ -348,3 +354,43 @@ def test_meshes_of_an_odd_size_tell_no_convention():
     # The others tell it where only one is doubted.
     some = objects | {"mug": tiny["mug"]}
     assert diagnosis(arrays, some).convention.quaternion == "xyzw"
+
+
+def written(path, **changes):
+    """The built-in grasps of the mug in a file, with other fields."""
+    mugs = builtin_grasps().select(np.flatnonzero(builtin_grasps().object_name == "mug"))
+    mugs.save(path)
+    np.savez(path, **{**np.load(path), **changes})
+    return path, mugs
+
+
+def test_masses_in_grams_are_refused(tmp_path, capsys):
+    path, mugs = written(tmp_path / "x.npz")
+    written(path, object_mass=1e3 * mugs.object_mass)
+    status, out = run(capsys, "check", path)
+    assert status == 2 and "is the mass in grams?" in out
+    with pytest.raises(FungraspError, match="is the mass in grams"):
+        retarget(load_human_grasps(path))
+
+
+def test_contacts_of_links_far_from_the_object_are_doubted(tmp_path, capsys):
+    path, mugs = written(tmp_path / "x.npz")
+    written(path, link_contacts=np.ones_like(mugs.link_contacts))
+    assert "are the contacts in the order of HUMAN_LINKS" in run(capsys, "check", path)[1]
+
+
+def test_names_may_be_bytes(tmp_path, capsys):
+    path, mugs = written(tmp_path / "x.npz")
+    written(path, object_name=mugs.object_name.astype("S"))
+    assert run(capsys, "check", path)[1].endswith(f"{len(mugs)} usable grasps\n")
+
+
+def test_unusable_rows_are_not_counted_and_one_grasp_is_no_set(tmp_path, capsys):
+    path, mugs = written(tmp_path / "x.npz")
+    joints = mugs.hand_joints.copy()
+    joints[0] *= [1, -1, 1]
+    written(path, hand_joints=joints)
+    status, out = run(capsys, "check", path)
+    assert status == 0 and f"{len(mugs) - 1} of {len(mugs)} usable grasps" in out
+    written(path, object_name=np.array("mug"))
+    assert "field 'object_name' has shape ()" in run(capsys, "check", path)[1]

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 import fungrasp
 from fungrasp.core.errors import FungraspError
-from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
+from fungrasp.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    rotation_matrix,
+    transform_points,
+)
+from fungrasp.grasps import Convention
 from fungrasp.grasps.human_hand import MANO, OPENPOSE
+from fungrasp.objects.object_variants import mirrored_object
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +80,13 @@ def test_points_of_contact_mark_links(shown):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"joints": np.zeros((20, 3))}, r"joints have shape \(20, 3\), expected \(21, 3\)"),
-        ({"joints": np.full((21, 3), np.nan)}, "joints are not all finite"),
+        ({"joints": np.zeros((20, 3))}, r"joints: shape \(20, 3\), expected \(21, 3\)"),
+        ({"joints": np.full((21, 3), np.nan)}, "joints: a number is not finite"),
         ({"order": "mediapipes"}, "Did you mean 'mediapipe'"),
         ({"order": "mano"}, "order"),
-        ({"contacts": np.zeros(3, dtype=bool)}, "one flag for each of 16 links"),
+        ({"contacts": np.zeros(3, dtype=bool)}, "a flag"),
         ({"object_pose": np.ones((4, 4))}, "is no rotation"),
-        ({"object_pose": [0, 0, 0]}, "object_pose have shape"),
+        ({"object_pose": [0, 0, 0]}, "object_pose: shape"),
         ({"mesh": 3}, "expected a mesh .* not int"),
         ({"mesh": "nowhere.obj"}, "nowhere"),
         ({"mass": 400.0}, "is the mass in grams"),
@@ -100,3 +110,81 @@ def test_a_guessed_mass_is_said_and_its_spread_kept(shown, caplog):
     )
     with pytest.raises(FungraspError, match=r"60 mm if it is in mm"):
         fungrasp.object_from_mesh(trimesh.creation.box((60, 40, 30)))
+
+
+def mug():
+    """A built-in grasp of the mug, which stands upright."""
+    grasps = fungrasp.builtin_grasps()
+    return grasps[int(np.flatnonzero(grasps.object_name == "mug")[0])]
+
+
+@pytest.mark.parametrize(
+    ("changes", "convention"),
+    [
+        ({"joints": 1e3}, Convention(unit="mm", object_unit="m")),
+        ({"joints": 1e3, "pose": [1e3, 1e3, 1e3, 1, 1, 1, 1]}, Convention(unit="mm")),
+        ({"pose": [1e3, 1e3, 1e3, 1, 1, 1, 1]}, Convention(object_unit="mm")),
+        ({"joints": [1, -1, 1], "pose": [1, -1, 1, 1, -1, 1, -1]}, Convention(side="left")),
+    ],
+)
+def test_the_remedy_that_the_error_names_works(changes, convention):
+    grasp = mug()
+    joints, pose = grasp.hand_joints * changes.get("joints", 1), grasp.object_pose * changes.get("pose", 1)
+    mesh = fungrasp.load_object("mug")
+    if convention.side == "left":
+        mesh = replace(mirrored_object(mesh), name="mug")
+    with pytest.raises(FungraspError, match=re.escape(f"convention=Convention({convention.as_arguments()})")):
+        fungrasp.human_grasp(joints, mesh, object_pose=pose)
+    found = fungrasp.human_grasp(joints, mesh, object_pose=pose, convention=convention)
+    np.testing.assert_allclose(found.hand_joints, grasp.hand_joints, atol=1e-9)
+    np.testing.assert_allclose(found.object_pose, grasp.object_pose, atol=1e-9)
+    assert found.object_name == ("mug_mirrored" if convention.side == "left" else "mug")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"object_pose": np.eye(4).T + 0.05 * np.eye(4, k=-3)}, "last row of the matrix .* is it transposed"),
+        ({"object_pose": np.zeros(7)}, "its quaternion .* has length 0, not 1"),
+        ({"object_pose": np.eye(4)[:3]}, r"shape \(3, 4\), expected \(7,\) or \(4, 4\)"),
+        ({"joints": np.zeros((2, 21, 3))}, r"HumanGraspSet\.of"),
+        ({"joints": [[1, 2], [3]]}, "joints: no array of numbers"),
+        ({"contacts": np.full(16, 0.5)}, "expected a flag"),
+        ({"mass": 350}, "is the mass in grams"),
+    ],
+)
+def test_arrays_that_cannot_be_meant_are_refused_with_the_reason(arguments, words):
+    grasp = mug()
+    given = {"joints": grasp.hand_joints, "object_pose": grasp.object_pose} | arguments
+    with pytest.raises(FungraspError, match=words):
+        fungrasp.human_grasp(given.pop("joints"), "mug", **given)
+
+
+def test_tensors_and_flags_as_numbers_are_read():
+    torch = pytest.importorskip("torch")
+    grasp = mug()
+    found = fungrasp.human_grasp(
+        torch.tensor(grasp.hand_joints, requires_grad=True),
+        "mug",
+        object_pose=torch.tensor(grasp.object_pose).bfloat16(),
+        contacts=grasp.link_contacts.astype(int),
+    )
+    np.testing.assert_array_equal(found.link_contacts, grasp.link_contacts)
+
+
+def test_a_grasp_in_a_cameras_frame_is_doubted(caplog):
+    """The camera looks down at the table; hand and object fit together, so that nothing else tells it."""
+    grasp = mug()
+    turn = np.array([np.cos(1.1), -np.sin(1.1), 0.0, 0.0])
+    camera = np.array([0.0, 0.0, 0.7, *turn])
+    joints, pose = transform_points(camera, grasp.hand_joints), compose(camera, grasp.object_pose)
+    fungrasp.human_grasp(joints, "mug", object_pose=pose)
+    assert "the z axis of the world does not point up" in caplog.text
+    caplog.clear()
+    fungrasp.human_grasp(grasp.hand_joints, "mug", object_pose=grasp.object_pose)
+    assert not caplog.text
+
+
+def test_a_scene_is_taken_as_one_mesh(shown):
+    """What trimesh.load makes of a GLB."""
+    assert fungrasp.object_from_mesh(trimesh.Scene(shown[1]), 0.3).size == pytest.approx(shown[1].extents)

@@ -242,7 +242,7 @@ class ImportGrasps:
 
 @dataclass(frozen=True)
 class CheckGrasps(ObjectsOption, Answering):
-    """Check human grasps: units, joint order, side, frames, table."""
+    """Check human grasps: units, joint order, side, frames, table. Exit status 1: most can't be used."""
 
     file: GraspFile
     """A file of human grasps."""
@@ -273,14 +273,16 @@ class CheckGrasps(ObjectsOption, Answering):
                 if options
                 else f"{self.file}: most grasps can't be used"
             )
-            return CommandResult(value, "\n".join(lines))
+            return CommandResult(value, "\n".join(lines), status=1)
         grasps = human_grasps(self.file, completed(fields, objects))
         unusual = grouped(check_anatomy(grasps))
         lines += [f"unusual anatomy: {finding}" for finding in unusual]
+        bad = {row for remark in found.remarks if remark.fatal for row in remark.rows.tolist()}
+        usable = f"{len(grasps) - len(bad)} of {len(grasps)}" if bad else str(len(grasps))
         lines.append(
-            f"{self.file}: the hands of {len(grasps)} grasps are usable; sound meshes would test the rest"
+            f"{self.file}: the hands of {usable} grasps are usable; sound meshes would test the rest"
             if found.untested
-            else f"{self.file}: {len(grasps)} usable grasps"
+            else f"{self.file}: {usable} usable grasps"
         )
         return CommandResult({**value, "unusual_anatomy": unusual}, "\n".join(lines))
 
@@ -472,14 +474,24 @@ def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
 
 
 def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, ObjectModel]:
-    """Objects of a file's grasps by name, as far as known, with a mass of 1 kg."""
+    """Objects of a file's grasps by name, as far as known, with the mass of the first grasp of each."""
+    import numpy as np
+
     from fungrasp.objects import load_object, mesh_files, object_names
+    from fungrasp.objects.object_registry import check_density
     from fungrasp.objects.object_variants import MIRRORED
 
     known = {*object_names(), *mesh_files(folder)}
-    names = fields.get("object_name", ())
-    wanted = {str(name) for name in names if str(name).removesuffix(MIRRORED) in known}
-    return {name: load_object(name, 1.0, folder) for name in wanted}
+    names, masses = (np.ravel(fields.get(f"object_{field}", ())).tolist() for field in ("name", "mass"))
+    # Without masses, one that any object may have.
+    masses = (
+        masses if len(masses) == len(names) and all(0 < m < np.inf for m in masses) else [1e-3] * len(names)
+    )
+    first = {str(n): float(m) for n, m in reversed(list(zip(names, masses, strict=True)))}
+    found = {n: load_object(n, m, folder) for n, m in first.items() if n.removesuffix(MIRRORED) in known}
+    for model in found.values():
+        check_density(model)
+    return found
 
 
 def _description(grasp: HumanGrasp | RobotGrasp) -> str:

@@ -110,6 +110,8 @@ def evaluate(
     shown = made_of if human is None else as_human_grasps(human)
     if shown is not None and robot.shown_places is None:
         robot = with_shown_places(robot, shown, known, used)
+    if plans is not None and not isinstance(plans, GraspPlan) and not hasattr(plans, "plan"):
+        raise FungraspError(f"plans= takes plans (fungrasp.plan) or a planner, not a {type(plans).__name__}")
     given = GivenPlans(plans, robot) if isinstance(plans, GraspPlan) else plans
     record = None if record is None else Path(record)
     job = LiftTestJob(robot, known, used, spec, own, given, record, threads)

@@ -11,6 +11,9 @@ TRACKED_CONTACT_GAP = 0.005
 """Gap that still counts as contact [m]: about the error of a tracked hand. On the 375 training
 grasps of D-Grasp the flags of the distal links then agree with its labels in 96 % of the cases."""
 
+CONTACT_REACH = 0.03
+"""Largest distance between the skin of a link and what it touches, as annotated [m]."""
+
 POINTS_PER_LINK = 5
 
 

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.geometry.poses import quaternion_conjugate, rotate
 from fungrasp.grasps.contacts import link_contacts
-from fungrasp.grasps.conversion import BELOW_TABLE, UNITS, Convention, Unit, settled_pose
+from fungrasp.grasps.conversion import BELOW_TABLE, POSES, UNITS, Convention, Unit, settled_pose
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import HUMAN_LINKS, ORDERS, bone_ratios, joint_bends, order_misfit
 from fungrasp.grasps.scene_checks import GraspScene, Remark, scene_is_sound
@@ -34,6 +35,9 @@ HAND_SIZES = (0.5, 1.6)
 
 BENT = 0.6
 """Sum of the bends of a hand's four fingers that tells its side [rad]."""
+
+MUCH_TILTED = 30.0
+"""Objects are seldom held at more than this from how they stand when a grasp begins [degrees]."""
 
 _log = logging.getLogger(__name__)
 
@@ -56,11 +60,12 @@ class GraspDiagnosis:
         """The first remark because of which more than half of the grasps can't be used."""
         return next((r for r in self.remarks if r.fatal and 2 * len(r.rows) > self.count), None)
 
-    def require_usable(self, where: str, file: bool) -> None:
+    def require_usable(self, where: str, file: bool, mend: str) -> None:
         """
         Args:
             where: begins the message.
             file: whether that is a file, to which ``fungrasp grasps convert`` can be applied.
+            mend: what can be done otherwise, with {} for the arguments of ``Convention``.
 
         Raises:
             FungraspError: most of the grasps can't be used; it names the remedy where there is one.
@@ -73,7 +78,7 @@ class GraspDiagnosis:
                 f"; 'fungrasp grasps convert {where} {self.convention.as_options()} --out NEW.npz' mends it"
             )
         elif self.convention.changes:
-            remedy = f"; converted(fields, Convention({self.convention.as_arguments()})) mends it"
+            remedy = f"; {mend.format(self.convention.as_arguments())}"
         raise FungraspError(f"{where}: {self.fatal}{remedy}")
 
 
@@ -84,6 +89,7 @@ def checked_grasps(
     *,
     file: bool = False,
     read: bool = False,
+    mend: str = "converted(fields, Convention({})) mends it",
 ) -> HumanGraspSet:
     """Human grasps from their fields, after the checks that every reader and ``retarget`` make.
 
@@ -97,17 +103,20 @@ def checked_grasps(
         file: whether that is a file.
         read: whether the grasps went through these checks before their objects were known: what joints alone
             tell is not said again, and left hands are meant to be.
+        mend: what the caller can do about another convention, with {} for the arguments of ``Convention``.
 
     Raises:
         FungraspError: bad content, most of the grasps can't be used as they are, or something is missing that
             can't be computed without the object's mesh.
     """
     found = diagnosis(arrays, objects, sides=not read)
-    found.require_usable(where, file)
+    found.require_usable(where, file, mend)
     for remark in found.remarks:
         if remark.scene or not read:
             _log.warning("%s: %s", where, remark)
     complete = completed(arrays, objects)
+    if "object_rest_pose" not in arrays:
+        _doubt_the_vertical(complete, where)
     missing = [n for n, f in HumanGraspSet.FIELDS.items() if n not in complete and not f.optional]
     if missing:
         given = ", ".join(sorted(arrays)) or "nothing"
@@ -118,6 +127,22 @@ def checked_grasps(
         return HumanGraspSet(**rows)
     except FungraspError as error:
         raise FungraspError(f"{where}: {error}") from error
+
+
+def _doubt_the_vertical(complete: Mapping[str, np.ndarray], where: str) -> None:
+    """Warn if most objects tilt when they are put down: they would if the world were a camera's frame."""
+    if "object_rest_pose" not in complete or not scene_is_sound(complete):
+        return
+    vertical = np.array([0.0, 0.0, 1.0])
+    up = [rotate(quaternion_conjugate(complete[name][:, 3:].astype(float)), vertical) for name in POSES]
+    tilt = np.degrees(np.arccos(np.clip(np.sum(up[0] * up[1], axis=1), -1, 1)))
+    if len(tilt) and np.median(tilt) > MUCH_TILTED:
+        _log.warning(
+            "%s: put down on the table, the object tilts by %.0f degrees: if it was not held so, the z axis "
+            "of the world does not point up (in a camera's frame it never does)",
+            where,
+            np.median(tilt),
+        )
 
 
 def completed(arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> dict[str, np.ndarray]:
@@ -168,7 +193,7 @@ def diagnosis(
         untested += scene.untested()
         if len(scene.rows):
             convention, found = scene.convention(convention)
-            remarks += found
+            remarks += [*found, *scene.contact_remarks(convention, arrays.get("link_contacts"))]
     if sides:
         remarks += _side_remarks(joints[:, ORDERS[convention.joint_order]], arrays.get("object_name"))
         if remarks and remarks[-1].words is LEFT and 2 * len(remarks[-1].rows) > len(joints):

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.checks import one_line
 from fungrasp.geometry.poses import transform_points
-from fungrasp.grasps.contacts import link_points
+from fungrasp.grasps.contacts import CONTACT_REACH, link_points
+from fungrasp.grasps.conversion import Convention, converted
 from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.human_grasp import HumanGrasp
 from fungrasp.grasps.human_hand import HUMAN_LINKS, LINK_RADII, joint_order
 from fungrasp.objects import ObjectModel, ResolvedObject, resolve_object
+from fungrasp.objects.object_variants import mirrored_object
 
 if TYPE_CHECKING:
     import trimesh
-
-CONTACT_REACH = 0.03
-"""Largest distance of a contact point from the skin of the link that it is a point of [m]."""
 
 SKIN = 0.009
 """Joints of fingers lie so far under the skin [m], ``LINK_RADII`` in the mean."""
@@ -39,6 +39,7 @@ def human_grasp(
     contacts: ArrayLike | None = None,
     mass: float | None = None,
     task: str = "",
+    convention: Convention | None = None,
 ) -> HumanGrasp:
     """A human grasp from arrays, with the same checks as for grasp files.
 
@@ -56,6 +57,8 @@ def human_grasp(
         mass: of the object [kg]. None: known for models and built-in objects, otherwise guessed from the size
             of the mesh.
         task: "drink", "cut", ...; empty if unknown.
+        convention: in which joints and pose are written, where that is not ours: ``Convention(unit="mm")``,
+            ``Convention(up="y")``, ``Convention(side="left")`` (hand and object are mirrored), ...
 
     Returns:
         The grasp with its object, ready for ``fungrasp.retarget(grasp)``.
@@ -67,7 +70,10 @@ def human_grasp(
     obj = resolve_object(mesh, mass)
     model = obj.model
     ordered = _finite("joints", joints, (21, 3))[joint_order(order)]
-    points = None if contacts is None else np.asarray(contacts)
+    if convention is not None:
+        ordered, object_pose = _converted(ordered, object_pose, convention)
+        model = mirrored_object(model) if convention.side == "left" else model
+    points = None if contacts is None else _numbers("contacts", contacts)
     if object_pose is None:
         pose = model.rest_pose()
         ordered = transform_points(pose, ordered)
@@ -75,10 +81,13 @@ def human_grasp(
         pose = as_pose(object_pose)
     if points is None:
         flags = np.zeros(len(HUMAN_LINKS), dtype=bool)
-    elif points.dtype == bool:
-        if points.shape != (len(HUMAN_LINKS),):
-            raise FungraspError(f"contacts have shape {points.shape}: expected one flag for each of 16 links")
-        flags = points
+    elif points.ndim == 1:
+        if points.shape != (len(HUMAN_LINKS),) or not np.isin(points, (0, 1)).all():
+            raise FungraspError(
+                f"contacts: shape {points.shape}, expected a flag (true or false) for each of the "
+                f"{len(HUMAN_LINKS)} links, or points (P, 3)"
+            )
+        flags = points.astype(bool)
     else:
         places = _finite("contacts", points, (None, 3))
         flags = touched_links(ordered, places if object_pose is not None else transform_points(pose, places))
@@ -94,8 +103,20 @@ def human_grasp(
         fields["object_mass_spread"] = np.array([obj.mass_spread])
     if object_pose is None:
         fields["object_rest_pose"] = pose[None]
-    grasps = checked_grasps(fields, {model.name: model}, "the grasp")
+    mend = "give convention=Convention({}) (of fungrasp.grasps)"
+    grasps = checked_grasps(fields, {model.name: model}, "the grasp", mend=mend)
     return replace(grasps, objects={model.name: model})[0]
+
+
+def _converted(
+    joints: np.ndarray, object_pose: ArrayLike | None, convention: Convention
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Joints and pose in our conventions."""
+    fields = {"object_name": np.array([""]), "hand_joints": joints[None]}
+    if object_pose is not None:
+        fields["object_pose"] = as_pose(object_pose)[None]
+    ours = converted(fields, convention)
+    return ours["hand_joints"][0], ours["object_pose"][0] if object_pose is not None else None
 
 
 def mediapipe_joints(
@@ -160,16 +181,27 @@ def as_pose(pose: ArrayLike) -> np.ndarray:
     Raises:
         FungraspError: something else.
     """
-    array = np.asarray(pose, dtype=float)
+    array = _numbers("object_pose", pose)
     if array.shape == (4, 4):
         rotation = array[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
             raise FungraspError("object_pose: the upper left 3 x 3 block of the matrix is no rotation")
+        if not np.allclose(array[3], [0, 0, 0, 1], atol=1e-3):
+            raise FungraspError(
+                f"object_pose: the last row of the matrix is {one_line(array[3])}, not 0 0 0 1: is it "
+                "transposed?"
+            )
         from scipy.spatial.transform import Rotation
 
         x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-        return np.array([*array[:3, 3], w, x, y, z])
-    return _finite("object_pose", array, (7,))
+        array = np.array([*array[:3, 3], w, x, y, z])
+    elif array.shape != (7,):
+        raise FungraspError(f"object_pose: shape {array.shape}, expected (7,) or (4, 4)")
+    array = _finite("object_pose", array, (7,))
+    length = float(np.linalg.norm(array[3:]))
+    if abs(length - 1) > 0.01:
+        raise FungraspError(f"object_pose: its quaternion (last four numbers) has length {length:.3g}, not 1")
+    return array
 
 
 def touched_links(hand_joints: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -198,10 +230,30 @@ def touched_links(hand_joints: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _finite(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> np.ndarray:
-    array = np.asarray(values, dtype=float)
-    if array.ndim != len(shape) or any(b not in (a, None) for a, b in zip(array.shape, shape, strict=True)):
+    array = _numbers(name, values)
+    if array.ndim != len(shape) or any(a not in (b, None) for a, b in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("P" if n is None else str(n) for n in shape)
-        raise FungraspError(f"{name} have shape {array.shape}, expected ({wanted})")
+        many = array.shape[1:] == shape
+        raise FungraspError(
+            f"{name}: shape {array.shape}, expected ({wanted})"
+            + ("; for several grasps, call it for each and HumanGraspSet.of(them)" if many else "")
+        )
     if not np.isfinite(array).all():
-        raise FungraspError(f"{name} are not all finite")
+        raise FungraspError(f"{name}: a number is not finite")
     return array
+
+
+def _numbers(name: str, values: ArrayLike) -> np.ndarray:
+    """Numbers as float64, those of tensors too.
+
+    Raises:
+        FungraspError: something else.
+    """
+    tensor: Any = values
+    try:
+        if hasattr(tensor, "detach"):
+            # NumPy can't read tensors on a GPU, with gradients, or of bfloat16.
+            tensor = tensor.detach().cpu().double().numpy()
+        return np.asarray(tensor, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as problem:
+        raise FungraspError(f"{name}: no array of numbers ({one_line(problem)})") from problem

@@ -11,6 +11,7 @@ from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, check_objects, load_object
+from fungrasp.objects.object_registry import check_density
 
 Objects: TypeAlias = "Mapping[str, ObjectModel] | Iterable[ObjectModel] | ObjectModel | str | Path | None"
 """Objects of grasps: by name, a list, a single one, or a folder of meshes. None: attached and built-in
@@ -98,11 +99,14 @@ def named_objects(
     if objects is None or isinstance(objects, str | Path):
         known = {} if objects is not None else dict(carried)
         try:
-            return known | {n: load_object(n, m, objects) for n, m in needed.items() if n not in known}
+            loaded = {n: load_object(n, m, objects) for n, m in needed.items() if n not in known}
         except UnknownNameError as error:
             raise FungraspError(
                 f"{error} Give the grasps' objects: a folder of meshes, or fungrasp.object_from_mesh(...)"
             ) from None
+        for model in loaded.values():
+            check_density(model)
+        return known | loaded
     if isinstance(objects, ObjectModel) or not isinstance(objects, Iterable):
         objects = [objects]
     given = dict(objects) if isinstance(objects, Mapping) else {getattr(o, "name", ""): o for o in objects}

@@ -187,4 +187,4 @@ def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
         raise FungraspError(
             f"{path} is of file version {given}, this fungrasp reads versions up to {FILE_VERSION}"
         )
-    return arrays
+    return {n: a.astype(str) if a.dtype.kind == "S" else a for n, a in arrays.items()}

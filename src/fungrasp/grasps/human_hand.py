@@ -49,7 +49,7 @@ def finger_link_directions(hand_joints: np.ndarray) -> np.ndarray:
     """
     fingers = hand_joints[..., 1:, :].reshape(*hand_joints.shape[:-2], 5, 4, 3)
     bones = fingers[..., 1:, :] - fingers[..., :-1, :]
-    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+    return bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-12)
 
 
 def hand_sides(hand_joints: np.ndarray) -> np.ndarray:
@@ -223,12 +223,12 @@ def joint_bends(hand_joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         deviation: to the side of the index finger [rad], same shape; zero for the thumb.
     """
     base = hand_joints[..., 1::4, :] - hand_joints[..., :1, :]
-    base = base / np.linalg.norm(base, axis=-1, keepdims=True)
+    base = base / np.maximum(np.linalg.norm(base, axis=-1, keepdims=True), 1e-12)
     links = finger_link_directions(hand_joints)
     before = np.concatenate([base[..., None, :], links[..., :-1, :]], axis=-2)
     across = (hand_joints[..., 1, :] - hand_joints[..., 13, :])[..., None, None, :]
     axis = across - np.sum(across * before, axis=-1, keepdims=True) * before
-    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
     turn, straight = np.cross(before, links), np.sum(before * links, axis=-1)
     flexion = np.arctan2(np.sum(turn * axis, axis=-1), straight)
     deviation = np.arcsin(np.clip(np.sum(links * axis, axis=-1), -1.0, 1.0))

@@ -12,7 +12,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from fungrasp.geometry.poses import inverse_transform_points, transform_points
+from fungrasp.grasps.contacts import CONTACT_REACH, link_points
 from fungrasp.grasps.conversion import POSES, UNITS, UP, Convention, converted
+from fungrasp.grasps.human_hand import LINK_RADII
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.mesh_file import mesh_doubts
 
@@ -191,6 +193,30 @@ class GraspScene:
         if self._trusted.any():
             best, remarks = self._only(self._trusted)._told_by_scene(of_hands)
         return self._with_rest(best, self._fit(best), remarks)
+
+    def contact_remarks(self, convention: Convention, flags: np.ndarray | None) -> list[Remark]:
+        """Grasps in which links that are said to touch are far from the object.
+
+        flags: of the links in contact, shape [N, 16], as they are written.
+        """
+        if flags is None or flags.shape != (len(self.arrays["hand_joints"]), len(LINK_RADII)):
+            return []
+        scene = converted({n: a[self.rows] for n, a in self.arrays.items()}, convention)
+        gaps = np.zeros((len(self.rows), len(LINK_RADII)))
+        for name, (tree, _) in self.surfaces.items():
+            rows = np.flatnonzero(self.arrays["object_name"][self.rows].astype(str) == name)
+            points = link_points(scene["hand_joints"][rows])
+            local = inverse_transform_points(scene["object_pose"][rows], points.reshape(len(rows), -1, 3))
+            gaps[rows] = tree.query(local)[0].reshape(points.shape[:3]).min(axis=2) - LINK_RADII
+        # The palm is wide: the points along it say little.
+        far = (flags[self.rows].astype(bool) & (gaps > CONTACT_REACH))[:, 1:]
+        if not far.any():
+            return []
+        words = (
+            f"links that are said to touch are up to {1e3 * gaps[:, 1:][far].max():.0f} mm from the object: "
+            "are the contacts in the order of HUMAN_LINKS, and hand and object in one frame?"
+        )
+        return [Remark(words, self.rows[far.any(axis=1)], scene=True)]
 
     @property
     def _trusted(self) -> np.ndarray:

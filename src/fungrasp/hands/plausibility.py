@@ -10,7 +10,7 @@ import numpy as np
 
 from fungrasp.hands.findings import Finding, error, finger_of, listed, warning
 from fungrasp.hands.hand import Hand
-from fungrasp.hands.kinematic_tree import ancestors, coupled_positions, joint_name, place_of
+from fungrasp.hands.kinematic_tree import ancestors, body_name, coupled_positions, joint_name, place_of
 
 LARGEST = 0.5
 """Extent of a hand with straight fingers [m]: of the largest robot hands it is 0.45."""
@@ -23,6 +23,12 @@ FINGER_LENGTHS = (0.03, 0.25)
 
 SHAPE_RATIO = 3.0
 """The shape of a finger's link reaches no farther from its joint than so many times the finger's length."""
+
+ASIDE = 0.03
+"""No shape of a link is farther from its joint [m]."""
+
+FAR_MASS = 0.05
+"""No center of mass is farther from the shapes of its body [m]."""
 
 WIDEST = np.pi + 0.1
 """No joint of a finger turns further in all [rad]; wider limits stand for none."""
@@ -47,6 +53,11 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
     solid = np.flatnonzero(
         ((model.geom_contype > 0) | (model.geom_conaffinity > 0)) & (model.geom_bodyid > 0)
     )
+    misplaced = list(_misplaced_shapes(hand, data, solid))
+    yield from misplaced
+    if any(finding.severity == "error" for finding in misplaced):
+        # Sizes and centers of mass follow from the shapes.
+        return
     reach = model.geom_rbound[solid]
     if len(solid):
         extent = float(np.linalg.norm(_boxes(model, data, solid)))
@@ -59,6 +70,16 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
         yield error(
             f"the hand weighs {mass:.4g} kg, not {MASSES[0]:g} to {MASSES[1]:g} kg: are the file's masses in "
             "kilograms, and those of the hand alone?"
+        )
+    heavy = [
+        f"{body_name(model, body)} ({1e3 * far:.0f} mm)"
+        for body in np.unique(model.geom_bodyid[solid])
+        if (far := _outside(model, solid, int(body), model.body_ipos[body])) > FAR_MASS
+    ]
+    if heavy:
+        yield error(
+            f"the center of mass lies far outside the shapes of {listed(heavy)}: is the origin of the "
+            "inertial in meters, and in the body's frame?"
         )
     long = []
     for name, finger in hand.fingers.items():
@@ -102,6 +123,37 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
             f"fingers are not what their bodies are named after: {listed(wrong)}; say which is which with "
             "'hands add --finger index=BODY ... --thumb BODY', or rename them"
         )
+
+
+def _misplaced_shapes(hand: Hand, data: mujoco.MjData, solid: np.ndarray) -> Iterator[Finding]:
+    """Links whose shapes begin far from their joints."""
+    model, far, count = hand.model, [], 0
+    for finger in hand.fingers.values():
+        for link, joint in zip(finger.links, finger.joints, strict=True):
+            body = data.body(link)
+            at = (place_of(data, joint) - body.xpos) @ body.xmat.reshape(3, 3)
+            gap = _outside(model, solid, body.id, at)
+            count += np.isfinite(gap)
+            if np.isfinite(gap) and gap > ASIDE:
+                far.append(f"{link} ({1e3 * gap:.0f} mm)")
+    if far:
+        say = error if 2 * len(far) > count else warning
+        yield say(
+            f"shapes are far from the joint of their link: {listed(far)}; are their meshes in the frame of "
+            "the whole hand, with no origin that moves them to the link's?"
+        )
+
+
+def _outside(model: mujoco.MjModel, solid: np.ndarray, body: int, point: np.ndarray) -> float:
+    """Distance of a point from the nearest box of a body's shapes, frame of the body [m]; infinite without
+    shapes."""
+    best = np.inf
+    for geom in solid[model.geom_bodyid[solid] == body]:
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        local = (point - model.geom_pos[geom]) @ turn.reshape(3, 3) - model.geom_aabb[geom, :3]
+        best = min(best, float(np.linalg.norm(np.maximum(np.abs(local) - model.geom_aabb[geom, 3:], 0.0))))
+    return best
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.builtin_objects import BUILTINS, is_plain_shape, load_builtin, plain_shape
 from fungrasp.objects.mesh_file import MESH_SUFFIXES, load_mesh
 from fungrasp.objects.object_model import ObjectModel
@@ -69,6 +70,23 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
     if path is None:
         return builtin_object(name, mass)
     return object_from_file(path, mass, name)
+
+
+DENSEST = 22_600.0
+"""Density of osmium, the densest there is [kg/m^3]."""
+
+
+def check_density(model: ObjectModel) -> None:
+    """
+    Raises:
+        FungraspError: nothing of that size has the object's mass.
+    """
+    density = model.mass / volume_and_center(model.hull)[0]
+    if density > DENSEST:
+        raise FungraspError(
+            f"'{model.name}': {model.mass:g} kg at this size is {density:,.0f} kg/m3, denser than any "
+            f"material ({DENSEST:,.0f}): is the mass in grams?"
+        )
 
 
 def mesh_files(folder: str | Path | None = None) -> dict[str, Path]:

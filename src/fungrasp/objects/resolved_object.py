@@ -17,7 +17,7 @@ from fungrasp.geometry.triangle_mesh import volume_and_center
 from fungrasp.objects.builtin_objects import is_plain_shape, plain_shape
 from fungrasp.objects.mesh_file import load_mesh, mend_mesh
 from fungrasp.objects.object_model import ObjectModel
-from fungrasp.objects.object_registry import builtin_object, object_from_file, object_names
+from fungrasp.objects.object_registry import builtin_object, check_density, object_from_file, object_names
 
 _log = logging.getLogger(__name__)
 
@@ -31,9 +31,6 @@ built-in ones is 540."""
 
 DENSITIES = (190.0, 940.0)
 """80 % interval of these densities [kg/m^3]."""
-
-DENSEST = 22_600.0
-"""Density of osmium, the densest material [kg/m^3]."""
 
 EIGHT_OF_TEN = 1.28
 """Half width of the 80 % interval of a normal distribution, in standard deviations."""
@@ -90,7 +87,9 @@ def resolve_object(
     is_file = os.path.isfile(mesh)  # noqa: PTH113
     shape = not is_file and is_plain_shape(mesh)
     if not is_file and not shape and (mesh in object_names() or Path(mesh).name == mesh == Path(mesh).stem):
-        return ResolvedObject(builtin_object(mesh, mass))
+        model = builtin_object(mesh, mass)
+        check_density(model)
+        return ResolvedObject(model)
     notes: tuple[str, ...] = ()
     between = None
     if mass is None:
@@ -102,12 +101,12 @@ def resolve_object(
             "--mass if you know it",
         )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
-    _check_density(model, volume_and_center(model.hull)[0])
+    check_density(model)
     return ResolvedObject(model, colored_mesh(mesh, model) if is_file else None, notes, between)
 
 
 def object_from_mesh(
-    mesh: trimesh.Trimesh | str | Path, mass: float | None = None, name: str = ""
+    mesh: trimesh.Trimesh | trimesh.Scene | str | Path, mass: float | None = None, name: str = ""
 ) -> ObjectModel:
     """Make an object from a mesh, which is repaired if it is not closed.
 
@@ -123,9 +122,9 @@ def object_from_mesh(
     if isinstance(mesh, str | Path):
         vertices, faces, repairs = load_mesh(mesh)
         name, source = name or Path(mesh).stem, str(mesh)
-    elif hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
+    elif hasattr(shape := _whole(mesh), "vertices") and hasattr(shape, "faces"):
         name, source = name or "object", "arrays"
-        vertices, faces, repairs = mend_mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), name)
+        vertices, faces, repairs = mend_mesh(np.asarray(shape.vertices), np.asarray(shape.faces), name)
     else:
         raise FungraspError(
             f"expected a mesh (trimesh.Trimesh) or the path of one, not {type(mesh).__name__}"
@@ -135,21 +134,13 @@ def object_from_mesh(
     if mass is None:
         model = replace(model, mass=DENSITY * volume)
         _log.warning("%s: the mass was guessed from its size, %.2g kg: give mass=", name, model.mass)
-    _check_density(model, volume)
+    check_density(model)
     return model
 
 
-def _check_density(model: ObjectModel, volume: float) -> None:
-    """
-    Raises:
-        FungraspError: the density is impossible.
-    """
-    density = model.mass / volume
-    if density > DENSEST:
-        raise FungraspError(
-            f"'{model.name}': {model.mass:g} kg at this size is {density:,.0f} kg/m3, denser than any "
-            f"material ({DENSEST:,.0f}): is the mass in grams?"
-        )
+def _whole(mesh: Any) -> Any:
+    """Return one mesh of a scene, which is what ``trimesh.load`` makes of a GLB."""
+    return mesh.to_mesh() if hasattr(mesh, "to_mesh") else mesh
 
 
 def colored_mesh(path: str | Path, model: ObjectModel) -> trimesh.Trimesh | None:

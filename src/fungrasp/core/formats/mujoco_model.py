@@ -34,6 +34,9 @@ NUMBERS = {
 }
 """Fields of a compiled model that ``check_model_numbers`` checks, by element type."""
 
+TITLES = {"pos": "place", "ipos": "center of mass", "iquat": "inertia's frame"}
+"""What fields are called in messages."""
+
 LENGTHS = ("pos", "ipos", "size")
 """Checked fields that are lengths [m]."""
 
@@ -102,9 +105,11 @@ def check_model_numbers(model: mujoco.MjModel, where: str, longest: float = 1000
             if bad.any():
                 i = int(np.argmax(bad))
                 title = {"jnt": "joint", "eq": "equality"}.get(kind, kind)
+                value, words = float(np.abs(values[i]).max()), TITLES.get(name, name)
+                owner = one_line(getattr(model, title)(i).name or i, 60)
                 raise FungraspError(
-                    f"{where}: {name} of {title} '{one_line(getattr(model, title)(i).name or i, 60)}' is "
-                    f"not finite{'' if name not in LENGTHS else f', or beyond {longest:g} m'}"
+                    f"{where}: the {words} of {title} '{owner}' is "
+                    + (f"{value:.3g} m: is it in meters?" if np.isfinite(value) else "not finite")
                 )
 
 

@@ -28,6 +28,7 @@ from fungrasp.hands.adding.servos import (
     JointPhysics,
     joint_physics,
     servo_entries,
+    shared_motors,
 )
 from fungrasp.hands.adding.structure import Answers, HandStructure, find_structure
 from fungrasp.hands.export import self_contained_xml
@@ -91,6 +92,8 @@ def add_hand(
     poses = Poses(foreign.model, couplings, structure.palm)
     shapes = hand_shapes(foreign, structure, poses, ends, answers.radius, findings)
     physics = joint_physics(poses, structure, shapes.tips, findings)
+    shared = shared_motors(poses, structure.palm)
+    findings += [shared] if shared else []
     spec = new_model(foreign, structure, poses, shapes, couplings, physics)
     spec.modelname = name
     text = self_contained_xml(spec)

@@ -120,11 +120,14 @@ def _links(
     return tuple((flexing if len(flexing) >= 3 else apart(chain))[-3:])
 
 
-def straight_fingers(
-    poses: Poses, chains: list[Chain], tips: Mapping[int, np.ndarray], start: np.ndarray
-) -> np.ndarray:
-    """Independent joints with every finger as long as it gets; those that don't lengthen it stay."""
-    best = start.copy()
+FOLDED = 0.8
+"""A finger whose joints turn by more on average until it is straight was folded at its base too [rad]."""
+
+
+def straight_fingers(poses: Poses, chains: list[Chain], tips: Mapping[int, np.ndarray]) -> np.ndarray:
+    """Independent joints with every finger as long as it gets; those that don't lengthen it stay, but unfold
+    with the others where the file's pose is a fist."""
+    start, best = poses.start, poses.start.copy()
     for chain in chains:
         poses.set(start)
         moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0))
@@ -142,7 +145,15 @@ def straight_fingers(
                         np.linalg.norm(tip - poses.anchor(chain.links[0])) - 2e-3 * abs(value - start[u])
                     )
                 best[u] = options[int(np.argmax(reaches))]
-    return best
+        flexing = flexing_joints(poses, chain)
+        last = poses.axis(flexing[-1])
+        signs = np.sign([[poses.axis(j) @ last] for j in flexing] * poses.matrix[flexing]).sum(axis=0)
+        turns = ((best - start) * np.sign(signs))[moved]
+        unfolded = float(turns[turns != 0].mean()) if turns.any() else 0.0
+        if abs(unfolded) > FOLDED:
+            still = moved[turns == 0]
+            best[still] += unfolded * np.sign(signs[still])
+    return np.clip(best, poses.low, poses.high)
 
 
 def chain_joints(model: mujoco.MjModel, chain: Chain) -> list[int]:
@@ -272,7 +283,7 @@ def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: Con
         raise FungraspError(
             f"the joint {listed(slides)} slides, as in a gripper; fingers of a hand need hinges"
         )
-    motors = {a for a in range(model.nu) if set(_driven(model, a)) & set(joints)}
+    motors = {a for a in range(model.nu) if set(driven_joints(model, a)) & set(joints)}
     free = [joint for joint in joints if joint not in couplings]
     if len(motors) == 1 or len(free) == 1:
         raise FungraspError(
@@ -298,11 +309,17 @@ def refuse_jaws(poses: Poses, chains: list[Chain]) -> None:
         )
 
 
-def _driven(model: mujoco.MjModel, actuator: int) -> list[int]:
-    """Joints that an actuator moves, by itself or over a tendon."""
+def driven_joints(model: mujoco.MjModel, actuator: int) -> list[int]:
+    """Joints that an actuator moves, by itself or over a tendon; of a tendon in space, those between the
+    bodies that it touches."""
     target = int(model.actuator_trnid[actuator, 0])
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
         return [target]
-    start = model.tendon_adr[target]
-    span = slice(start, start + model.tendon_num[target])
-    return model.wrap_objid[span][model.wrap_type[span] == mujoco.mjtWrap.mjWRAP_JOINT].tolist()
+    span = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+    kinds, objects = model.wrap_type[span], model.wrap_objid[span]
+    sites = objects[kinds == mujoco.mjtWrap.mjWRAP_SITE]
+    if not len(sites):
+        return objects[kinds == mujoco.mjtWrap.mjWRAP_JOINT].tolist()
+    paths = [set(ancestors(model, int(model.site_bodyid[site]))) for site in sites]
+    between = set.union(*paths) - set.intersection(*paths)
+    return [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in between]

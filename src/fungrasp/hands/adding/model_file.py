@@ -17,7 +17,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.mesh_file import read_mesh
 from fungrasp.core.formats.mujoco_model import check_model_numbers, parse_model, quiet
-from fungrasp.hands.adding.model_repairs import drop_bad_inertias, find_palm, repair_joints
+from fungrasp.hands.adding.model_repairs import drop_bad_inertias, find_palm, name_bodies, repair_joints
 from fungrasp.hands.adding.model_text import (
     check_mimics,
     inline_includes,
@@ -37,6 +37,9 @@ DENSITY = 1000.0
 
 LARGEST_LINK = 1.0
 """Half of the meshes of a hand that are larger are in another unit [m]."""
+
+LARGEST_ALONE = 3.0
+"""A single mesh that is larger is in another unit [m]: no link is smaller than 3 mm."""
 
 LONGEST = 10.0
 """Largest coordinate or size [m] of a hand, with the arm that carries it."""
@@ -99,10 +102,12 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
     palm = wrap_world(root, palm, findings)
     with quiet():
         spec = _spec(path, root, findings)
+        name_bodies(spec)
         wanted = _palm_and_fingers(spec, palm)
         for geom in [g for g in spec.geoms if g.meshname and g.parent.name not in wanted]:
             spec.delete(geom)
         carriers, stripped = _take_meshes(spec, path.parent, root.tag == "robot", findings)
+        _let_pictures_collide(spec, carriers, wanted, findings)
         repair_joints(spec, findings)
         massless = drop_bad_inertias(spec, findings)
         total_mass, spec.compiler.settotalmass = max(spec.compiler.settotalmass, 0.0), -1.0
@@ -303,16 +308,36 @@ def _take_meshes(
     return carriers, stripped
 
 
+def _let_pictures_collide(
+    spec: mujoco.MjSpec, carriers: Carriers, wanted: Set[str], findings: list[Finding]
+) -> None:
+    """In a hand without any shape that collides, those for pictures do."""
+    simple = [geom for geom in spec.geoms if geom not in carriers and geom.parent.name in wanted]
+    if not simple or any(collides for *_, collides, _ in carriers.values()):
+        return
+    if not any(geom.contype or geom.conaffinity for geom in simple):
+        for geom in simple:
+            geom.contype = geom.conaffinity = 1
+        findings.append(note("no shape of the hand collides by itself: its visual shapes are taken"))
+
+
 def _in_meters(carriers: Carriers, findings: list[Finding]) -> Carriers:
-    """The same meshes in meters, where most are so large that they must be in millimeters."""
-    sizes = [float(np.ptp(vertices, axis=0).max()) for vertices, *_ in carriers.values()]
-    if not sizes or np.median(sizes) < LARGEST_LINK:
+    """The same meshes in meters: all in millimeters where most are so large that they must be, else those
+    that alone are."""
+    sizes = {geom: float(np.ptp(vertices, axis=0).max()) for geom, (vertices, *_) in carriers.items()}
+    most = bool(sizes) and np.median(list(sizes.values())) > LARGEST_LINK
+    wrong = {geom for geom, size in sizes.items() if most or size > LARGEST_ALONE}
+    if not wrong:
         return carriers
-    words = (
-        f"the meshes are up to {max(sizes):.3g} m large: they are taken to be in millimeters, without a scale"
+    words = f"up to {max(sizes.values()):.3g} m large: taken to be in millimeters, without a scale"
+    bodies = list(dict.fromkeys(geom.parent.name for geom in carriers if geom in wrong))
+    findings.append(
+        warning(f"the meshes are {words}" if most else f"the mesh of {listed(bodies)} is {words}")
     )
-    findings.append(warning(words))
-    return {geom: (0.001 * v, f, c, m * 1e-9 if m > 1e6 else m) for geom, (v, f, c, m) in carriers.items()}
+    return {
+        geom: (0.001 * v, f, c, m * 1e-9 if m > 1e6 else m) if geom in wrong else (v, f, c, m)
+        for geom, (v, f, c, m) in carriers.items()
+    }
 
 
 def _load(

@@ -22,6 +22,12 @@ BALL_TWIST = 0.05
 """Of a ball joint about the line of its link, which rods and tendons keep from turning [rad]."""
 
 
+def name_bodies(spec: mujoco.MjSpec) -> None:
+    """Give every body a name."""
+    for i, body in enumerate(spec.bodies[1:], start=1):
+        body.name = body.name or f"body_{i}"
+
+
 def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
     """Name every joint and body, make ball joints three hinges, and give every hinge limits that can be."""
     kinds = mujoco.mjtJoint
@@ -34,8 +40,7 @@ def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
                 'are taken as radians (a <compiler angle="radian"/> is missing)'
             )
         )
-    for i, body in enumerate(spec.bodies[1:], start=1):
-        body.name = body.name or f"body_{i}"
+    name_bodies(spec)
     for joint in list(spec.joints):
         if joint.type == kinds.mjJNT_FREE:
             spec.delete(joint)

@@ -17,6 +17,7 @@ from fungrasp.hands.adding.structure import HandStructure
 from fungrasp.hands.collisions import self_contacts, zero_and_random_poses
 from fungrasp.hands.findings import listed, note, warning
 from fungrasp.hands.kinematic_tree import Drive, body_name, joint_name
+from fungrasp.hands.plausibility import FAR_MASS
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """Geom groups, by MuJoCo's convention, where a link has meshes for pictures."""
@@ -36,12 +37,13 @@ def new_model(
     """Build the model; its palm stands still at the origin. Sites mark joints ("index_joint_1") and tips
     ("index_tip")."""
     model = foreign.model
-    poses.data.qpos[:] = 0.0
+    # Angles of the new model count from the file's own pose.
+    poses.data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, poses.data)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     bodies: dict[int, mujoco.MjsBody] = {}
-    guessed = []
+    guessed, moved = [], []
     ranges = _ranges(poses)
     for body, link in shapes.links.items():
         if body == structure.palm:
@@ -53,7 +55,7 @@ def new_model(
             _add_joints(new, model, body, physics, ranges)
         bodies[body] = new
         _add_shapes(spec, new, foreign, poses, link)
-        if not _add_mass(new, foreign, poses, link):
+        if not _add_mass(new, foreign, poses, link, moved):
             guessed.append(body_name(model, body))
     for finger, chain in structure.fingers.items():
         for i, link in enumerate(chain.links):
@@ -80,6 +82,12 @@ def new_model(
         foreign.findings.append(
             warning(
                 f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
+            )
+        )
+    if moved:
+        foreign.findings.append(
+            warning(
+                f"the center of mass lies far outside the shapes of {listed(moved)}: put into their middle"
             )
         )
     exclude_neighbors(spec, foreign, structure, shapes)
@@ -191,8 +199,13 @@ def _kept(new: mujoco.MjsBody, model: mujoco.MjModel, poses: Poses, body: int, g
     )
 
 
-def _add_mass(new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: LinkShapes) -> bool:
-    """Mass and inertia of all members in one; False where they are left to the shapes."""
+def _add_mass(
+    new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: LinkShapes, moved: list[str]
+) -> bool:
+    """Mass and inertia of all members in one; False where they are left to the shapes.
+
+    moved: bodies whose centers of mass are elsewhere in the file are added.
+    """
     model, data = foreign.model, poses.data
     known = [m for m in link.members if m not in foreign.massless and model.body_mass[m] > 1e-6]
     if not known:
@@ -211,9 +224,29 @@ def _add_mass(new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: Li
         arm = place - center
         total += axes @ np.diag(model.body_inertia[member]) @ axes.T
         total += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    middle = _middle_if_outside(center, foreign, poses, link)
+    if middle is not None:
+        moved.append(f"{new.name} ({1e3 * np.linalg.norm(center - middle):.0f} mm)")
+        center = middle
     new.mass, new.ipos, new.explicitinertial = float(masses.sum()), _clean(center), True
     new.fullinertia = [total[0, 0], total[1, 1], total[2, 2], total[0, 1], total[0, 2], total[1, 2]]
     return True
+
+
+def _middle_if_outside(
+    center: np.ndarray, foreign: ForeignModel, poses: Poses, link: LinkShapes
+) -> np.ndarray | None:
+    """The middle of a body's shapes, if a center of mass is far outside them; frame of the body [m]."""
+    model, middles, gaps = foreign.model, [], []
+    for shape in link.shapes:
+        if isinstance(shape, int):
+            place = model.geom_pos[shape][None]
+            middles.append(poses.moved(place, int(model.geom_bodyid[shape]), link.body)[0])
+            gaps.append(float(np.linalg.norm(center - middles[-1]) - model.geom_rbound[shape]))
+        else:
+            middles.append(shape.center if isinstance(shape, Box) else 0.5 * (shape.start + shape.end))
+            gaps.append(float(shape.distance(center[None])[0]))
+    return np.mean(middles, axis=0) if gaps and min(gaps) > FAR_MASS else None
 
 
 ALWAYS = 0.6

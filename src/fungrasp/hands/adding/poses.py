@@ -22,6 +22,9 @@ class Poses:
         self.matrix, self.offset = coupling_matrix(model.njnt, couplings)
         self.data = mujoco.MjData(model)
         self.low, self.high = independent_limits(model, self.matrix, self.offset)
+        own = np.argmax(self.matrix == 1.0, axis=0)
+        self.start = np.clip(model.qpos0[model.jnt_qposadr[own]], self.low, self.high)
+        """Independent joints at the file's pose, as near as limits allow [rad], shape [U]."""
 
     def set(self, independent: np.ndarray) -> np.ndarray:
         """Move to independent joint positions [rad]; returns those of all joints."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from fungrasp.hands.adding.finger_chains import driven_joints
 from fungrasp.hands.adding.poses import Poses
 from fungrasp.hands.adding.structure import HandStructure
 from fungrasp.hands.findings import Finding, listed, warning
@@ -111,7 +112,7 @@ def joint_physics(
 def _levers(poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray]) -> np.ndarray:
     """How far the tips move per radian of each joint, those it drives included, half bent [m], shape [M];
     the farthest of the tips it moves. Of a driven joint, that of its driver."""
-    half = 0.5 * (np.clip(0.0, poses.low, poses.high) + poses.high)
+    half = 0.5 * (poses.start + poses.high)
     poses.set(half)
     at = {n: poses.of_body(c.bodies[-1], tips[n]) for n, c in structure.fingers.items()}
     levers = np.zeros(poses.matrix.shape[1])
@@ -140,15 +141,44 @@ def _stated_limits(model: mujoco.MjModel) -> np.ndarray:
     given = model.jnt_actfrclimited.astype(bool) & (np.abs(model.jnt_actfrcrange).max(axis=1) > 0)
     limits[given] = np.abs(model.jnt_actfrcrange[given]).max(axis=1)
     for a in range(model.nu):
-        if not model.actuator_forcelimited[a]:
-            continue
-        force = float(np.abs(model.actuator_forcerange[a]).max() * abs(model.actuator_gear[a, 0]))
-        joints = [int(model.actuator_trnid[a, 0])]
+        motor = (
+            model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+            and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
+        )
+        force = np.inf
+        if model.actuator_forcelimited[a]:
+            force = np.abs(model.actuator_forcerange[a]).max()
+        elif motor and model.actuator_ctrllimited[a]:
+            force = abs(model.actuator_gainprm[a, 0]) * np.abs(model.actuator_ctrlrange[a]).max()
         if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
-            start = model.tendon_adr[joints[0]]
-            joints = model.wrap_objid[start : start + model.tendon_num[joints[0]]].tolist()
-        limits[joints] = np.minimum(limits[joints], force)
+            first = model.tendon_adr[model.actuator_trnid[a, 0]]
+            if model.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT:
+                # The lever of a tendon in space changes with the pose.
+                continue
+        joints = driven_joints(model, a)
+        if force > 0:
+            limits[joints] = np.minimum(limits[joints], force * abs(model.actuator_gear[a, 0]))
     return limits
+
+
+def shared_motors(poses: Poses, palm: int) -> Finding | None:
+    """Joints of a hand with motors that have none for themselves, or None."""
+    model = poses.model
+    joints = [j for j in range(model.njnt) if _in_hand(model, palm, j)]
+    free = {int(u) for u in np.flatnonzero(np.abs(poses.matrix[joints]).sum(axis=0))}
+    rows = [driven_joints(model, a) for a in range(model.nu)]
+    moved = [set(np.flatnonzero(np.abs(poses.matrix[r]).sum(axis=0)).tolist()) & free for r in rows]
+    motors = [columns for columns in moved if columns]
+    idle = free - set().union(*motors)
+    if not motors or (not idle and len(motors) >= len(free)):
+        return None
+    names = [joint_name(model, int(np.argmax(poses.matrix[:, u] == 1.0))) for u in sorted(idle)]
+    return warning(
+        f"{len(motors)} motors move {len(free)} joints"
+        + (f", none of them {listed(names)}" if names else "")
+        + ": each joint gets a servo of its own, which the hand has not; tie joints that move together with "
+        "--couple JOINT=OFFSET+SLOPE*DRIVER"
+    )
 
 
 def _in_hand(model: mujoco.MjModel, palm: int, joint: int) -> bool:

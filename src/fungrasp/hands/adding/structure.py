@@ -94,11 +94,10 @@ def find_structure(
         FungraspError: something can't be decided; the message names the option that does.
     """
     poses = Poses(model, couplings, palm)
-    start = np.clip(0.0, poses.low, poses.high)
-    poses.set(start)
+    poses.set(poses.start)
     chains = find_chains(model, poses, palm, tips, ties)
     refuse_jaws(poses, chains)
-    straight = straight_fingers(poses, chains, tips, start)
+    straight = straight_fingers(poses, chains, tips)
     joints = poses.set(straight)
     middle = np.mean([poses.of_body(chain.bodies[-1], tips[chain.bodies[-1]]) for chain in chains], axis=0)
     features = [_features(poses, chain, tips, straight, middle) for chain in chains]
@@ -249,6 +248,12 @@ def _thumb(
 def _named_thumb(model: mujoco.MjModel, chains: list[Chain]) -> int:
     """Where geometry does not tell the thumb: the one chain whose names do."""
     named = _thumbs_by_name(model, chains)
+    rigid = [b for b in range(1, model.nbody) if finger_of(body_name(model, b)) == "thumb"]
+    if rigid and not named:
+        raise FungraspError(
+            f"the thumb '{body_name(model, rigid[0])}' has no joint; a hand needs a thumb that moves (give "
+            "--thumb BODY if another finger is the thumb)"
+        )
     if len(named) != 1:
         raise FungraspError(
             "the thumb can't be told from the fingers; name a body of it with --thumb BODY: "
