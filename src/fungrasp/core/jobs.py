@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 from typing import Any, Generic, Self, TypeVar
 from uuid import uuid4
 
@@ -131,8 +131,6 @@ class ClusterUse:
     """Time from the first job sent to the last result [s]."""
     working: float
     """Sum of the wall times of finished jobs [s]."""
-    processor_seconds: float
-    """Sum of the processor times of finished jobs [s]."""
 
     @property
     def share(self) -> float:
@@ -185,7 +183,7 @@ class RayCluster:
         sent, folder = ray.put(shared), Path.cwd()
         running: dict[Any, tuple[Any, ...]] = {}
         remaining = iter(jobs)
-        count, working, worked, offered = 0, 0.0, 0.0, 0.0
+        count, working, offered = 0, 0.0, 0.0
         start = last = perf_counter()
         try:
             while True:
@@ -195,12 +193,12 @@ class RayCluster:
                     running[send.remote(work, __version__, folder, sent, job)] = job
                 if not running:
                     seconds = last - start
-                    self.use = ClusterUse(count, offered / max(seconds, 1e-9), seconds, working, worked)
+                    self.use = ClusterUse(count, offered / max(seconds, 1e-9), seconds, working)
                     return
                 for done in ray.wait(list(running), num_returns=1, timeout=COUNTING)[0]:
-                    result, took, used = _result(ray, done)
+                    result, took = _result(ray, done)
                     finished(running.pop(done), result)
-                    count, working, worked = count + 1, working + took, worked + used
+                    count, working = count + 1, working + took
                 now = perf_counter()
                 offered, last = offered + processors * (now - last), now
         finally:
@@ -241,16 +239,16 @@ def _check_reachable(address: str) -> None:
 
 def _work(
     work: Callable[..., Result], version: str, folder: Path, shared: Any, job: tuple[Any, ...]
-) -> tuple[Result, float, float]:
-    """Return the result, wall time [s] and processor time [s] of a job."""
+) -> tuple[Result, float]:
+    """Return the result and the wall time [s] of a job."""
     if version != __version__:
         raise FungraspError(f"a machine of the cluster has fungrasp {__version__}, not {version}")
     # A worker starts in the folder in which its machine joined; relative paths need the caller's folder.
     if folder.is_dir():
         os.chdir(folder)
-    start, used = perf_counter(), process_time()
+    start = perf_counter()
     result = work(shared, *job)
-    return result, perf_counter() - start, process_time() - used
+    return result, perf_counter() - start
 
 
 def _result(ray: Any, done: Any) -> Any:

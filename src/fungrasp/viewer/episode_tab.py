@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from fungrasp.viewer.episode_stage import (
     place_in_front,
 )
 from fungrasp.viewer.page import BrowserPage
-
-if TYPE_CHECKING:
-    from fungrasp.viewer.episode_stage import EpisodeState
 
 
 @dataclass(frozen=True)
