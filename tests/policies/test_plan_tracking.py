@@ -10,7 +10,7 @@ from planned_grasps import grasps_and_objects, hand, plan, start, tracker
 
 from fungrasp.geometry.poses import (
     compose,
-    interpolate,
+    interpolate_pose,
     quaternion_from_rotation_vector,
     quaternion_multiply,
     transform_points,
@@ -106,14 +106,14 @@ def test_jitter_of_the_tracker_moves_the_plan_by_a_third_of_it():
     for _ in range(30):
         jitter = np.concatenate([random.normal(0, 0.002, (1000, 3)), truth[:, 3:]], axis=1)
         jitter[:, :2] += truth[:, :2]
-        anchor = interpolate(anchor, jitter, np.full((1000, 1), ANCHOR_SHARE))
+        anchor = interpolate_pose(anchor, jitter, np.full((1000, 1), ANCHOR_SHARE))
     np.testing.assert_allclose((anchor - truth)[:, :3].std(), 0.002 / 3, rtol=0.05)
 
 
 def test_poses_are_moved_a_share_of_the_way():
     quarter = np.sqrt(0.5)
     goal = np.array([[0.1, 0.0, 0.0, quarter, 0.0, 0.0, quarter]])
-    half = interpolate(np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]), goal, np.array([[0.5]]))
+    half = interpolate_pose(np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]), goal, np.array([[0.5]]))
     turn = np.deg2rad(45) / 2
     np.testing.assert_allclose(half, [[0.05, 0, 0, np.cos(turn), 0, 0, np.sin(turn)]], atol=1e-12)
 

@@ -12,7 +12,7 @@ import pytest
 from measured_states import measured_state, plan_target, privileged
 from tensor_engine import TensorEngine, meta
 
-from fungrasp.geometry.poses import interpolate
+from fungrasp.geometry.poses import interpolate_pose
 from fungrasp.geometry.signed_distance import SignedDistanceBank
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import ArrayKinematics, HandKinematics
@@ -116,7 +116,7 @@ STEP: dict[str, Callable[[Convert], Any]] = {
     "smoothed action": lambda c: smoothed(c(ACTION), c(LAST), ResidualSettings()),
     "residual action": lambda c: list(add_residual(c(PALM), c(FINGERS), c(ACTION), ResidualSettings())),
     "sensor errors": lambda c: offset_pose(c(PALM), c(OFFSET), c(PALM[:, :3])),
-    "plan's origin": lambda c: interpolate(c(PALM), c(GOAL), c(np.full((WORLDS, 1), 0.2))),
+    "plan's origin": lambda c: interpolate_pose(c(PALM), c(GOAL), c(np.full((WORLDS, 1), 0.2))),
     "directions of links": lambda c: link_directions_of(HAND, c(NOW.keypoints)),
     "joints": lambda c: [HAND.all_joints(c(FINGERS)), HAND.independent(HAND.all_joints(c(FINGERS)))],
     "key points": lambda c: ArrayKinematics(HAND, POINTS_ON_BODIES).points(c(FINGERS)),

@@ -240,7 +240,7 @@ def relative(pose_a_b: Array, pose_a_c: Array) -> Array:
     return _carried(quaternion_conjugate(pose_a_b[..., 3:]), apart)
 
 
-def interpolate(pose: Array, goal: Array, share: Array | float) -> Array:
+def interpolate_pose(pose: Array, goal: Array, share: Array | float) -> Array:
     """Interpolate poses: straight translation, rotation about a fixed axis by the shorter way.
 
     Args:

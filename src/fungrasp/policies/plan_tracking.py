@@ -13,7 +13,7 @@ from fungrasp.geometry.poses import (
     array_namespace,
     clip,
     compose,
-    interpolate,
+    interpolate_pose,
     quaternion_conjugate,
     quaternion_multiply,
     relative,
@@ -133,7 +133,7 @@ class PlanTracker:
         self._before, self._now = self._now, self._measure(observation)
         opened = array_namespace(self._step).astype(self._step < self._closing, self._anchor.dtype)
         share = ANCHOR_SHARE * opened
-        self._anchor = interpolate(self._anchor, self._origin(self._now), share[:, None])
+        self._anchor = interpolate_pose(self._anchor, self._origin(self._now), share[:, None])
         risen = self._center_height(self._now.object_pose) - self._center_height(self._anchor)
         palm, lifting = self._now.palm_pose[:, 2], self._since_lift >= 0
         self._reaction.update(lifting, palm, risen, observation.object_pose_age)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fungrasp.geometry.arrays import copied, may_be_any, put_back, rows_like
-from fungrasp.geometry.poses import Array, array_namespace, clip, interpolate
+from fungrasp.geometry.poses import Array, array_namespace, clip, interpolate_pose
 from fungrasp.sim2real import offset_pose
 from fungrasp.task.setpoints import SetpointSequence
 
@@ -103,7 +103,7 @@ class Actuation:
             share = (1.0 - xp.exp(-period / self.wrist_lag))[:, None]
         poses, velocities = [], []
         for goal, speed in zip(palm, velocity, strict=True):
-            self._pose = interpolate(self._pose, goal, share)
+            self._pose = interpolate_pose(self._pose, goal, share)
             self._velocity = self._velocity + share * (speed - self._velocity)
             poses.append(self._pose)
             velocities.append(self._velocity)

@@ -8,7 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from fungrasp.geometry.arrays import at_least, copied, is_numpy, may_be_any, moved_to, rows_like
-from fungrasp.geometry.poses import Array, array_namespace, clip, interpolate, inverse_transform_points, like
+from fungrasp.geometry.poses import (
+    Array,
+    array_namespace,
+    clip,
+    interpolate_pose,
+    inverse_transform_points,
+    like,
+)
 from fungrasp.sim2real import EpisodeSample, MeasurementError, Randomization, offset_pose
 from fungrasp.task.hand_clearance import HandClearance
 from fungrasp.task.lift import LiftTask
@@ -185,7 +192,7 @@ class SimulatedSensors:
         xp = array_namespace(pose)
         share = 1.0 - np.exp(-self._task.protocol.control_period / self._r.tracker_time_constant)
         before = xp.where(xp.isfinite(self._filtered), self._filtered, pose)
-        self._filtered = interpolate(before, pose, share)
+        self._filtered = interpolate_pose(before, pose, share)
         return copied(self._filtered)
 
     def _center(self) -> Array:

@@ -12,7 +12,7 @@ from fungrasp.geometry.poses import (
     Array,
     array_namespace,
     clip,
-    interpolate,
+    interpolate_pose,
     norm,
     quaternion_conjugate,
     quaternion_from_rotation_vector,
@@ -243,6 +243,6 @@ def more_setpoints(
     low = np.minimum(when.astype(int), len(palms) - 2)
     share = (when - low)[:, None]
     return (
-        interpolate(palms[low], palms[low + 1], share),
+        interpolate_pose(palms[low], palms[low + 1], share),
         fingers[low] + share * (fingers[low + 1] - fingers[low]),
     )
