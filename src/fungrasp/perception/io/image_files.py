@@ -146,7 +146,7 @@ def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0)
         depth = np.where(raw == 65535, 0, raw) * float(unit)
     # Programs that render depth write a large number where a ray meets nothing.
     within = np.where(depth <= DEPTH_LIMIT, depth, 0.0)
-    depth = within if (within > 0).mean() > LEAST_WITHIN else depth
+    depth = within if np.count_nonzero(within > 0) > LEAST_WITHIN * depth.size else depth
     check_depth_range(depth, unit, str(path))
     # Single numbers may be as wrong as they like.
     return np.clip(depth, -1e6, 1e6).astype(np.float32)
