@@ -176,7 +176,7 @@ def shared_motors(poses: Poses, palm: int) -> Finding | None:
     return warning(
         f"{len(motors)} motors move {len(free)} joints"
         + (f", none of them {listed(names)}" if names else "")
-        + ": each joint gets a servo of its own, which the hand has not; tie joints that move together with "
+        + ": each joint gets its own servo, unlike the real hand; tie joints that move together with "
         "--couple JOINT=OFFSET+SLOPE*DRIVER"
     )
 
