@@ -1,4 +1,4 @@
-"""From one RGB-D image of a person holding an object to a human grasp."""
+"""Human grasps from RGB-D images of a person who holds an object."""
 
 from __future__ import annotations
 

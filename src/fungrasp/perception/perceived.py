@@ -1,4 +1,4 @@
-"""What perception makes of an image: the record that ``perceive`` returns."""
+"""The result of ``perceive``."""
 
 from __future__ import annotations
 
@@ -18,84 +18,82 @@ from fungrasp.perception.object_pose.shape_fit import FittedShape
 
 @dataclass(frozen=True, eq=False)
 class HandCandidate:
-    """A hand that may be the one that holds the object, and the table and the object that go with it."""
+    """A hand that may hold the object, with the table and the object found for it."""
 
     detected: DetectedHand | None
-    """The hand in the image; None for another estimator's."""
+    """Detection in the image; None for the estimate of another estimator."""
     hand: HandEstimate
-    """The hand in meters, before the object is known, camera frame."""
+    """Estimate of the hand before the object is known, camera frame."""
     table: np.ndarray | None
-    """Plane ``[nx ny nz d]``, camera frame, shape [4]; None if none was seen."""
+    """Plane ``[nx ny nz d]``, camera frame, shape [4]; None if not found."""
     object: ObjectEstimate
-    """The object's pose, camera frame."""
+    """Estimate of the object, camera frame."""
     holds: bool
-    """Whether the object's pose is rather right than wrong and the hand is at it."""
+    """Whether the object's pose is probably right and the hand is near the object."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """What was uncertain in the choice of the hand."""
+    """Uncertainties in the choice of the hand."""
 
     @property
     def worth(self) -> float:
-        """The product of the scores of hand and object: of candidates that hold the object, or of those that
-        don't where none does, the highest is chosen."""
+        """Product of the scores of object and hand. Candidates are ranked by ``holds``, then by this."""
         return self.object.score * self.hand.score
 
 
 @dataclass(frozen=True, eq=False)
 class Perceived:
-    """What was made of an image."""
+    """The result for one image."""
 
     capture: Capture
-    """The image."""
+    """Input image."""
     object_model: ObjectModel
-    """The object in the image."""
+    """Model of the object, not mirrored."""
     grasp: HumanGrasp
-    """World frame, a right hand. If the image shows a left one, the scene reflected in the plane y = 0: the
+    """Grasp of a right hand, world frame. The scene of a left hand is reflected in the plane y = 0: the
     object's name then ends in "_mirrored", and its mesh must be reflected as well (see ``mirror_pose``)."""
     pose_world_camera: np.ndarray
-    """Camera in the world, shape [7], before any reflection; ``world_from_table`` says where it is."""
+    """Pose of the camera in the world, not mirrored, shape [7]; see ``world_from_table``."""
     hand: HandEstimate
-    """The hand after refinement against the object, camera frame, not mirrored."""
+    """Hand after the fit to the object, camera frame, not mirrored."""
     object: ObjectEstimate
-    """The object, camera frame, not mirrored."""
+    """Object, camera frame, not mirrored."""
     table: np.ndarray
     """Plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame, shape
     [4]."""
     table_found: bool
-    """Whether the table was given or seen; else it is a guess."""
+    """Whether the table was given or found; otherwise it is guessed."""
     warnings: tuple[PerceptionWarning, ...]
-    """What was uncertain; empty if nothing was."""
+    """Uncertainties; may be empty."""
     acceptance: Acceptance
-    """Whether it can be used, the numbers that say so, and what would help. A table that is only guessed
-    gives a warning, but the hand on the object does not depend on it; so does the question which way round a
-    nearly symmetric object is."""
+    """Whether the result is sure, with evidence and advice. A guessed table or an ambiguous orientation of a
+    nearly symmetric object only gives a warning, because the hand on the object does not depend on it."""
     notes: tuple[str, ...] = ()
-    """Assumptions about the object, as sentences to print: a mass that was guessed."""
+    """Assumptions about the object, such as a guessed mass, as sentences."""
     candidates: tuple[HandCandidate, ...] = ()
-    """Hands that were looked at more closely; the result is made of the first."""
+    """Candidates that were examined, best first; the result is based on the first."""
     mass_range: tuple[float, float] | None = None
-    """Between which the object's mass lies in eight of ten cases, where it was guessed [kg]."""
+    """80 % interval of a guessed mass [kg]."""
     fitted: FittedShape | None = None
-    """The shape that stands for an object without a mesh; None where a mesh was given."""
+    """Shape fitted to an object without a mesh; None if a mesh was given."""
 
     @property
     def confident(self) -> bool:
-        """Whether the answer is sure."""
+        """Whether the result is sure."""
         return self.acceptance.sure
 
     @property
     def grasps(self) -> HumanGraspSet:
-        """The grasp as the set that ``retarget`` takes."""
+        """The grasp as a set, for ``retarget``."""
         return HumanGraspSet.of([self.grasp])
 
     @property
     def objects(self) -> dict[str, ObjectModel]:
-        """The object of the grasps by its name, reflected if the hand was a left one."""
+        """The object of the grasp by name, mirrored for a left hand."""
         model, name = self.object_model, self.grasp.object_name
         return {name: model if name == model.name else mirrored_object(model)}
 
     def as_json(self) -> dict[str, Any]:
-        """All that was found, to be written as JSON. Meters; poses ``[x y z qw qx qy qz]``; what could not be
-        measured is null."""
+        """Return the result for a JSON file. Lengths are in meters, poses are ``[x y z qw qx qy qz]``;
+        unknown values are None."""
         grasp, hand, obj = self.grasp, self.hand, self.object
         links = zip(HUMAN_LINKS, grasp.link_contacts, strict=True)
         return {

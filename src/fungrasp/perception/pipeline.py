@@ -1,13 +1,13 @@
-"""From one RGB-D image and the object's mesh to a human grasp, in six steps.
+"""Perceive a human grasp in one RGB-D image, with the object's mesh, in six steps.
 
-1. The hand in the image: landmarks (``hand.mediapipe_detector``).
-2. The hand in meters: a skeleton fitted to landmarks and depth (``hand.fit``).
-3. The table: the largest plane below the hand (``scene.table``).
-4. The object's pose: the mesh fitted to the depth (``object_pose.estimate``).
-5. The hand again, which now touches the object that it holds (``hand.fit``).
-6. The grasp: links in contact, and all of it in the world frame (``scene.table``).
+1. Detect hands in the image (``hand.mediapipe_detector``).
+2. Fit a skeleton to landmarks and depth (``hand.fit``).
+3. Find the table, the largest plane below the hand (``scene.table``).
+4. Fit the object's mesh to the depth (``object_pose.estimate``).
+5. Fit the hand again, in contact with the object (``hand.fit``).
+6. Find the links in contact, and transform the grasp to the world frame (``scene.table``).
 
-Each step adds its warnings. Results with low confidence are returned too, and marked.
+Each step adds its warnings. Uncertain results are returned too, and marked.
 """
 
 from __future__ import annotations
@@ -68,10 +68,10 @@ if TYPE_CHECKING:
     import trimesh
 
     Mesh = ObjectModel | trimesh.Trimesh
-    """An object's surface, with colors if they are known."""
+    """Surface of an object, with colors if known."""
 
 UNKNOWN = "unknown"
-"""Stands for an object without a mesh."""
+"""Name of an object without a mesh."""
 
 
 def perceive(
@@ -94,23 +94,23 @@ def perceive(
         capture: color and depth, with an optional mask, box or point of the object. Or their source: a folder
             (see ``read_folder``), a recording or "builtin"; paths of color image, depth and intrinsics; or a
             camera, which takes an image now.
-        obj: the object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm].
+        obj: object, its mesh file [m], the name of a built-in object, or a shape, "box:60x28x30" [mm].
             "unknown" fits a box, cylinder or sphere to the depth. Colors of the mesh file distinguish the
             sides of nearly symmetric objects.
-        mass: of a mesh [kg]. None: known for built-in objects, otherwise guessed from the mesh, with a note.
-        side: of the hand, if known.
-        task: of the grasp, see ``HumanGrasp``.
+        mass: mass of a mesh [kg]. None: known for built-in objects, otherwise guessed, with a note.
+        side: side of the hand, if known.
+        task: task of the grasp, see ``HumanGrasp``.
         table: plane ``[nx ny nz d]``, camera frame, shape [4], unit normal upwards; detected if None.
-        hand: an estimate or an estimator; found in the image if None.
-        object_estimate: an estimate or an estimator; found in the image if None. Unless it is ``judged``, its
-            score is computed from the depth, see ``score_given_pose``.
-        detector: of hands. Default: MediaPipe's models, from ``fungrasp setup perception``.
+        hand: estimate or estimator; found in the image if None.
+        object_estimate: estimate or estimator; found in the image if None. Unless it is ``judged``, its score
+            is computed from the depth, see ``score_given_pose``.
+        detector: hand detector; MediaPipe's, from ``fungrasp setup perception``, if None.
         seed: random seed.
         improve_pose: fit an ``object_estimate`` to the depth, unless it is ``judged``.
 
     Raises:
-        FungraspError: unreadable image or object, no hand in the image, no depth at the hand, a mesh too
-            large or too small for a hand, or missing hand models.
+        FungraspError: invalid argument, unreadable image or object, no hand in the image, no depth at the
+            hand, an object that no hand can hold or that is far from the hand, or missing hand models.
     """
     if seed < 0:
         raise FungraspError(f"the seed must be 0 or more, not {seed}")
@@ -142,22 +142,22 @@ def perceive(
     def scene_of(one: HandEstimate, of: HandHypothesis | None = None) -> HandCandidate:
         return _scene(seen, mesh, one, of, given, improve_pose)
 
-    # 1, 2: the hand in the image and in meters. Where it is open which of two hands is meant, both go on.
-    # 3, 4: the table and the object; the hand that holds the object more probably is the one.
+    # 1, 2: hands in meters, several if it is unclear which one holds the object.
+    # 3, 4: table and object for each of them; the candidate that most probably holds the object is used.
     if hand is not None:
         scenes = [scene_of(hand)]
     else:
         detected = find_hands(seen.detector, capture, near)
         scenes = [scene_of(one, of) for of, one in seen.fitted_hands(seen.hypotheses(detected, near))]
         if not any(scene.holds for scene in scenes):
-            # The one that holds it may be harder to see than somebody else's.
+            # The hand that holds the object may be harder to see than another person's hand.
             known = [scene.detected for scene in scenes if scene.detected is not None]
             others = hands_elsewhere(capture, known, side, seen.detector)
             scenes += [scene_of(one, of) for of, one in seen.fitted_hands(others, needed=False)]
     scenes.sort(key=lambda scene: (scene.holds, scene.worth), reverse=True)
     scene = scenes[0]
     check_held(scene.hand, scene.object, model, hinted=near is not None)
-    # 5: the hand again, touching the object.
+    # 5: the hand again, in contact with the object.
     refined = _refined_hand(seen, scene, model)
     confidence = joint_probabilities(capture, scene.hand, refined, scene.object.accepted)
     refined = replace(refined, confidence=confidence)
@@ -199,22 +199,22 @@ def perceive(
 
 
 def _parts(link_contacts: np.ndarray) -> int:
-    """How many of palm and five fingers touch. link_contacts: shape [16] bool."""
+    """Return how many of palm and five fingers touch. link_contacts: shape [16] bool."""
     return int(link_contacts[0]) + int(link_contacts[1:].reshape(5, 3).any(axis=1).sum())
 
 
 def perceive_folder(
     folder: str, mesh: str | None, mass: float | None = None, task: str = "", seed: int = 0
 ) -> Perceived:
-    """What is in the image of a folder, or in the built-in one, whose object need not be said.
+    """Perceive the image of a folder, or the built-in image with its own object.
 
     Args:
-        folder: of the capture, or ``BUILTIN``.
-        mesh: a mesh file, or the name of a built-in object.
+        folder: folder of the capture, or ``BUILTIN``.
+        mesh: mesh file or name of a built-in object; None for the built-in image.
         mass, task, seed: see ``perceive``.
 
     Raises:
-        FungraspError: the folder or the mesh is bad, no hand is seen, or the hand models are not set up.
+        FungraspError: bad folder or mesh, no hand in the image, or missing hand models.
     """
     if folder == BUILTIN:
         if mesh is not None or mass is not None:
@@ -230,7 +230,7 @@ def perceive_folder(
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """The image, and what was said about it."""
+    """An image with the arguments about it."""
 
     capture: Capture
     side: Side | None
@@ -240,20 +240,20 @@ class _Image:
 
     @cached_property
     def detector(self) -> HandDetector:
-        """The one given, or MediaPipe's."""
+        """Given detector, or MediaPipe's."""
         return self.given_detector or MediaPipeHandDetector()
 
     def hypotheses(self, detected: Sequence[DetectedHand], near: Box | None) -> list[HandHypothesis]:
-        """Of the hands found those that may hold the object. near: box around it [pixels]."""
+        """Return the detected hands that may hold the object. near: box around the object [pixels]."""
         return hand_hypotheses(self.capture, detected, near, self.side, self.detector)
 
     def fitted_hands(
         self, found: Sequence[HandHypothesis], needed: bool = True
     ) -> list[tuple[HandHypothesis, HandEstimate]]:
-        """Each hand in meters, without those that have no depth, as of somebody far away.
+        """Fit hands to the depth. Hands without depth, such as distant ones, are dropped.
 
         Raises:
-            FungraspError: none has, and one is needed.
+            FungraspError: no hand has depth, and ``needed``.
         """
         measured, problem = [], None
         for one in found:
@@ -266,14 +266,14 @@ class _Image:
         return measured
 
     def table_under(self, points: np.ndarray) -> np.ndarray | None:
-        """The table that was given, else the largest plane below points, shape [P, 3]."""
+        """Return the given table, or the largest plane below points [m], camera frame, shape [P, 3]."""
         if self.table is not None:
             return self.table
         return table_under(self.capture, points, np.random.default_rng(self.seed))
 
 
 def _fitted_shape(seen: _Image, hand: HandEstimate | None) -> FittedShape:
-    """The shape of an object without a mesh, in the hand for which it explains most of what is seen."""
+    """Fit a shape to an object without a mesh, in the hand for which it explains the image best."""
     if hand is not None:
         held_by = [hand]
     else:
@@ -301,7 +301,7 @@ def _scene(
     given: ObjectEstimate | None,
     improve: bool,
 ) -> HandCandidate:
-    """The table under a hand and the object in it, unless they are known."""
+    """Find the table under a hand and the object in it, unless they are given."""
     obj = given
     table = seen.table_under(hand.joints_camera)
     under = NO_TABLE if table is None else table
@@ -311,7 +311,7 @@ def _scene(
         obj = score_given_pose(obj, seen.capture, mesh, hand, under, seed=seen.seed, improve=improve)
     vertices = np.asarray(mesh.vertices)
     if table is None and obj.accepted:
-        # The object tells as well what is below it.
+        # The object may show the table as well.
         table = seen.table_under(transform_points(obj.pose_camera_object, vertices))
     holds = may_hold(hand, obj, vertices)
     detected, warnings = (None, ()) if of is None else (of.detected, of.warnings)
@@ -319,7 +319,7 @@ def _scene(
 
 
 def _refined_hand(seen: _Image, scene: HandCandidate, model: ObjectModel) -> HandEstimate:
-    """The hand, touching the object; unchanged where the object's pose is not accepted."""
+    """Fit the hand to the object; return it unchanged if the object's pose is not accepted."""
     hand, obj = scene.hand, scene.object
     if not obj.accepted:
         return hand
@@ -334,7 +334,7 @@ def _refined_hand(seen: _Image, scene: HandCandidate, model: ObjectModel) -> Han
 def _warnings(
     scene: HandCandidate, refined: HandEstimate, model: ObjectModel, capture: Capture
 ) -> list[PerceptionWarning]:
-    """What is uncertain about object, refined hand, image and table."""
+    """Return warnings about object, refined hand, image and table."""
     found = []
     if not scene.object.accepted:
         found += scene.object.warnings

@@ -1,4 +1,4 @@
-"""Other people's estimators leave files, which are read here. Packages bring estimators by entry points:
+"""Readers for files of other estimators. Packages register estimators as entry points:
 ``fungrasp.hand_estimators``, functions of a ``Capture`` that return a ``HandEstimate``, and
 ``fungrasp.object_pose_estimators``, functions of a ``Capture`` and a mesh that return an ``ObjectEstimate``.
 """

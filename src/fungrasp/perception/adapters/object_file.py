@@ -1,4 +1,4 @@
-"""The pose of an object that another program has estimated: FoundationPose, or any matrix."""
+"""Read an object's pose that another program has estimated: FoundationPose, or any matrix."""
 
 from __future__ import annotations
 
@@ -22,35 +22,33 @@ NO_SCORE = PerceptionWarning.of("no_score", said="the file gives no score; the p
 FOREIGN_SCORE = PerceptionWarning.of("no_score", said="the estimator's score is no probability")
 
 
-# How far a rotation may be from one, in any element of ``R^T R - 1``; then the nearest rotation is taken.
+# Largest error of an element of ``R^T R - 1``; the nearest rotation is used.
 TOLERANCE = 0.02
-UNIT_TOLERANCE = 0.001  # How far a quaternion's length may be from 1.
-NEAREST = 0.02  # No camera sees an object nearer than this [m].
+UNIT_TOLERANCE = 0.001  # Largest error of a quaternion's length.
+NEAREST = 0.02  # Smallest distance at which a camera sees an object [m].
 
 
 @guarded("object's pose")
 def read_object_pose(path: str | Path, *, image: int | str | None = None) -> ObjectEstimate:
-    """Read where an object is.
+    """Read the pose of an object.
 
-    A pose maps the mesh's coordinates [m] to the camera frame (x right, y down, z forward) [m]. The kind
-    of the file decides:
+    A pose maps mesh coordinates [m] to the camera frame (x right, y down, z forward) [m]. Formats:
 
     - a folder: FoundationPose's ``ob_in_cam``, one ``<image>.txt`` with a 4 x 4 matrix per image;
-    - ``.txt``: a 4 x 4 matrix, or our 7 numbers ``x y z qw qx qy qz``, separated by spaces or commas;
-    - ``.npy``: the same as an array, or one row of them per image;
-    - ``.json``: the same as lists, alone or as ``pose`` with, if wanted, ``score`` (0 to 1).
+    - ``.txt``: a 4 x 4 matrix, or 7 numbers ``x y z qw qx qy qz``, separated by spaces or commas;
+    - ``.npy``: the same as an array, or one row per image;
+    - ``.json``: the same as lists, alone or as ``pose`` with an optional ``score`` (0 to 1).
 
-    What is returned is not ``judged``: ``perceive`` compares it with the depth and gives it another score.
-    Until then the file is taken at its word: without a score the pose is accepted, with the lowest score that
-    is, and a warning. A score of another range than 0 to 1 is no probability and treated likewise.
+    The estimate is not ``judged``: ``perceive`` compares it with the depth and computes its own score. Until
+    then, a pose without a score, or with one outside 0 to 1, is accepted with the lowest accepted score and a
+    warning.
 
     Args:
-        image: which image: name or number of FoundationPose's file, or row of an array; may be None if there
-            is only one.
+        image: name or number of FoundationPose's file, or row of an array; None if there is only one.
 
     Raises:
-        FungraspError: the file can't be read, has no such image, or its numbers are no pose of an
-            object before the camera; the message says why.
+        FungraspError: the file can't be read, has no such image, or has no pose of an object in front of the
+            camera; the message says why.
     """
     path = Path(path)
     if path.is_dir():
@@ -108,7 +106,7 @@ def _of_folder(folder: Path, image: int | str | None) -> Path:
 
 
 def _of_image(numbers: np.ndarray, image: int | str | None, where: str) -> np.ndarray:
-    """The pose of one image, if there are several."""
+    """Return the pose of one image among several."""
     many = (numbers.ndim == 3) or (numbers.ndim == 2 and numbers.shape[1] in (7, 16))
     if not many:
         return numbers
@@ -143,13 +141,15 @@ def _numbers(path: Path) -> Any:
 
 
 def pose_from_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
-    """The pose of an object in the camera frame, shape [7], from whatever numbers a file holds.
+    """Return the pose of an object in the camera frame, shape [7].
 
     Args:
-        numbers: 4 x 4, 3 x 4, 16 or 12 in a row (a matrix, row by row), or 7: ``[x y z qw qx qy qz]``; [m].
+        numbers: 4 x 4 or 3 x 4 matrix, its 16 or 12 numbers row by row, or ``[x y z qw qx qy qz]``; [m].
+        where: name of the file, for messages.
 
     Raises:
-        FungraspError: another number of them, not finite, no rotation, or not where a camera could see it.
+        FungraspError: wrong number of values, non-finite values, no rotation, or no position that a camera
+            could see.
     """
     numbers = np.asarray(numbers, dtype=float)
     if not np.isfinite(numbers).all():
@@ -170,7 +170,7 @@ def pose_from_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
 
 
 def pose_from_rotation(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
-    """The pose, shape [7], of a rotation matrix and a translation [m]. Raises as ``pose_from_numbers``."""
+    """Return the pose of rotation matrix and translation [m], shape [7]. Raises as ``pose_from_numbers``."""
     if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
         raise FungraspError(f"{where}: the pose has non-finite numbers")
     determinant = float(np.linalg.det(rotation))

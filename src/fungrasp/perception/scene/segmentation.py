@@ -1,7 +1,7 @@
-"""Which pixels may show the object that the hand holds: the table, the arm and far things taken away.
+"""Segmentation of the held object: pixels without table, arm and distant things.
 
-No single answer is safe, as skin and object touch: several masks are proposed, and the fit of the known mesh
-decides. What a person says about the object's place, by a mask, a box or a click, counts.
+Skin and object touch, so no single mask is reliable: several are proposed, and the fit of the known mesh
+decides. A mask, box or click given by a person is used.
 Camera frame: OpenCV [m].
 """
 
@@ -29,36 +29,34 @@ from fungrasp.perception.scene.pixel_classes import (
 from fungrasp.perception.scene.table import plane_tolerance
 
 FOREARM = (0.35, 0.045)  # Length and radius of forearm and sleeve [m].
-MARGINS = (0.012, 0.004, 0.02)  # Pixels nearer to the skin [m] are left out of such masks; several are tried.
-TIPS = (4, 8, 12, 16, 20)  # The fingertips among the 21 joints.
-NEAR_HAND = 0.06  # A thing this near to the hand's skin [m] may be what it holds.
-FARTHEST = 3.0  # Nobody holds an object farther away [m].
-GROUND_MARGIN = 60  # The table's colors are learned within so many pixels of where the object may be.
-LEAST_GROUND = 500  # If fewer pixels show the table there, it is looked at everywhere.
-# Neighboring pixels whose depth differs by more than this [m], and by more than 2 % of it, do not belong
-# together.
+MARGINS = (0.012, 0.004, 0.02)  # Distances from the skin within which pixels are left out, one per mask [m].
+TIPS = (4, 8, 12, 16, 20)  # Fingertips among the 21 joints.
+NEAR_HAND = 0.06  # Largest distance of a held thing from the skin [m].
+FARTHEST = 3.0  # Largest depth of a held object [m].
+GROUND_MARGIN = 60  # Distance from the object's pixels within which the table's colors are learned [pixels].
+LEAST_GROUND = 500  # Smallest number of table pixels there; otherwise the whole image is used.
+# Difference in depth [m], and at least 2 % of the depth, that separates neighboring pixels.
 JUMP = 0.012
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Where the object may be."""
+    """Pixels that may show the object."""
 
     masks: tuple[np.ndarray, ...]
-    """Different proposals, each bool, shape [H, W]; best guess first; none if nothing is there."""
+    """Proposals, best first, bool, shape [H, W] each; may be empty."""
     support: np.ndarray
-    """Confidence that a pixel shows the object or another thing, not skin, table or room: 0 to 1, shape
-    [H, W]."""
+    """Probability that a pixel shows the object or another thing within reach, 0 to 1, shape [H, W]."""
     classes: PixelClasses
     """Probability of each class."""
     spread: np.ndarray
     """Standard deviation of the depth [m], shape [H, W]; large where steps are smoothed."""
     edge_width: float
-    """How many pixels steps in depth are mixed over."""
+    """Width of steps in depth [pixels]."""
 
 
 def _forearm_distance(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Distance of points, shape [P, 3], from a sleeved forearm that goes straight on [m], shape [P]."""
+    """Return distances of points, shape [P, 3], from a straight forearm with a sleeve [m], shape [P]."""
     away = joints[0] - joints[[5, 9]].mean(axis=0)
     away = away / max(float(np.linalg.norm(away)), 1e-6)
     length, radius = FOREARM
@@ -73,15 +71,15 @@ def segment(
     size: float,
     mesh_colors: np.ndarray | None = None,
 ) -> Segmentation:
-    """Propose masks for the object in the hand.
+    """Propose masks of the object in the hand.
 
     Args:
-        capture: its mask, box or point, if it has one, says where the object is. Masks may be too large or
-            too small by some pixels.
-        joints: of the hand [m], camera frame, shape [21, 3], if known.
-        table: plane ``[nx ny nz d]``, ``n . x + d`` the height above it [m], shape [4], if there is one.
+        capture: image, maybe with a mask, box or point of the object; masks may be too large or too small by
+            some pixels.
+        joints: joints of the hand [m], camera frame, shape [21, 3]; None if unknown.
+        table: plane ``[nx ny nz d]``: ``n . x + d`` is the height above it [m], shape [4]; None if unknown.
         size: longest distance between two points of the object [m].
-        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3], if it has colors.
+        mesh_colors: RGB of the object's surface, 0 to 1, shape [M, 3]; None if it has no colors.
     """
     points = capture.points()
     prior, samples = hinted_odds(capture, size)
@@ -115,7 +113,7 @@ def segment(
     else:
         masks = _groups(_pieces(seen, capture.depth), hand, joints is not None and not hinted)
     if capture.mask is None:
-        # Colors may take skin for the object: what is clear of the hand is proposed as well.
+        # Colors may confuse skin and object: pixels clear of the hand are proposed as well.
         for margin in MARGINS if joints is not None else (0.0,):
             pieces = _pieces(candidate & (np.minimum(hand, arm) > margin), capture.depth)
             if capture.point is not None:
@@ -128,15 +126,15 @@ def segment(
 def _hand_and_ground(
     capture: Capture, joints: np.ndarray | None, near: np.ndarray, samples: np.ndarray, height: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance from the hand in the image, and which pixels surely show the hand and the background, shape
-    [H, W]. near: whether a pixel may show the object, bool; the others as in ``PixelEvidence``."""
+    """Return the distance from the hand's outline, and the pixels that certainly show hand and background,
+    shape [H, W] each. near: pixels that may show the object, bool; others as in ``PixelEvidence``."""
     if joints is None:
         outline = np.full(near.shape, np.inf)
         palm = np.zeros(near.shape, dtype=bool)
     else:
         outline = hand_in_image(capture, joints)
         palm = palm_pixels(capture, joints, outline) & ~samples
-    # A box or mask is drawn round the object: the table begins right beside it.
+    # The table begins right beside a box or a mask.
     around: Any = ndimage.maximum_filter(near, 2 * GROUND_MARGIN + 1)
     clear = capture.measured & ~near & (outline > 0.02)
     if np.isfinite(height).any():
@@ -146,10 +144,10 @@ def _hand_and_ground(
 
 
 def _groups(pieces: list[np.ndarray], hand: np.ndarray, held: bool) -> list[np.ndarray]:
-    """Masks out of connected pieces: all those near the hand, and single ones."""
+    """Return masks: all pieces near the hand together, then single pieces."""
     if not pieces or not held:
         return pieces[:5]
-    # Pixels that were not measured against the hand are far from it.
+    # Distances are infinite where they were not computed, far from the hand.
     distance = np.array([_near_end(hand[piece]) for piece in pieces])
     near = [piece for piece, d in zip(pieces, distance, strict=True) if d < NEAR_HAND]
     together = [np.logical_or.reduce(near)] if near else []
@@ -158,13 +156,13 @@ def _groups(pieces: list[np.ndarray], hand: np.ndarray, held: bool) -> list[np.n
 
 
 def _near_end(distance: np.ndarray) -> float:
-    """The 2nd percentile of distances [m] that are known; infinite where none is. distance: shape [P]."""
+    """Return the 2nd percentile of the finite distances [m]; infinite without any. distance: shape [P]."""
     known = distance[np.isfinite(distance)]
     return float(np.percentile(known, 2)) if len(known) else np.inf
 
 
 def _pieces(mask: np.ndarray, depth: np.ndarray) -> list[np.ndarray]:
-    """Connected parts without jumps of depth, largest first, small ones left out."""
+    """Return connected parts without jumps in depth, largest first, without small ones."""
     filled = np.where(mask, depth, 0.0)
     jump = np.maximum(JUMP, 0.02 * depth)
     broken = np.zeros(mask.shape, bool)
@@ -182,7 +180,7 @@ def _pieces(mask: np.ndarray, depth: np.ndarray) -> list[np.ndarray]:
 
 
 def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Masks that are not nearly the same as an earlier one, at most six."""
+    """Return the masks that differ from all earlier ones, at most six."""
     kept: list[np.ndarray] = []
     for mask in masks:
         overlaps = ((mask & other).sum() / max(int((mask | other).sum()), 1) for other in kept)
@@ -191,22 +189,20 @@ def _different(masks: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(kept[:6])
 
 
-# Logarithm of the odds of what is deep in a mask, or clicked at: colors that say otherwise may still win, as
-# masks have holes and clicks go beside.
+# Log-odds deep inside a mask or at a click. Colors may outweigh them: masks have holes, and clicks miss.
 MASK_SURE = 4.0
-# Masks are wrong by up to 6 pixels: so deep inside, or as deep as a thin one goes, they say what shows the
-# object; twice as far outside nothing is looked at; between, color and depth say where its outline is, as
-# they do without a mask.
+# Largest error of a mask's outline [pixels]. Pixels deeper inside, or in a thin mask more than half as
+# deep as it is, show the object; pixels twice as far outside do not; between, color and depth decide.
 MASK_WRONG = 6.0
-CLICK = 3.0  # Pixels so near to the one that was clicked at show the same.
+CLICK = 3.0  # Radius around a click that shows the object [pixels].
 
 
 def hinted_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """What mask, box or point say about each pixel. size: longest distance within the object [m].
+    """Return the evidence of mask, box or point. size: longest distance within the object [m].
 
     Returns:
-        logarithm of the odds that it shows the object, ``NEVER`` outside a box, shape [H, W]; which pixels
-        surely show it, shape [H, W] bool.
+        log-odds that a pixel shows the object, ``NEVER`` where it cannot, shape [H, W]; pixels that certainly
+        show it, shape [H, W] bool.
     """
     prior: np.ndarray = np.zeros(capture.depth.shape)
     samples: np.ndarray = np.zeros(capture.depth.shape, dtype=bool)
@@ -230,7 +226,7 @@ def hinted_odds(capture: Capture, size: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pointed_pieces(pieces: list[np.ndarray], point: Pixel) -> list[np.ndarray]:
-    """The piece in which the point is, or the nearest one; and that with the others next to it."""
+    """Return the piece nearest to the point, and this piece joined with others next to it."""
     if not pieces:
         return []
     away: list[float] = []
