@@ -42,39 +42,39 @@ from fungrasp.sim2real.joint_dynamics import HandDynamics
 from fungrasp.task import GraspPlan, Policy
 
 POWERING_OFF = 0.1
-"""Time in which an empty hand's driver takes the torque away [s]."""
+"""Time in which the driver of an empty hand switches the torque off [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class DeploymentTask:
-    """What a specification names, loaded."""
+    """A deployment, with everything loaded that its specification names."""
 
     spec: DeploymentSpec
-    """What is asked."""
+    """Settings."""
     cell: RobotCell
-    """The robot."""
+    """Robot cell."""
     hand: Hand
-    """On its arm."""
+    """Hand of the cell."""
     obj: ObjectModel
-    """The object as it is believed."""
+    """Believed model of the object."""
     grasp: RobotGraspSet
-    """One."""
+    """One grasp."""
     policy: Policy
-    """What acts."""
+    """Policy that follows the plan."""
     planner: Planner
-    """Of the policy."""
+    """Planner of the policy."""
     dynamics: HandDynamics | None = None
-    """Identified, of the hand; the model's if None."""
+    """Identified dynamics of the hand; those of its model if None."""
 
     def preparer(self, advise: bool = True) -> GraspPreparer:
-        """What plans. advise: whether a placement that would do is looked for where the object's does not."""
+        """Make the preparer. advise: whether errors name a placement that the arm can reach."""
         return GraspPreparer(
             self.cell, self.hand, self.obj, self.planner, self.dynamics, self.spec.seed, advise=advise
         )
 
     @property
     def stiffness(self) -> np.ndarray | None:
-        """Of the hand's servos, where it was identified [N m/rad], shape [U]; None for the model's."""
+        """Identified stiffness of the hand's servos [N m/rad], shape [U]; None if it was not identified."""
         return None if self.dynamics is None else self.dynamics.stiffness(self.hand)
 
 
@@ -84,10 +84,10 @@ def deployment_task(
     spec: DeploymentSpec,
     plans: GraspPlan | None = None,
 ) -> DeploymentTask:
-    """Load what a specification names. robot: one grasp, of the cell's hand; plans: one plan for it, to be
-    followed in the place of one that the policy's planner makes. Raises: FungraspError: several grasps,
-    grasps of another hand, no such cell or policy, a cell that is not calibrated, or several attempts or
-    another speed with a policy for which these make no sense."""
+    """Load everything that a specification names. robot: one grasp of the cell's hand; plans: one plan for
+    it, made by the policy's planner if None. Raises: FungraspError: several grasps, another hand, an unknown
+    cell or policy, an uncalibrated cell, several attempts with an open-loop policy, or a slower speed with
+    feedback."""
     if len(robot) != 1:
         raise FungraspError(f"one grasp is deployed at a time, not {len(robot)}: select one, as in robot[:1]")
     check_objects(robot.object_name.tolist(), objects)
@@ -111,7 +111,7 @@ def deployment_task(
             f"policy '{spec.policy}' needs feedback at 10 Hz and can't be slowed down; the policies "
             '"plan" and "reference" can'
         )
-    # Drivers that planning keeps from running take their devices for silent.
+    # One processor is left to the drivers: a driver that does not run takes its device to be silent.
     spare = 0 if is_twin(cell) else max(1, (os.cpu_count() or 2) - 1)
     planner = (
         robot_planner(spec.policy, limited, {obj.name: obj}, spec.threads or spare)
@@ -122,15 +122,15 @@ def deployment_task(
 
 
 def robot_planner(name: str, hand: Hand, objects: Mapping[str, ObjectModel], threads: int = 0) -> Planner:
-    """The planner of the policy of a name on a robot: a robot differs from its model, so that candidates are
-    tried in the worlds of the reality protocol. threads: 0 means all processors. Raises: FungraspError: no
-    such policy, or one for another hand."""
+    """Make a policy's planner for a robot. Candidates are tried in worlds of the reality protocol, as a robot
+    differs from its model. threads: 0 means all processors. Raises: FungraspError: an unknown policy, or a
+    policy for another hand."""
     return make_planner(name, hand, objects, SelectionSettings.for_protocol("reality"), threads=threads)
 
 
 def deployable_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy:
-    """The policy of a name, if a robot can run it. Raises: FungraspError: there is none, or it needs what
-    only a simulation knows."""
+    """Load a policy for a robot. Raises: FungraspError: an unknown policy, or one with privileged
+    observations."""
     policy = make_policy(name, hand, objects)
     if not isinstance(policy, Policy):
         raise FungraspError(f"the policy '{name}' needs privileged observations: use a student")
@@ -151,27 +151,28 @@ def deploy(
 ) -> DeploymentResult:
     """Deploy one grasp: look, plan, move to the start, grasp, lift, hold, put down and go home.
 
-    After a stop, or if the robot should stay, the hand keeps its grip until a person types open at the
-    keyboard of ``switch`` or interrupts the program (``fungrasp.deployment.hold_after_stop``). On a twin, the
-    object is placed within reach of the arm; on a robot, the tracker finds it.
+    After a stop, or if ``spec.until`` ends with a closed hand, a robot's hand keeps its grip until a person
+    types open at the keyboard of ``switch`` or interrupts the program
+    (``fungrasp.deployment.hold_after_stop``). On a twin, the object is placed within reach of the arm; on a
+    robot, the tracker finds it.
 
     Args:
         grasps: one robot grasp of the cell's hand, or one human grasp, which is retargeted first.
         objects: its object, as for ``retarget``.
-        cell: replaces that of ``spec``.
-        policy: replaces that of ``spec``.
+        cell: replaces ``spec.cell``.
+        policy: replaces ``spec.policy``.
         plans: one plan for the grasp (``fungrasp.plan``), which is moved to the observed object. Default:
             made by the policy's planner.
         spec: settings; the defaults if None.
         log: MCAP file to write; must not exist. None: no log.
         observer: notified of all events, and asked before each phase with motion; None for none.
-        switch: stops the robot; that of the cell's stop file if None.
+        switch: stop switch; None: one that watches the cell's stop file.
 
     Returns:
         The result. It includes faults of the robot, which are not raised.
 
     Raises:
-        FungraspError: contradicting settings (``deployment_task``), a missing device, or a grasp that can't
+        FungraspError: contradictory settings (``deployment_task``), a missing device, or a grasp that can't
             be planned or reached. Nothing has moved then.
     """
     spec = spec or DeploymentSpec()
@@ -198,7 +199,7 @@ def deploy(
         truth = cell_twin(task.cell, task.hand, spec.twin)
         result = deploy_on_twin(task, placement, truth, observers, switch=switch)
         if spec.until in ("plan", "approach", "grasp"):
-            # It was not to be lifted.
+            # These phases do not lift the object.
             return replace(result, success=None, height=np.nan, as_shown=None)
         return result
 
@@ -208,16 +209,16 @@ def deploy_on_robot(
 ) -> DeploymentResult:
     """Connect to a robot and deploy one grasp.
 
-    Whatever ends a motion, but at home with an open hand, leaves the arm braked and the hand holding: a
-    fault, Ctrl-C, ``kill``, an error of ours, a full disk, an object that is to stay held. An observer's
-    ``hold``, else a person at the keyboard of the switch, then says when the connection may end.
+    If the hand may hold something at the end, for example after a fault, Ctrl-C, ``kill``, a programming
+    error or with a full disk, the arm stays braked and the hand keeps its grip. An observer's ``hold``, or
+    else a person at the keyboard of the switch, then ends the connection.
 
     Args:
-        observers: told of everything in this order.
-        switch: stops the robot; that of the cell's stop file if None.
+        observers: notified of all events, in this order.
+        switch: stop switch; None: one that watches the cell's stop file.
 
     Raises:
-        FungraspError: a device is not there, or the grasp can't be planned or reached; nothing has moved.
+        FungraspError: a missing device, or a grasp that can't be planned or reached. Nothing has moved then.
     """
     spec = task.spec
     robot = wired_robot(
@@ -237,7 +238,7 @@ def deploy_on_robot(
             return deployment.run(task.grasp)
         finally:
             if deployment.phase not in (Phase.DONE, Phase.FAULT):
-                # A second Ctrl-C while the first one was being dealt with.
+                # A second Ctrl-C interrupted the handling of the first.
                 robot.stop()
             if not deployment.may_hold:
                 robot.hand_driver.stop(StopKind.POWER_OFF)
@@ -246,7 +247,7 @@ def deploy_on_robot(
 
                 def note(words: str) -> None:
                     for observer in observers:
-                        # The log may be what has failed.
+                        # The log itself may have failed.
                         with suppress(Exception):
                             observer.note(robot.clock.now(), words)
 
@@ -262,18 +263,17 @@ def deploy_on_twin(
     switch: StopSwitch | None = None,
     advise: bool = True,
 ) -> DeploymentResult:
-    """Deploy one grasp on a fresh twin. Its seed is of the tracker's noise as well.
+    """Deploy one grasp on a new twin. ``spec.seed`` also seeds the tracker's noise.
 
     Args:
-        placement: where the object is put, world frame, shape [7]; it settles.
-        truth: what is true of the twin.
-        observers: told of everything in this order.
-        switch: stops the robot; that of the cell's stop file if None.
-        advise: whether a grasp that can't be reached is refused with a placement that would do.
+        placement: pose at which the object is released, world frame, shape [7]; it then settles.
+        truth: true parameters of the twin.
+        observers: notified of all events, in this order.
+        switch: stop switch; None: one that watches the cell's stop file.
+        advise: whether errors name a placement that the arm can reach.
 
     Returns:
-        How it went, with what only a twin knows. Run in real time or as fast as it goes, as the specification
-        says.
+        The result, with the true outcome of the last attempt.
 
     Raises:
         FungraspError: the grasp can't be planned or reached.

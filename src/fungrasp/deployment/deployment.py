@@ -1,4 +1,4 @@
-"""One grasp on a robot, from idle to home: the 10 Hz loop and the phases around it."""
+"""The phases of one grasp on a robot, from idle to home, and the 10 Hz loop of the policy."""
 
 from __future__ import annotations
 
@@ -24,16 +24,15 @@ from fungrasp.task import Policy
 from fungrasp.task.attempt_judge import AttemptJudge
 
 MOVED = 0.02
-"""A joint of the arm that is farther from where it was has moved [rad]."""
+"""Change of an arm joint beyond which the arm has moved [rad]."""
 
 AWAKE = 1.0
-"""Drivers that held because nobody asked them follow again within this time [s]."""
+"""Time within which drivers follow again that held because nothing was read from them [s]."""
 
 
 class Deployment(AttemptCarrier):
-    """Carries one grasp through all phases. Whatever goes wrong ends in FAULT with the robot stopped.
-
-    Attempts are those of ``make_attempts``, whose one world, number 0, is this robot."""
+    """Carries one grasp through all phases. Errors end in FAULT with the robot stopped; only errors of the
+    first plan are raised instead. For ``make_attempts``, this robot is the only world, with index 0."""
 
     def __init__(
         self,
@@ -46,21 +45,21 @@ class Deployment(AttemptCarrier):
         """
         Args:
             robot: connected.
-            spec: what is asked, of which attempts, end, speed and time to look count; the defaults if None.
-            observers: told of everything in this order.
+            spec: settings, of which attempts, until, speed and look_time are used; the defaults if None.
+            observers: notified of all events, in this order.
 
         Raises:
-            FungraspError: a speed that can't be.
+            FungraspError: the speed is not allowed (``Robot.slow_down``).
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
         self.spec, self._observers = spec or DeploymentSpec(), observers
         self.phase, self.fault = Phase.IDLE, ""
-        """The present phase, and why it is FAULT, as a phrase."""
+        """The current phase, and the reason of FAULT, as a phrase."""
         late = robot.cell.watchdog.late_tick
         self.ticks, self.setpoint_ticks = DeadlineMonitor(late), DeadlineMonitor(late)
         robot.slow_down(self.spec.speed)
         self.scripted = ScriptedMotion(robot, self.ticks)
-        """What moves as no policy says."""
+        """Motions without the policy."""
         self._times: dict[str, float] = {}
         self._prepared: PreparedGrasp | None = None
         self._object_pose = np.full(7, np.nan)
@@ -72,9 +71,9 @@ class Deployment(AttemptCarrier):
         self._postures: list[np.ndarray] = []
 
     def run(self, grasp: RobotGraspSet) -> DeploymentResult:
-        """Grasp, lift, hold, put down, go home, with one grasp. Never raises for what goes wrong with the
-        robot. Raises: FungraspError: the grasp can't be planned or reached, or this one ran already: a fault
-        is latched. Nothing has moved."""
+        """Carry out all phases with one grasp. Faults of the robot are in the result; unexpected errors stop
+        the robot and are raised. Raises: FungraspError: the grasp can't be planned or reached, or this
+        deployment has run already, as faults are latched. Nothing has moved then."""
         if self.phase is not Phase.IDLE:
             said = f" ({self.fault})" if self.fault else ""
             raise RobotError(f"the robot is in the state '{self.phase}'{said}: look at it, then start again")
@@ -94,7 +93,7 @@ class Deployment(AttemptCarrier):
         except RobotError as error:
             self._fail(str(error), StopKind.HOLD)
         except FungraspError:
-            # Planning says so before anything has moved; afterwards it is a fault like any other.
+            # Errors of planning before anything has moved are not faults.
             if self.phase is Phase.IDLE:
                 raise
             self._fail("an unexpected error", StopKind.HOLD)
@@ -104,7 +103,7 @@ class Deployment(AttemptCarrier):
         except KeyboardInterrupt as error:
             self._fail(f"interrupted ({str(error) or 'Ctrl-C'})", StopKind.HOLD)
         except BaseException as error:
-            # A mistake of ours: the robot stops before anybody hears of it.
+            # A programming error: the robot stops before the error is reported.
             self._fail(f"{type(error).__name__}: {error}", StopKind.HOLD)
             raise
         finally:
@@ -124,7 +123,7 @@ class Deployment(AttemptCarrier):
         )
 
     def _carry_out(self, names: list[str], object_pose: np.ndarray, state: RobotState) -> None:
-        """All that moves. names: of the object, one."""
+        """Carry out the phases with motion. names: name of the object, length 1."""
         robot = self.robot
         self._ask(Phase.MOVE_TO_START)
         self._postures = [self._awake(state).arm.positions]
@@ -144,14 +143,14 @@ class Deployment(AttemptCarrier):
         self._begin(Phase.DONE)
 
     def goes_on_to(self, phase: Phase) -> bool:
-        """Whether a phase is among those that are asked for."""
+        """Return whether ``spec.until`` includes a phase."""
         order = list(Phase)
         return order.index(phase) <= order.index(LAST_PHASES[self.spec.until])
 
     @property
     def may_hold(self) -> bool:
-        """Whether the hand may hold something: the robot has moved, and did not end as it should before it
-        grasped or after it let go."""
+        """Whether the hand may hold something: the robot has moved, and it did not end in DONE before the
+        grasp or after the release."""
         if Phase.MOVE_TO_START not in self._times:
             return False
         empty = Phase.GRASP not in self._times or any(p in self._times for p in (Phase.PUT_DOWN, Phase.HOME))
@@ -159,11 +158,9 @@ class Deployment(AttemptCarrier):
 
     @property
     def prepared(self) -> PreparedGrasp:
-        """What was planned last. Only after planning."""
+        """The latest plan; exists after planning only."""
         assert self._prepared is not None
         return self._prepared
-
-    # Phases.
 
     def _begin(self, phase: Phase) -> None:
         self.phase = phase
@@ -177,7 +174,7 @@ class Deployment(AttemptCarrier):
         now = self.robot.clock.now()
         self._times.setdefault(Phase.FAULT, now)
         for observer in self._observers:
-            # The log, or where phases are printed, may be what has failed.
+            # The log or the terminal may itself have failed.
             with suppress(Exception):
                 observer.fault(now, reason)
 
@@ -187,14 +184,13 @@ class Deployment(AttemptCarrier):
         self._prepared, self._object_pose = prepared, object_pose
         for observer in self._observers:
             observer.planned(self.robot, prepared)
-        # A collection of all garbage, of what was imported and planned too, takes a tenth of a second and
-        # more: none while the robot moves.
+        # Garbage collection of everything made so far would take 0.1 s or more while the robot moves.
         gc.freeze()
 
     def _awake(self, state: RobotState) -> RobotState:
-        """The state after planning. Drivers that heard nothing meanwhile held, and follow again once they are
-        read; whatever else ended is looked at by a person, though its cause may be gone: a fault is latched.
-        """
+        """Return the state once all devices follow again after planning. Drivers hold while nothing is read
+        from them, and follow again once it is. Any other stop stays latched for a person to look at, even if
+        its cause is gone. Raises: RobotError: a device stopped, or the arm or the object moved."""
         robot, waited = self.robot, self.robot.clock.now() + AWAKE
         while True:
             robot.check_switch()
@@ -218,14 +214,14 @@ class Deployment(AttemptCarrier):
         return now
 
     def _ask(self, phase: Phase) -> float:
-        """Ask whether a phase may begin; meanwhile the robot stands still, and is watched as in motion. How
-        long that took [s]."""
+        """Ask the observers whether a phase may begin; return the time that this took [s]. Meanwhile the
+        robot stands still and is monitored as in motion."""
         robot, moving = self.robot, Phase.MOVE_TO_START in self._times
         asked = when = robot.now()
 
         def meanwhile() -> None:
             nonlocal when
-            # The last setpoint of the phase before may have been sent just now.
+            # The last setpoint of the previous phase may have been sent just now.
             when += robot.setpoints.period
             robot.wait(when)
             robot.check_switch()
@@ -241,7 +237,7 @@ class Deployment(AttemptCarrier):
         return robot.now() - asked
 
     def _follow_policy(self, judge: AttemptJudge | None) -> None:
-        """Grasp, lift and hold, as the policy says; the judge looks on, if there is one."""
+        """Grasp, lift and hold with the policy. judge: watches the attempt, if not None."""
         robot, p, plan = self.robot, self.robot.protocol, self.prepared.plan
         self._ask(Phase.GRASP)
         self._begin(Phase.GRASP)
@@ -285,10 +281,11 @@ class Deployment(AttemptCarrier):
             step += 1
             self.scripted.check_length(self.phase, step)
 
-    # Attempts, as ``make_attempts`` asks for them.
+    # Methods of ``AttemptCarrier``.
 
     def attempt(self, ids: np.ndarray, number: int) -> np.ndarray:
-        """Go to the start, grasp, lift and hold; a single attempt ends as it ends: nothing is judged."""
+        """See ``AttemptCarrier.attempt``. If only one attempt is allowed, it is not judged, but counts as
+        held."""
         self._attempts, self._missed = number + 1, False
         self._begin(Phase.MOVE_TO_START)
         self.scripted.move([self._postures[-1], *self.prepared.corners], self.prepared.start_fingers)
@@ -303,17 +300,17 @@ class Deployment(AttemptCarrier):
         return np.array([self._missed])
 
     def withdraw(self, ids: np.ndarray, number: int) -> None:
-        """Open the hand and leave the object, after the last attempt too."""
+        """See ``AttemptCarrier.withdraw``."""
         self._begin(Phase.WITHDRAW)
         self.scripted.withdraw(self.prepared.plan, self._gap)
 
     def look(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the tracker sees the object."""
+        """See ``AttemptCarrier.look``. Raises what ``locate_object`` raises."""
         pose, self._state = locate_object(self.robot, self.spec.look_time)
         return ids, pose[None]
 
     def plan(self, ids: np.ndarray, object_pose: np.ndarray, number: int) -> np.ndarray:
-        """Plan from where the arm is."""
+        """See ``AttemptCarrier.plan``. The plan begins at the arm's current joints."""
         arm = self.robot.palm_follower_joints
         try:
             self._prepare(object_pose[0], arm, number)
@@ -326,22 +323,22 @@ class Deployment(AttemptCarrier):
         return ids
 
     def give_up(self, ids: np.ndarray, why: str) -> None:
-        """Noted in the log."""
+        """Keep the reason for the result, and pass it to the observers."""
         if len(ids):
             self._why_no_more = why
             for observer in self._observers:
                 observer.note(self.robot.clock.now(), why)
 
     def _watch(self, state: RobotState, command: RobotCommand) -> None:
-        """After each setpoint."""
+        """Pass a setpoint to the observers."""
         for observer in self._observers:
             observer.setpoint(self.phase, state, command)
         if self.phase is Phase.MOVE_TO_START:
-            # The way is clear of the object where it stood.
+            # The path was planned around the object where it stood.
             self._check_object(state)
 
     def _check_object(self, state: RobotState) -> None:
-        """Raises: SafetyStop: the object is not seen where it was planned for."""
+        """Raises: SafetyStop: the object is not seen at the pose of the plan."""
         problem = check_pose(state.tracked, self._object_pose, state.time, self.robot.cell)
         if problem:
             raise SafetyStop(problem, StopKind.HOLD)

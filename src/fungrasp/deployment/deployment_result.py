@@ -16,12 +16,12 @@ class DeadlineMonitor:
     """Collects how late ticks begin."""
 
     late_tick: float
-    """A tick that is later than this counts as late [s]."""
+    """Lateness beyond which a tick counts as late [s]."""
     lateness: list[float] = field(default_factory=list)
-    """Of each tick [s]."""
+    """Lateness of each tick [s]."""
 
     def record(self, planned: float, now: float) -> float:
-        """A tick that was planned for a time begins now [s]; how late it is [s]."""
+        """Add a tick that was planned for a time [s] and begins now [s]; return its lateness [s]."""
         late = max(0.0, now - planned)
         self.lateness.append(late)
         return late
@@ -32,7 +32,7 @@ class DeadlineMonitor:
         return int(np.sum(np.array(self.lateness) > self.late_tick))
 
     def summary(self) -> str:
-        """One line."""
+        """Return a summary in one line."""
         if not self.lateness:
             return "no tick"
         ms = 1e3 * np.array(self.lateness)
@@ -74,8 +74,8 @@ class DeploymentResult:
     """Smallest height of the object's center of mass during the hold [m], for twins; infinite without a
     hold."""
     as_shown: AsShown | None = None
-    """How the hand held the object, of a twin: one row. None without a hold, or where the person's places are
-    not known."""
+    """How the hand held the object, one row, for twins. None without a hold, or if the person's contacts are
+    unknown."""
 
     @property
     def held_as_shown(self) -> bool | None:
@@ -88,7 +88,7 @@ class DeploymentResult:
         return f"<DeploymentResult: {self.words()}>"
 
     def words(self) -> str:
-        """Summary in one line."""
+        """Return a summary in one line."""
         if self.fault:
             return f"fault: {self.fault}"
         no_more = f"; no further attempt: {self.why_no_more}" if self.why_no_more else ""

@@ -1,4 +1,4 @@
-"""After a run that did not end with an empty hand: arm and hand hold, watched, until a person says open."""
+"""The hold after a run that did not end with an empty hand: it is monitored until a person types open."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from fungrasp.robots.robot import Robot
 _log = logging.getLogger(__name__)
 
 OPEN = "open"
-"""The word that lets the object go."""
+"""Word that opens the hand."""
 
 OPENING = 4.0
-"""Time in which a hand opens [s]."""
+"""Time to wait for a hand that opens [s]; twice as long while it has not opened."""
 
 OPENED = 0.25
-"""A joint is open this near to where the hand's model is open [rad], or after half of its way there: what was
-held may be in the way."""
+"""Distance from the model's open position within which a joint counts as open [rad]; or half of its initial
+distance, if that is more, because the object may be in the way."""
 
 MOVED = 0.1
-"""A joint that is farther from where it was as the hold began has moved [rad]."""
+"""Change of a joint since the hold began beyond which it has moved [rad]."""
 
 LOOK = 0.05
-"""Between two looks at a robot that holds [s]."""
+"""Time between two readings of a robot that holds [s]."""
 
 ONE_PRESS = 1.0
-"""Interrupts that come sooner after the one before are one and the same [s]."""
+"""Time after an interrupt in which further ones are ignored [s]."""
 
 QUESTION = f"Put a hand under the object, then type '{OPEN}': "
 
 ENDINGS = ("SIGTERM", "SIGHUP")
-"""Signals that end a program as Ctrl-C does: ``kill``, and a terminal that is closed."""
+"""Signals that end a program like Ctrl-C: those of ``kill`` and of a terminal that closes."""
 
 
 class HoldWatch:
-    """Watches a robot that has stopped, and says what its devices say, as soon as it changes."""
+    """Monitors a stopped robot and reports each change of its devices in words."""
 
     def __init__(self, robot: Robot, say: Callable[[str], None]):
-        """robot: connected and stopped; say: told each change in words."""
+        """robot: connected and stopped; say: receives the reports."""
         self.robot, self._say = robot, say
         self._places: dict[str, np.ndarray] = {}
         self._said = ""
         self.held_up: tuple[str, ...] = ()
-        """Joints that were not open at the end of ``open``."""
+        """Names of the joints that ``open`` could not open."""
 
     def look(self) -> None:
-        """Read the devices, which hold while they are heard of, and wait a moment."""
+        """Read the devices, report a change, and wait for ``LOOK``."""
         words = self.words()
         if words != self._said:
             self._said = words
@@ -63,19 +63,19 @@ class HoldWatch:
         self.robot.clock.sleep_until(self.robot.clock.now() + LOOK)
 
     def words(self) -> str:
-        """What arm and hand do now, as their readings show it."""
+        """Return what arm and hand do, according to their readings."""
         state = self.robot.state()
         arm, hand = self._of("arm", state.arm, "has braked"), self._of("hand", state.hand, "holds")
         return f"The arm {arm}. The hand {hand}."
 
     def open(self) -> bool:
-        """Open the hand slowly; whether its readings show that it is open. Either is said."""
+        """Open the hand slowly, report the result, and return whether its readings show it open."""
         robot, target = self.robot, self.robot.hand.open_joints
         begin = np.abs(robot.hand_driver.read().positions - target)
         robot.hand_driver.stop(StopKind.OPEN)
         hand = robot.hand_driver.read()
         begun, opened, names = robot.clock.now(), False, np.array(list(robot.hand.actuators))
-        # It opens to its end, and may be slow or be heard of late.
+        # A hand that counts as open still opens further; a slow hand, or a late reading, gets more time.
         while robot.clock.now() < begun + (OPENING if opened else 2 * OPENING):
             hand = robot.state().hand
             left = np.abs(hand.positions - target)
@@ -94,7 +94,7 @@ class HoldWatch:
         return opened
 
     def _of(self, part: str, state: JointState, well: str) -> str:
-        """What a device does, as the rest of a sentence. well: what one does that stands still."""
+        """Return what a device does, as the rest of a sentence. well: words for one that stands still."""
         if state.status is DeviceStatus.DISCONNECTED:
             return f"is not heard, and what it does is not known: {state.message}"
         place = self._places.setdefault(part, state.positions.copy())
@@ -105,9 +105,9 @@ class HoldWatch:
 
 
 def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: None) -> None:
-    """Hold, watched, until a person says open at the keyboard of the robot's switch and the hand has opened.
-    Ctrl-C ends holding without opening: where the hand would let go then (``lets_go``) only a second one
-    does. robot: connected and stopped; note: told whatever is said on the terminal."""
+    """Hold until a person types open at the keyboard of the robot's switch and the hand has opened. Ctrl-C
+    ends the hold without opening; if the hand would then let go (``lets_go``), only a second Ctrl-C does.
+    robot: connected and stopped; note: receives all messages of the terminal. Raises: KeyboardInterrupt."""
 
     def say(words: str) -> None:
         note(words)
@@ -125,7 +125,7 @@ def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: No
             now, pressed = time.monotonic(), since
             since = now
             if now - pressed < ONE_PRESS:
-                # Of somebody who pressed it more than once to stop the arm.
+                # A person pressed Ctrl-C more than once to stop the arm.
                 continue
             if warned or not lets_go:
                 raise
@@ -145,7 +145,8 @@ def _wait_for_open(watch: HoldWatch) -> None:
 
 @contextmanager
 def endings_as_interrupts() -> Iterator[None]:
-    """``kill`` and a closed terminal raise ``KeyboardInterrupt`` meanwhile; only in the main thread."""
+    """Context in which ``kill`` and a terminal that closes raise ``KeyboardInterrupt``; no effect outside the
+    main thread."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt(signal.Signals(number).name)

@@ -1,16 +1,16 @@
-"""The log of a deployment: every tick in an MCAP file, which Foxglove and Rerun open.
+"""The log of a deployment: an MCAP file, which Foxglove and Rerun open.
 
-Records are written as they come and flushed at every control step, not compressed, so that a file whose
-writer was killed can be read up to there. Numbers are JSON with all their digits: a policy that is shown the
-logged observations again must answer with the logged actions, to the last bit.
+Records are not compressed and are flushed at every control step: if the writer is killed, the file is
+readable up to the last step. Numbers are JSON with all digits: given the logged observations again, a policy
+must return the logged actions to the last bit.
 
 | topic | message |
 | --- | --- |
-| ``/setpoint`` | every 20 ms: time, phase, state of arm and hand, command that was sent |
-| ``/step`` | every control step: observation, the policy's action, the action that was sent, lateness |
+| ``/setpoint`` | every 20 ms: time, phase, state of arm and hand, object pose, command as sent |
+| ``/step`` | every control step: observation, action of the policy, action as sent, lateness |
 | ``/event`` | phases, faults, notes |
 
-The plan, the robot cell and the policy's name are attachments and metadata at the beginning.
+Each plan is an attachment, "plan.npz"; the names of cell and policy are metadata, "about".
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class McapLog(DeploymentObserver):
     """Writes a log file; a context manager. An existing file is not changed."""
 
     def __init__(self, path: str | Path, about: Mapping[str, str] | None = None):
-        """about: what it says beside the plan and the cell's name. Raises: FungraspError: mcap is not
-        installed, the file exists, or it can't be written."""
+        """about: metadata besides the name of the cell. Raises: FungraspError: mcap is not installed, the
+        file exists, or it can't be written."""
         try:
             from mcap.writer import Writer
         except ImportError as error:
@@ -76,8 +76,8 @@ class McapLog(DeploymentObserver):
         self.close()
 
     def close(self) -> None:
-        """Finish the file. Without it, it still can be read up to the last control step: a disk that is full
-        is warned of, as how the deployment went is to be said yet."""
+        """Finish the file; an unfinished file is readable as well. A full disk only causes a warning, so that
+        the result of the deployment is still reported."""
         if self._stream.closed:
             return
         try:
@@ -143,18 +143,18 @@ class RecordedDeployment:
     """Content of a log."""
 
     plan: GraspPlan | None
-    """The first plan; None where the log ends before it."""
+    """The first plan; None if the log ends before it."""
     about: Mapping[str, str]
-    """What else there was to know."""
+    """Metadata."""
     messages: Mapping[str, list[dict[str, Any]]]
-    """By topic, in the order of time."""
+    """Messages by topic, in order of time."""
     complete: bool
-    """Whether the log was closed; else its writer died."""
+    """Whether the log was closed; False if its writer died."""
 
 
 def read_log(path: str | Path) -> RecordedDeployment:
-    """Read a log, that of a deployment that died included. Raises: FungraspError: mcap is not installed,
-    there is no such file, or it is no log."""
+    """Read a log, complete or not. Raises: FungraspError: mcap is not installed, or the file is missing or no
+    log."""
     try:
         from mcap.records import Attachment, Channel, DataEnd, Message, Metadata
     except ImportError as error:
@@ -179,7 +179,7 @@ def read_log(path: str | Path) -> RecordedDeployment:
 
 
 def _records(path: Path) -> Iterator[Any]:
-    """Records of a file, up to where it breaks off."""
+    """Yield the records of a file, up to the first incomplete one."""
     from mcap.exceptions import McapError
     from mcap.stream_reader import StreamReader
 
@@ -188,7 +188,7 @@ def _records(path: Path) -> Iterator[Any]:
             if stream.read(8) != b"\x89MCAP0\r\n":
                 raise FungraspError(f"{path} is not an MCAP file")
             stream.seek(0)
-            # What a killed writer has left ends within a record.
+            # If its writer was killed, the file may end within a record.
             try:
                 yield from StreamReader(stream, record_size_limit=64_000_000).records
             except (McapError, EOFError, struct.error, ValueError, OSError):

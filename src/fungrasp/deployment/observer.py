@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fungrasp.robots.robot import Robot
 
 YES = "yes"
-"""The word that lets a phase begin."""
+"""Word that lets a phase begin."""
 
 MOTIONS = {
     Phase.MOVE_TO_START: "approach: the arm goes to the start of the grasp",
@@ -28,9 +28,8 @@ MOTIONS = {
 
 
 class DeploymentObserver:
-    """Base of observers. Methods are called in the thread of the deployment; these do nothing and agree. An
-    exception ends the deployment like a fault of the robot.
-    """
+    """Base of observers; its methods do nothing and agree. They are called in the thread of the deployment,
+    and an exception stops the robot."""
 
     def connected(self, robot: Robot) -> None:
         """The robot is connected. Nothing has moved."""
@@ -43,7 +42,8 @@ class DeploymentObserver:
         While waiting, call ``meanwhile`` repeatedly: it keeps the robot still and monitored."""
 
     def phase(self, time: float, phase: Phase) -> None:
-        """A phase has begun, on the robot's clock [s]. Not called for ``Phase.FAULT``."""
+        """A phase has begun, on the robot's clock [s]. Not called for IDLE and FAULT, and for DONE only after
+        HOME."""
 
     def setpoint(self, phase: Phase, state: RobotState, command: RobotCommand) -> None:
         """A setpoint was sent."""
@@ -60,13 +60,13 @@ class DeploymentObserver:
         """A message for a person."""
 
     def hold(self, robot: Robot) -> bool:
-        """The robot has stopped and its hand may hold something: hold it as long as it should be, and open
-        the hand if it should be. False leaves that to the next observer, and to the keyboard at last."""
+        """The robot has stopped and its hand may hold something. Hold it as long as needed, then return True;
+        False leaves the hold to the next observer, and finally to the keyboard."""
         return False
 
 
 class PhaseQuestions(DeploymentObserver):
-    """Asks at the keyboard of a switch before each phase; any other answer than yes stops the robot there."""
+    """Asks at the keyboard of a switch before each phase; any answer but yes stops the robot."""
 
     def __init__(self, switch: StopSwitch):
         self._switch = switch

@@ -1,5 +1,4 @@
-"""From a grasp and a seen object to a plan that the arm can follow: all that is decided before anything
-moves."""
+"""Preparation of a grasp before anything moves: a plan for the tracked object that the arm can follow."""
 
 from __future__ import annotations
 
@@ -38,47 +37,47 @@ from fungrasp.task import Belief, GraspPlan, LiftProtocol
 from fungrasp.task.start_pose import StartPoses, start_fingers
 
 SHIFTS = (0.0, -0.1, 0.1)
-"""Displacements of the object along both axes that are tried where it can't be grasped as it stands [m]."""
+"""Displacements of the object along both axes that are tried if it is out of reach [m]."""
 
 PLACEMENTS = 60
-"""How many of them are tried, the smallest first."""
+"""Number of placements that are tried, those with the smallest moves first."""
 
 PLANS = 3
-"""Plans, of as many seeds, that are made before a grasp counts as not reachable: the planner knows nothing of
-the arm, and what one plan can't do, or to whose start it finds no free way, the next often can."""
+"""Number of plans, each with its own seed, before a grasp counts as unreachable. The planner ignores the arm,
+which often can follow the next plan, or reach its start, if it fails with the first."""
 
 ANOTHER = "take another grasp: higher on the object, or from above"
-"""What a person can do about a grasp that is out of reach wherever the object stands: most often the flange
-of the wrist does not go between hand and table."""
+"""Advice for a grasp that is unreachable in all placements: mostly, the flange does not fit between hand and
+table."""
 
 TURNS = np.deg2rad([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 """Turns of the object about the vertical that are tried [rad]."""
 
 ROOM = 0.02
-"""An object is put so that the palm stays so far within the sides of the workspace [m]: what is seen of it is
-up to a centimeter off, and plans differ."""
+"""Distance of the palm from the sides of the workspace in proposed placements [m]: tracked poses are off by
+up to a centimeter, and plans differ."""
 
 PLACEMENTS_PLANNED = 12
-"""Placements for which a motion is planned: a second or two each."""
+"""Number of placements for which a motion is planned, a second or two each."""
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedGrasp:
-    """A plan and the postures of the arm that go with it."""
+    """A plan, and the motion of the arm that carries it out."""
 
     plan: GraspPlan
-    """One plan, in the world of the cell."""
+    """One plan, world frame of the cell."""
     start_fingers: np.ndarray
     """Independent joints at the start [rad], shape [U]."""
     reach: Reach
-    """How the arm follows it."""
+    """Arm motion along the plan."""
     corners: tuple[np.ndarray, ...]
-    """Postures between where the arm is and the start of the plan, the start included [rad], each of shape
-    [A]."""
+    """Postures of the arm from its current one (excluded) to the start of the plan (included) [rad], shape
+    [A] each."""
 
 
 class Preparer(Protocol):
-    """What decides all before anything moves."""
+    """Prepares grasps before anything moves."""
 
     objects: Mapping[str, ObjectModel]
     """The object by its name."""
@@ -86,21 +85,21 @@ class Preparer(Protocol):
     def prepare(
         self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray, *, attempt: int = 0
     ) -> PreparedGrasp:
-        """Plan a grasp of the object where it is seen.
+        """Plan a grasp of the object at its tracked pose.
 
         Args:
-            object_pose: at rest, world frame, shape [7].
-            arm: joints of the arm now [rad], shape [A].
-            attempt: how many have failed already.
+            object_pose: pose of the resting object, world frame, shape [7].
+            arm: current joints of the arm [rad], shape [A].
+            attempt: number of failed attempts.
 
         Raises:
-            UnreachableError: the arm can't follow any plan, or little is expected of them.
+            UnreachableError: the arm can't follow any plan, or plans have little expected success.
         """
         ...
 
 
 class UnreachableError(FungraspError):
-    """The arm can't follow the plan. Says which placement of the object would do, if one was found."""
+    """The arm can't follow the plan. The message names a reachable placement of the object, if one exists."""
 
 
 class GraspPreparer(Preparer):
@@ -119,8 +118,8 @@ class GraspPreparer(Preparer):
     ):
         """
         Args:
-            dynamics: identified; the model's if None.
-            advise: whether a placement that would do is looked for where the object's does not.
+            dynamics: identified dynamics of the hand; those of its model if None.
+            advise: whether errors name a placement that the arm can reach.
         """
         self._advise = advise
         self._cell, self._hand, self._obj, self._planner = cell, hand, obj, planner
@@ -142,11 +141,11 @@ class GraspPreparer(Preparer):
         plans: int = PLANS,
         attempt: int = 0,
     ) -> PreparedGrasp:
-        """See ``Preparer.prepare``. plans: of as many seeds are tried, 1 or more."""
+        """See ``Preparer.prepare``. plans: number of plans that are tried, 1 or more."""
         beyond = outside(self._kinematics.palm_pose(arm), self._cell.workspace)
         if beyond:
             raise UnreachableError(f"where the arm is now, {beyond}: move it by hand, or widen the box")
-        # Before time is spent on planning: can the arm do about this?
+        # A quick check, before time is spent on planning.
         obstacle = self.obstacle(grasp, object_pose, arm)
         if obstacle:
             raise UnreachableError(self._advice(grasp, object_pose, obstacle))
@@ -181,7 +180,7 @@ class GraspPreparer(Preparer):
         raise UnreachableError(self._advice(grasp, object_pose, obstacle))
 
     def _start(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Palm pose [7] and fingers [U] at the start, as the lift test has them."""
+        """Return palm pose, shape [7], and fingers, shape [U], at the start, as in the lift test."""
         p, first = self._protocol, np.array([0])
         fingers = start_fingers(self._hand, grasp, p.start_closing)
         if isinstance(self._planner, GivenPlans):
@@ -202,13 +201,13 @@ class GraspPreparer(Preparer):
         return replace(belief, object_mass_spread=grasp.object_mass_spread, **factors)
 
     def _path(self, plan: GraspPlan, start: np.ndarray, fingers: np.ndarray) -> PalmPath:
-        """The plan's motion with the lift, as high as a policy may take it."""
+        """Return the motion of the plan, with a lift as high as a policy may go."""
         palm = compose(plan.object_pose[:1, None], plan.palm_setpoint_object[:1])[0]
         up = palm[-1:].copy()
         rise = np.linspace(0.0, self._protocol.lift_height + HIGHEST, 8)[1:]
         up = np.repeat(up, len(rise), axis=0)
         up[:, 2] += rise
-        # From closing on the object stops the fingers, about where the grasp has them.
+        # Once they close, the object stops the fingers near their angles in the grasp.
         joints = np.concatenate([fingers[None], plan.finger_targets[0, :-1]])
         joints[int(plan.closing_step[0]) + 1 :] = plan.grasp_joints[0]
         last = np.repeat(plan.grasp_joints[:1], len(rise), axis=0)
@@ -217,8 +216,8 @@ class GraspPreparer(Preparer):
         )
 
     def obstacle(self, grasp: RobotGraspSet, object_pose: np.ndarray, arm: np.ndarray) -> str:
-        """Why the arm can't do about the motion that a plan will have, straight to the grasp, then up, as a
-        phrase; "" if it can. object_pose: as of ``prepare``; arm: its joints at first [rad], shape [A]."""
+        """Return why the arm can't follow a rough motion, straight to the grasp, then up, as a phrase; "" if
+        it can. object_pose: as for ``prepare``; arm: its initial joints [rad], shape [A]."""
         start, fingers = self._start(grasp, object_pose)
         target = compose(object_pose[None], compose(invert(grasp.object_pose), grasp.wrist_pose))[0]
         share = np.linspace(0.0, 1.0, 9)[:, None]
@@ -232,8 +231,8 @@ class GraspPreparer(Preparer):
         return self._reach.possible(PalmPath(palm, np.tile(fingers, (len(palm), 1)), 0.3), arm)
 
     def placements(self, grasp: RobotGraspSet, object_pose: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
-        """Poses of the object on the table from which the arm can reach the grasp as it seems, the least move
-        first, that as it stands included; each with the move in words. object_pose: as of ``prepare``."""
+        """Yield object poses on the table with a grasp that the arm can probably reach, smallest move first,
+        and the move in words. The unmoved object is tried as well. object_pose: as for ``prepare``."""
         moves = [(x, y, turn) for turn in TURNS for x in SHIFTS for y in SHIFTS]
         moves.sort(key=lambda move: abs(move[0]) + abs(move[1]) + 0.1 * abs(move[2]))
         home = np.asarray(self._cell.arm.home)
@@ -250,7 +249,7 @@ class GraspPreparer(Preparer):
                 )
 
     def _advice(self, grasp: RobotGraspSet, object_pose: np.ndarray, obstacle: str) -> str:
-        """One line: what is in the way, and which placement would do."""
+        """Return the obstacle and a reachable placement in one line."""
         said = f"the grasp of '{self._obj.name}' is not reachable: {obstacle}"
         if not self._advise:
             return said
@@ -269,25 +268,23 @@ def reachable_placements(
     seed: int = 0,
     planner: Planner | None = None,
 ) -> Iterator[np.ndarray]:
-    """Where a person would put the object so that the arm can grasp it, and where next if the robot says that
-    it can't: near the middle of the workspace, turned as the arm needs it. Where the object stood as the
-    grasp was shown does not matter.
+    """Yield placements of the object with a reachable grasp, near the middle of the workspace.
 
-    They are the placements for which one planned motion can be followed, then the first that the arm reaches
-    with some motion: the robot's planner may find it.
+    First come placements in which the arm can follow a planned motion; then the first of those that only pass
+    the rough check, as the robot's planner may find another motion.
 
     Args:
-        seed: of the postures that are tried.
-        planner: of the motion that must be followed; one motion without candidates if None.
+        seed: for plans and arm postures that are tried.
+        planner: planner of that motion; a ``MotionPlanner``, without candidates, if None.
 
     Yields:
-        the object, world frame, shape [7].
+        pose of the object, world frame, shape [7].
 
     Raises:
-        UnreachableError: there is none nearby.
+        UnreachableError: there is no placement.
     """
-    # What is seen differs by millimeters from what is: more room than is needed. Half of the clearance more
-    # above the table, and half of it less depth for the fingers: about the error of a tracked height.
+    # Tracked poses are off by millimeters, so margins are larger than needed: by half of the table clearance
+    # for the arm and for the fingers, about the error of a tracked height.
     box = cell.workspace
     inner = np.array([ROOM, ROOM, 0.0])
     roomy = replace(

@@ -1,5 +1,4 @@
-"""A plan carried out by a robot that follows perfectly: every setpoint of the whole way, seen by the safety
-filter, before anything moves."""
+"""Rehearsal of a plan with a perfect robot: the safety filter checks every setpoint before anything moves."""
 
 from __future__ import annotations
 
@@ -34,31 +33,31 @@ from fungrasp.robots.robot import Robot
 from fungrasp.robots.stop_switch import StopSwitch
 
 LOOK_TIME = 0.1
-"""Of the tracker, which sees where the plan has the object [s]."""
+"""Time in which poses of the object are collected [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The whole way of a plan at full speed: T setpoints, 20 ms apart."""
+    """The whole motion of a plan at full speed: T setpoints, 20 ms apart."""
 
     times: np.ndarray
-    """Since the first [s], shape [T]."""
+    """Time since the first setpoint [s], shape [T]."""
     phases: np.ndarray
-    """Name of each one's phase, shape [T] str."""
+    """Phase of each setpoint, shape [T] str."""
     arm: np.ndarray
     """Joints of the arm [rad], shape [T, A]."""
     fingers: np.ndarray
-    """Independent joints of the hand, which the object stops where the grasp has them [rad], shape [T, U]."""
+    """Independent joints of the hand [rad], shape [T, U]. The object stops them at their grasp angles."""
     palm: np.ndarray
-    """Palm, world frame, shape [T, 7]."""
+    """Palm poses, world frame, shape [T, 7]."""
     object_pose: np.ndarray
-    """The object, held fast from the lift until it stands again, world frame, shape [T, 7]."""
+    """Object poses, world frame, shape [T, 7]; fixed to the palm from the lift until the object is down."""
 
 
 def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Motion:
-    """Carry a plan out without moving a robot, from the way to the start to the way home. What a policy that
-    watches corrects on the way is not in it. robot: connected; it stands where the plan begins, and is only
-    read. Raises: FungraspError: the safety filter would stop it."""
+    """Rehearse a plan from the move to the start until home, without corrections by a policy with feedback.
+    robot: connected, at the joints where the plan begins; it is only read. Raises: FungraspError: the safety
+    filter would stop the plan."""
     clock, plan = _SteppedClock(), prepared.plan
     closing = _PerfectJoints(robot.hand_driver, clock)
     rehearsed = Robot(
@@ -80,7 +79,7 @@ def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Mot
         during = f" while '{rows[-1][1]}'" if rows else ""
         raise FungraspError(f"the safety filter would stop this plan{during}: {result.fault}")
     columns = [np.array(column) for column in zip(*rows, strict=True)]
-    # A phase may begin at the time of the last setpoint before: the later one counts.
+    # A phase may begin at the time of the previous phase's last setpoint: keep the later one.
     last = np.append(np.diff(columns[0]) > 0, True)
     times, phases, joints, closed, palms = (column[last] for column in columns)
     pose = _carried(plan.object_pose[0], palms, phases)
@@ -88,7 +87,7 @@ def rehearse(robot: Robot, grasp: RobotGraspSet, prepared: PreparedGrasp) -> Mot
 
 
 def _carried(rest: np.ndarray, palm: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """The object along the way: fast in the hand from the lift until the palm is down again."""
+    """Return the object poses [T, 7]: fixed to the palm [T, 7] from the lift until the palm is down again."""
     held = np.flatnonzero(np.isin(phases, [Phase.LIFT, Phase.HOLD, Phase.PUT_DOWN]))
     pose = np.tile(rest, (len(palm), 1))
     first = palm[held[0] - 1]
@@ -100,7 +99,7 @@ def _carried(rest: np.ndarray, palm: np.ndarray, phases: np.ndarray) -> np.ndarr
 
 
 class _Record(DeploymentObserver):
-    """Keeps every setpoint: its time, phase, joints of arm and hand, and the palm."""
+    """Keeps time, phase, joints of arm and hand, and palm pose of every setpoint."""
 
     def __init__(self, robot: Robot, closing: _PerfectJoints, prepared: PreparedGrasp):
         self._robot, self._closing, self._prepared = robot, closing, prepared
@@ -115,7 +114,7 @@ class _Record(DeploymentObserver):
 
 
 class _Planned(Preparer):
-    """Has its plan already."""
+    """Returns a given plan."""
 
     objects: Mapping[str, ObjectModel] = {}
 
@@ -129,7 +128,7 @@ class _Planned(Preparer):
 
 
 class _SteppedClock(Clock):
-    """Waiting takes no time."""
+    """A clock on which waiting takes no time."""
 
     def __init__(self) -> None:
         self._now = 0.0
@@ -142,7 +141,7 @@ class _SteppedClock(Clock):
 
 
 class _Unconnected:
-    """What needs no connection."""
+    """Methods of a device without a connection."""
 
     def connect(self) -> None: ...
 
@@ -154,19 +153,19 @@ class _Unconnected:
 
 
 class _PerfectJoints(_Unconnected, JointDriver):
-    """Joints that are at once where they are told to be, unless something stops them."""
+    """Joints that reach each command at once, unless something stops them."""
 
     def __init__(self, driver: JointDriver, clock: _SteppedClock):
-        """driver: with the limits, and where the joints are at first."""
+        """driver: gives the limits and the initial positions."""
         self.name, self._clock, self.limits = driver.name, clock, driver.limits
         self.takes_feedforward, self.lets_go = False, ""
         self._low, self._high = driver.limits.lower, driver.limits.upper
         self.positions = np.clip(driver.read().positions, self._low, self._high)
-        """Where they are [rad]."""
+        """Current positions [rad], shape [U]."""
 
     def stop_at(self, held: np.ndarray, free: np.ndarray) -> None:
-        """From now on joints stay between where something stops them and where they are free, or where they
-        are now [rad], each of shape [U]."""
+        """From now on, limit joints to the range of their held, free and current positions [rad], shape [U]
+        each; the first call counts."""
         if self._low is self.limits.lower:
             both = np.array([held, free, self.positions])
             self._low, self._high = both.min(axis=0), both.max(axis=0)
@@ -182,7 +181,7 @@ class _PerfectJoints(_Unconnected, JointDriver):
 
 
 class _StandingObject(_Unconnected, PoseSource):
-    """A tracker that sees the object where the plan has it."""
+    """A tracker that sees the object at its pose in the plan."""
 
     def __init__(self, pose: np.ndarray, clock: _SteppedClock):
         self.name, self._clock, self._pose = "the plan's object", clock, pose

@@ -1,5 +1,4 @@
-"""What a robot does that no policy has a say in: looking where the object is, going from posture to posture,
-putting down, withdrawing."""
+"""Robot motions without a policy: locating the object, moving between postures, putting down, withdrawing."""
 
 from __future__ import annotations
 
@@ -20,42 +19,38 @@ from fungrasp.task import Action, GraspPlan
 from fungrasp.task.attempt_judge import average_pose
 
 ARRIVED = 2e-3
-"""A setpoint is where it should be if it is this near [m]: the hold begins as in the lift test."""
+"""Distance from its goal at which a setpoint has arrived [m], as in the lift test."""
 
 STILL = 0.05
-"""A palm's setpoint that turns slower does not turn [rad/s]."""
+"""Angular speed below which the palm's setpoint is at rest [rad/s]."""
 
 LOWERED = 0.01
-"""An object stands once the palm is measured this near to where it had taken it [m]: an arm that follows no
-more is noticed only after a while."""
+"""Measured height of the palm above its goal at which the object stands [m]. The setpoint is not enough: an
+arm that stops following is noticed only after a while."""
 
 FINGER_SHARE = 0.2
-"""Of their largest speed, for fingers that move before the arm does."""
+"""Share of their largest speed at which fingers move before the arm does."""
 
 OPEN_TIME = 1.5
-"""Time in which the hand opens to let go [s]."""
+"""Time in which the hand opens to release the object [s]."""
 
 LONGEST_PHASE = 30.0
-"""A phase that takes longer on the plan's clock has failed [s]."""
-
+"""Time on the plan's clock after which a phase has failed [s]."""
 
 WAIT_TIME = 10.0
-"""Longest wait for the first pose of the object [s]."""
+"""Longest wait for usable poses of the object [s]."""
 
 
 def locate_object(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState]:
-    """Where the object rests, averaged over what the tracker says; and the robot's state.
+    """Return the average tracked pose of the resting object, world frame, shape [7], and the robot's state.
 
     Args:
         robot: connected.
-        seconds: for which poses are collected [s].
-
-    Returns:
-        Pose of the object, world frame, shape [7]; the state.
+        seconds: time in which poses are collected [s].
 
     Raises:
-        RobotError: no pose comes that can be used, poses disagree, or a device does not follow.
-        SafetyStop: the robot's switch was pressed.
+        RobotError: there is no usable pose, poses disagree, or a device does not follow.
+        SafetyStop: the stop switch is pressed.
     """
     state = robot.state()
     deadline = robot.clock.now() + WAIT_TIME
@@ -73,13 +68,13 @@ def locate_object(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState]
         pose, state, problem = _looked(robot, seconds)
         if not problem:
             return pose, state
-        # What rolls comes to rest, and a tracker may find its way back.
+        # A rolling object may come to rest, and the tracker may recover.
         if robot.clock.now() > deadline:
             raise RobotError(f"{problem}: check the tracker, then start again")
 
 
 def _looked(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState, str]:
-    """The average pose over some time, the state at its end, and what is wrong with the poses."""
+    """Return the average pose over some time, the final state, and what is wrong with the poses, or ""."""
     seen: list[TrackedPose] = []
     end, state = robot.clock.now() + seconds, robot.state()
     while robot.clock.now() < end:
@@ -96,16 +91,16 @@ def _looked(robot: Robot, seconds: float) -> tuple[np.ndarray, RobotState, str]:
 
 
 class ScriptedMotion:
-    """Moves a robot as told, at the speed that it has been slowed down to, and watches its control steps."""
+    """Moves a robot at the speed that was set with ``Robot.slow_down``, and records its control steps."""
 
     def __init__(self, robot: Robot, ticks: DeadlineMonitor):
-        """robot: connected. ticks: told of each control step."""
+        """robot: connected; ticks: records each control step."""
         self._robot, self._ticks = robot, ticks
 
     def move(self, corners: list[np.ndarray], fingers: np.ndarray) -> None:
-        """Move the fingers while the arm stands still, then the arm from posture to posture: the way of the
-        arm is clear for the fingers as they are then. corners: postures of the arm, the first one where it is
-        [rad], each of shape [A]; fingers: independent joints [rad], shape [U]."""
+        """Move the fingers, then the arm from posture to posture, as its path was checked with these fingers.
+        corners: postures of the arm, its current one first [rad], shape [A] each; fingers: independent joints
+        [rad], shape [U]."""
         robot, period = self._robot, self._robot.setpoints.period
         robot.guard.reset()
         when = robot.now()
@@ -127,8 +122,8 @@ class ScriptedMotion:
         robot.place_setpoints(corners[-1], fingers)
 
     def put_down(self, prepared: PreparedGrasp, low: np.ndarray) -> None:
-        """Lower the object, open the hand, withdraw along the way that the palm came. low: where the palm is
-        when the object stands, world frame, shape [1, 7]."""
+        """Lower the object, open the hand, and withdraw along the reversed approach. low: palm pose at which
+        the object stands, world frame, shape [1, 7]."""
         robot, plan, period = self._robot, prepared.plan, self._robot.protocol.control_period
         robot.begin(robot.state())
         fingers = robot.setpoints.fingers.copy()
@@ -140,24 +135,24 @@ class ScriptedMotion:
             step += 1
 
         closing = int(plan.closing_step[0])
-        # As the approach had fingers and palm, step by step: those postures are clear of table and object.
+        # The steps of the approach in reverse: fingers and palm are clear of table and object.
         back = compose(plan.object_pose, plan.palm_setpoint_object[0, : closing + 1][::-1])
         opening = np.concatenate([prepared.start_fingers[None], plan.finger_targets[0, :closing]])[::-1]
-        # The same goal until the object stands; then the hand opens.
+        # Keep the goal until the object stands; then open the hand.
         while opened < 1.0:
             if self.arrived(low, 0.0) and (opened or self._lowered(low)):
                 opened = min(1.0, opened + period / OPEN_TIME)
             go(low, fingers + opened * (opening[:1] - fingers))
-        # The palm follows its goals two steps behind; fingers that do not wait would be open too early.
+        # The palm follows its goals two steps late; fingers without this delay would open too early.
         late = [*opening[:1], *opening[:1], *opening][: len(back)]
         for pose, targets in zip(back, late, strict=True):
             go(pose[None], targets[None])
-        # The way home begins at rest.
+        # The move home begins at rest.
         while not self.arrived(back[-1:], 0.0) or np.abs(robot.setpoints.wrist.turning).max() > STILL:
             go(back[-1:], prepared.start_fingers[None])
 
     def withdraw(self, plan: GraspPlan, gap: np.ndarray) -> None:
-        """Open the hand over what is not held as it should be, and withdraw. gap: of the judge's verdict."""
+        """Lower and release an object that is not held, and withdraw. gap: ``AttemptVerdict.gap``."""
         robot = self._robot
         state = robot.state()
         robot.begin(state)
@@ -171,8 +166,8 @@ class ScriptedMotion:
             step += 1
 
     def wait_for_tick(self, start: float, step: int) -> float:
-        """Wait for a control step; the time of the motion [s]. start: of the first one. Raises: SafetyStop:
-        the switch is pressed."""
+        """Wait for a control step and return the time of the motion [s]. start: time of the first step [s].
+        Raises: SafetyStop: the stop switch is pressed."""
         robot = self._robot
         planned = start + step * robot.control_period
         robot.sleep_until(planned)
@@ -182,23 +177,23 @@ class ScriptedMotion:
         return now
 
     def arrived(self, goal: np.ndarray, above: float) -> bool:
-        """Whether the palm's setpoint is at a goal, world frame, shape [1, 7], raised by a height [m]."""
+        """Return whether the palm's setpoint is at a raised goal, world frame, shape [1, 7]. above: [m]."""
         apart = goal[0, :3] + np.array([0.0, 0.0, above]) - self._robot.setpoints.wrist.pose[0, :3]
         return float(np.linalg.norm(apart)) < ARRIVED
 
     def _lowered(self, goal: np.ndarray) -> bool:
-        """Whether the palm is measured at the height of a goal, shape [1, 7]."""
+        """Return whether the measured palm is at the height of a goal, shape [1, 7]."""
         palm = self._robot.kinematics.palm_pose(self._robot.arm.read().positions)
         return float(palm[2] - goal[0, 2]) < LOWERED
 
     def _step(self, phase: Phase, start: float, step: int, action: Action) -> None:
-        """One control step."""
+        """Make one control step."""
         self.wait_for_tick(start, step)
         self._robot.send_action(action, start + step * self._robot.control_period)
         self.check_length(phase, step)
 
     def check_length(self, phase: Phase, step: int) -> None:
-        """Raises: SafetyStop: a phase has too many control steps."""
+        """Raises: SafetyStop: a phase takes longer than ``LONGEST_PHASE``."""
         if step * self._robot.protocol.control_period > LONGEST_PHASE:
             what = "grasp" if phase in (Phase.GRASP, Phase.LIFT, Phase.HOLD) else f"phase '{phase}'"
             raise SafetyStop(f"the {what} takes too long", StopKind.HOLD)

@@ -1,5 +1,4 @@
-"""Settings and phases of a deployment, and the choice of the grasp: options of commands, without heavy
-imports."""
+"""Settings and phases of a deployment, and the choice of its grasp, for commands: without heavy imports."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ class Phase(StrEnum):
     HOLD = "hold"
     """The object is held."""
     PUT_DOWN = "put down"
-    """The object is lowered, let go of, and the palm withdraws."""
+    """The object is lowered and released, and the palm withdraws."""
     HOME = "home"
     """The arm goes back to where it was."""
     DONE = "done"
@@ -53,7 +52,7 @@ LAST_PHASES: dict[Until, Phase] = {
     "put-down": Phase.PUT_DOWN,
     "home": Phase.HOME,
 }
-"""The last phase where ``DeploymentSpec.until`` says so; the robot ends where it is then."""
+"""Last phase for each ``DeploymentSpec.until``; the robot then stays where it is."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +86,9 @@ class DeploymentSpec:
     look_time: Annotated[float, tyro.conf.Suppress] = 1.0
     """Time in which poses of the object are collected before planning [s]."""
     threads: Annotated[int, tyro.conf.Suppress] = 0
-    """Of the planner; 0 means all processors, but one that is left to the drivers of a robot."""
+    """Threads of the planner; 0 means all processors, on a robot all but one, which its drivers need."""
     about: Annotated[str, tyro.conf.Suppress] = ""
-    """Which grasp, in words, for the log."""
+    """Description of the grasp for the log."""
 
 
 @dataclass(frozen=True)
@@ -114,13 +113,12 @@ class GraspChoice:
 
     @property
     def words(self) -> str:
-        """Which grasp, for a log."""
+        """Description of the grasp for a log."""
         return self.grasp if self.image is None else f"image {self.image}"
 
     def human(self, seed: int = 0) -> tuple[HumanGraspSet, dict[str, ObjectModel]]:
-        """The grasp as a person showed it, and its object by name. seed: of what is drawn on the way from an
-        image. Raises: FungraspError: no such grasp or image, no hand is seen in it, or what is seen is too
-        uncertain."""
+        """Load the person's grasp, and its object by name. seed: for estimates from an image. Raises:
+        FungraspError: no such grasp or image, no hand in the image, or estimates that are too uncertain."""
         if self.image is not None:
             return self._of_image(self.image, seed)
         from fungrasp.grasps import load_human_grasps, load_objects
@@ -131,8 +129,8 @@ class GraspChoice:
         return human, dict(load_objects(human, self.objects))
 
     def robot(self, hand: Hand, seed: int = 0) -> tuple[RobotGraspSet, dict[str, ObjectModel]]:
-        """The grasp, retargeted to the hand of a robot, and its object by name, as ``deploy`` takes them.
-        Raises what ``human`` raises."""
+        """Return the grasp retargeted to a robot hand, and its object by name, for ``deploy``. Raises what
+        ``human`` raises."""
         from fungrasp.retargeting import retarget
 
         human, objects = self.human(seed)
@@ -152,9 +150,9 @@ class GraspChoice:
 
 
 def why_not_tried(perceived: Perceived) -> str:
-    """Why a robot should not try what was seen, as a phrase; "" if nothing speaks against it."""
+    """Return why a robot should not try an estimated grasp, as a phrase; "" if it may."""
     if perceived.grasp.object_name != perceived.object_model.name:
-        # A left hand's grasp is one of a right hand on the object's mirror image, which is not on the table.
+        # Grasps of left hands are mirrored together with their object, and the real object is not mirrored.
         return "it shows a left hand, and robots have right ones"
     if not perceived.confident:
         return "; ".join((perceived.acceptance.summary(), *map(str, perceived.warnings)))
