@@ -1,10 +1,9 @@
-"""Whether an answer can be used: a few quantities with their limits, and what would help.
+"""Whether a result is sure: quantities with limits, and advice.
 
-Each quantity has a unit that means something, and is normalized by what the image itself shows: numbers of
-pixels by the pixels that show the object, lengths in pixels by the image's size, fits at the noise of this
-image's depth. So the limits are the same for every camera. They were chosen on renders of two kinds of depth
-cameras (RealSense D435i, Xtion) and six images of one RealSense camera, between right answers and wrong
-meshes.
+Quantities are normalized by the image itself: numbers of pixels by the object's pixels, lengths in pixels by
+the image's size, fits by the noise of the depth. The limits are therefore the same for every camera. They
+separate right answers from wrong meshes in renders of two kinds of depth cameras (RealSense D435i, Xtion) and
+in six images of one RealSense camera.
 """
 
 from __future__ import annotations
@@ -29,80 +28,79 @@ from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, Perce
 from fungrasp.perception.scene.pixel_classes import SMOOTHED
 
 ACCEPT = 0.5
-"""Score at which every quantity is just within its limit."""
+"""Score if the worst quantity is exactly at its limit."""
 
 UNEXPLAINED = 0.3
-"""Most of the object's pixels, or of the mesh's silhouette, that do not agree [share]."""
+"""Largest fraction of the object's pixels, or of the mesh's silhouette, that disagree."""
 
 WORSE = 2.0
-"""Another size of the mesh must fit worse by so many standard errors of the share explained:
-1 / sqrt(pixels)."""
+"""Standard errors, 1 / sqrt(pixels), by which another size of the mesh must fit worse."""
 
 SIDE = 1.0
-"""Another length of one side may fit better by so many of them: the best of 18 does by chance."""
+"""Standard errors by which another length of one side may fit better; the best of 18 does by chance."""
 
 LARGER, OFF = 1.5, 4.5
-"""Largest difference between the outlines in the image and of the mesh: of their size, and of their place in
-the worst eighth [pixels of an image 640 wide]."""
+"""Largest differences between the outlines of image and mesh: in size, and in position in the worst eighth
+[pixels of an image 640 wide]."""
 
 LEFT_OVER = 0.2
-"""How far what shows the object may reach beyond the mesh, as a part of the mesh's size."""
+"""Largest extent of the object's pixels beyond the mesh, as a fraction of the mesh's size."""
 
 MASK_PIECE = 0.05
-"""Largest connected piece of the mask beyond the mesh, as a part of the object's pixels."""
+"""Largest connected piece of the mask beyond the mesh, as a fraction of the object's pixels."""
 
 RIVAL = 0.97
-"""Fit of the best different pose, as a part of this one's."""
+"""Largest quality of the best different pose, as a fraction of this pose's."""
 
 HAND_SCORE, SURE_JOINTS = 0.6, 0.6
-"""Least score of a hand by its detector, and least mean probability of its joints."""
+"""Smallest score of a hand by its detector, and smallest mean probability of its joints."""
 
 TOUCHING = 2
-"""Fewest parts of the hand, of palm and five fingers, that touch what is held."""
+"""Smallest number of parts of the hand, out of palm and five fingers, that touch the object."""
 
 REACHED = 0.01
-"""The three links nearest to the object are at most so far from it before the hand is fitted to it [m]."""
+"""Largest distance of the third nearest link from the object before the hand is fitted to it [m]."""
 
 SURE_JOINT, WITHIN = 0.95, 0.02
-"""Joints of a lower probability to be within so much of where they were found [m] are not called sure."""
+"""Probability from which a joint is called sure, and the largest error that this means [m]."""
 
 CUT = 0.8
-"""Part of the joints called sure that were within 20 mm in hands that the image's edge cut off (402 of 504,
-68 crops of renders): fingers beyond it are found inside."""
+"""Fraction of sure joints within 20 mm in hands cut off by the image's edge (402 of 504, 68 crops of
+renders): fingers beyond the edge are found inside."""
 
 SIZES, THICKEST = (0.01, 1.5), 0.25
-"""Shortest and longest diagonal of an object that a hand holds [m], and its longest shortest side: a hand
-spans some 0.2."""
+"""Smallest and largest diagonal of an object that a hand holds [m], and its largest thickness: a hand spans
+about 0.2."""
 
 
 @dataclass(frozen=True)
 class Meter:
-    """One quantity and its limit."""
+    """A quantity and its limit."""
 
     name: str
-    """One of ``WORDS``."""
+    """Name, one of ``WORDS``."""
     value: float
-    """In the unit; NaN where it is not known, which speaks neither for nor against."""
+    """Value [``unit``]; NaN if unknown, which counts as met."""
     limit: float
-    """In the unit."""
+    """Limit [``unit``]."""
     tolerance: float
-    """By how much more than the limit the score falls to a quarter, in the unit."""
+    """Excess over the limit at which the score is a quarter [``unit``]."""
     least: bool = False
-    """Whether the limit is the least that will do; else it is the most."""
+    """Whether the limit is a minimum instead of a maximum."""
 
     @property
     def words(self) -> str:
-        """What it is."""
+        """Description of the quantity."""
         return WORDS[self.name][0]
 
     @property
     def unit(self) -> str:
-        """Of value and limit."""
+        """Unit of value and limit."""
         return WORDS[self.name][1]
 
     @property
     def excess(self) -> float:
-        """How far the value is beyond its limit, in tolerances; negative within."""
+        """Distance of the value beyond its limit, in tolerances; negative within."""
         if isnan(self.value):
             return float("-inf")
         beyond = (self.limit - self.value) if self.least else (self.value - self.limit)
@@ -115,7 +113,7 @@ class Meter:
 
 
 def score_of(meters: Sequence[Meter]) -> float:
-    """1 / (1 + 3^excess) of the worst quantity: ``ACCEPT`` where it is at its limit."""
+    """Return 1 / (1 + 3^excess) of the worst quantity: ``ACCEPT`` at its limit."""
     worst = max(meter.excess for meter in meters)
     return float(1.0 / (1.0 + 3.0 ** np.clip(worst, -20.0, 20.0)))
 
@@ -134,11 +132,11 @@ WORDS = {
     "touching": ("parts of the hand that touch the object", ""),
     "reach": ("distance of the hand's nearest links from the object, as measured", "mm"),
 }
-"""What each quantity is, and its unit."""
+"""Description and unit of each quantity, by name."""
 
 
 def object_meters(e: PoseEvidence) -> tuple[Meter, ...]:
-    """What decides whether the pose, and the mesh, are right."""
+    """Return the quantities that decide whether pose and mesh are right."""
     count = max(e.pixels, 1.0)
     noise = 100.0 / np.sqrt(count)
     piece = 100.0 * e.mask_piece / count if e.hinted == 1.0 else nan
@@ -158,15 +156,15 @@ def object_meters(e: PoseEvidence) -> tuple[Meter, ...]:
 
 
 def object_score(evidence: PoseEvidence) -> float:
-    """How clearly all quantities are within their limits, 0 to 1; no probability."""
+    """Return how clearly all quantities are within their limits, 0 to 1; no probability."""
     return score_of(object_meters(evidence))
 
 
 def hand_meters(hand: HandEstimate, touching: int | None, reach: float) -> tuple[Meter, ...]:
-    """What decides whether the hand is right, and holds the object.
+    """Return the quantities that decide whether the hand is right and holds the object.
 
     Args:
-        touching: parts of the hand that touch the object; None where its pose is not accepted.
+        touching: parts of the hand that touch the object; None if the object's pose is not accepted.
         reach: distance of the third nearest link from the object before the hand is fitted to it [m].
     """
     held = nan if touching is None else float(touching)
@@ -181,21 +179,23 @@ def hand_meters(hand: HandEstimate, touching: int | None, reach: float) -> tuple
 def joint_probabilities(
     capture: Capture, fitted: HandEstimate, hand: HandEstimate, object_known: bool
 ) -> np.ndarray:
-    """Probability that each joint is within ``WITHIN`` of where it was found, shape [21]: of a normal error
-    whose variance is the sum of the fit's own, of how far the joint is from its landmark, and of how far
-    it is from the depth measured there. The fit knows nothing of wrong landmarks.
+    """Return the probability that each joint is within ``WITHIN`` of its true position, shape [21].
+
+    The error is assumed to be normal. Its variance is the sum of the fit's own, which ignores wrong
+    landmarks, and of squared distances of the joint from its landmark and from the measured depth.
 
     Args:
-        fitted: the hand before the object was known.
-        object_known: whether the object's pose was accepted, and the hand touches it: else the depth of the
-            hand is uncertain by ``UNHELD``.
+        fitted: hand before the object is known.
+        hand: final hand.
+        object_known: whether the object's pose is accepted and the hand is fitted to it; otherwise the hand's
+            depth is uncertain by ``UNHELD``.
     """
     pixels = capture.intrinsics.project(hand.joints_camera)
     away = np.linalg.norm(pixels - hand.pixels, axis=1) * hand.joints_camera[:, 2] / capture.intrinsics.fx
-    # A landmark that is off takes those of its finger with it, and makes the others doubtful.
+    # A wrong landmark pulls its finger along, and makes all others doubtful.
     of_finger = away.copy()
     of_finger[1:] = np.repeat(away[1:].reshape(5, 4).max(axis=1), 4)
-    # Joints are about 10 mm behind the skin; where a finger is hidden another thing's depth is measured.
+    # Joints are about 10 mm behind the skin; at hidden fingers, the depth is that of another thing.
     depth = np.where(capture.measured, capture.depth, np.nan)
     behind = hand.joints_camera[:, 2] - median_depth(depth, pixels) - 0.01
     behind = np.clip(np.nan_to_num(behind), -DEPTH_ERROR, DEPTH_ERROR)
@@ -209,34 +209,34 @@ def joint_probabilities(
 
 
 DEPTH_ERROR = 0.01
-"""Depth that differs more from a joint's is that of another thing, and tells no more [m]."""
+"""Bound of the depth difference at a joint [m]; larger ones are due to other things."""
 
 UNHELD = 0.018
-"""Standard deviation of the depth of a hand that is not fitted to an object [m]: of real images."""
+"""Standard deviation of the depth of a hand that is not fitted to an object [m], from real images."""
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Whether an answer can be used."""
+    """Whether a result is sure, and why."""
 
     sure: bool
-    """Whether all quantities are within their limits, and nothing speaks against it."""
+    """Whether all quantities are within their limits, and there is no ``doubt``."""
     object: float
-    """How clearly those of the object's pose are, 0 to 1; ``ACCEPT`` at the limit. No probability."""
+    """Score of the object's quantities, 0 to 1; ``ACCEPT`` at the limit. No probability."""
     hand: float
-    """The same of the hand and its touch."""
+    """Score of the hand's quantities."""
     evidence: tuple[Meter, ...]
-    """The quantities."""
+    """All quantities."""
     help: tuple[str, ...]
-    """What would make a surer answer, most useful first; empty where it is sure."""
+    """Advice for a surer result, most useful first; empty if it is sure."""
     fitted: str = ""
-    """Shape that was fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the part of what
-    is seen that it explains."""
+    """Shape fitted to an object without a mesh, "box:60x28x30"; ``object`` is then the fraction of the
+    object's pixels that it explains."""
     doubt: str = ""
-    """What keeps it from being sure whatever the quantities are; empty where nothing does."""
+    """Reason why the result is not sure whatever its quantities are; empty if there is none."""
 
     def summary(self) -> str:
-        """All of it in a line."""
+        """Return one line that sums up the result."""
         failed = [f"{m.words} {_shown(m)}, not {_limit(m)}" for m in self.evidence if not m.met]
         against = self.doubt or "; ".join(failed[:2])
         if self.fitted:
@@ -251,7 +251,7 @@ class Acceptance:
         return f"not sure: {against or 'the pose is not judged'}"
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """The evidence as a table: what, value, limit, whether it is met."""
+        """Return the evidence as a table with a header: quantity, value, limit, whether it is met."""
         table = [("evidence", "value", "limit", "met")]
         for one in self.evidence:
             met = "-" if isnan(one.value) else "yes" if one.met else "no"
@@ -259,7 +259,7 @@ class Acceptance:
         return table
 
     def as_json(self) -> dict[str, Any]:
-        """To be written as JSON; null where a number is not known."""
+        """Return the record for a JSON file; unknown numbers are None."""
         rows = [
             asdict(one)
             | {"value": one.value if isfinite(one.value) else None, "unit": one.unit, "met": one.met}
@@ -296,25 +296,25 @@ def judge(
     doubt: str = "",
     given: bool = False,
 ) -> Acceptance:
-    """Whether object and hand can be used.
+    """Decide whether object and hand are sure.
 
     Args:
-        touching, reach: of the hand, see ``hand_meters``.
-        fitted: shape that stands for an object without a mesh.
-        doubt: what speaks against it whatever the quantities are.
-        given: whether the pose came from elsewhere and was not looked for.
+        touching, reach: see ``hand_meters``.
+        fitted: shape fitted to an object without a mesh.
+        doubt: reason against the result, whatever its quantities are.
+        given: whether the object's pose was given instead of searched.
     """
     of_hand = hand_meters(hand, touching, reach)
     of_object = () if obj.evidence is None else object_meters(obj.evidence)
     right_hand = all(meter.met for meter in of_hand)
     if obj.evidence is None and not obj.accepted:
-        # It was not compared with the image, and nothing else is to be mended first.
+        # The pose was not compared with the image; the warnings say why.
         doubt = doubt or "; ".join(map(str, obj.warnings))
     sure = obj.accepted and right_hand and not doubt
     advice = object_help(obj, given)
     if fitted and not obj.accepted:
         advice = ("a click at the object (--point u,v), or a mask", "a mesh of the object")
-    # Joints are less probable where the object is not known: that is to be mended first.
+    # Joints are less probable while the object is unknown: then they give no advice.
     if not (of_hand[0].met and (of_hand[1].met or not obj.accepted)):
         advice += ("a view in which more of the hand is seen, bare and well lit",)
     elif obj.accepted and not right_hand:
@@ -323,18 +323,19 @@ def judge(
 
 
 LOOSE_MASK = 0.25
-"""A mask with a larger part of other things is loose: 6 pixels too many around an object of 50 make 40 %,
-true masks of the images looked at had up to 20 %."""
+"""Fraction of other things in a mask from which it is loose: 6 extra pixels around an object of 50 pixels are
+40 %; exact masks had up to 20 %."""
 
 MUCH_HIDDEN, FEW_PIXELS = 0.35, 2000
-"""Part of the silhouette that is hidden, and measured pixels of the object, beyond which right answers are
+"""Hidden fraction of the silhouette, and number of measured object pixels, beyond which right answers are
 less often sure."""
 
 
 def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
-    """What would make an object's pose surer, most useful first; nothing where it is accepted.
+    """Return advice for a surer pose, most useful first; empty if the pose is accepted or was not compared.
 
-    given: whether it came from elsewhere.
+    Args:
+        given: whether the pose was given instead of searched.
     """
     e = obj.evidence
     if e is None or obj.accepted:
@@ -342,7 +343,7 @@ def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
     failed = {meter.name for meter in object_meters(e) if not meter.met}
     size = bool(failed & {"other_size", "other_side"})
     covered = failed & {"unexplained", "larger", "off", "left_over", "mask_piece"}
-    # A click tells where to look for a pose; one that is given needs a mask.
+    # A click helps to search a pose; a given pose needs a mask.
     found = {
         "a mesh of the right size: another one fits better; is its unit right?": (
             max(e.other_size, e.other_side) > 0.05
@@ -361,10 +362,10 @@ def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
 
 
 def check_holdable(model: ObjectModel) -> None:
-    """Complain about a mesh that no hand holds, or that is far from its origin.
+    """Check that a hand can hold an object and that its mesh is near its origin.
 
     Raises:
-        FungraspError: see there.
+        FungraspError: it is too large, too small, or too far from its origin.
     """
     size = float(np.linalg.norm(model.size))
     if not SIZES[0] < size < SIZES[1] or min(model.size) > THICKEST:
@@ -374,12 +375,12 @@ def check_holdable(model: ObjectModel) -> None:
 
 
 def check_held(hand: HandEstimate, obj: ObjectEstimate, model: ObjectModel, *, hinted: bool) -> None:
-    """Complain about an object that the hand can't be holding, as a ``HumanGrasp`` does.
+    """Check that the object is near enough to the hand for a ``HumanGrasp``.
 
     Args:
         hand: camera frame.
-        obj: the object's pose, camera frame.
-        hinted: whether it was said where the object is.
+        obj: camera frame.
+        hinted: whether the object's place in the image was given.
 
     Raises:
         FungraspError: the object is too far from the hand, or its mesh from its origin.
@@ -400,7 +401,7 @@ def check_held(hand: HandEstimate, obj: ObjectEstimate, model: ObjectModel, *, h
 
 
 def _check_origin(model: ObjectModel, allowed: float) -> None:
-    """Complain about a mesh of which all is farther from its origin than is allowed [m]."""
+    """Check that a vertex of the mesh is within ``allowed`` [m] of its origin."""
     away = float(np.linalg.norm(model.vertices, axis=1).min())
     if away > allowed:
         raise FungraspError(
@@ -410,14 +411,16 @@ def _check_origin(model: ObjectModel, allowed: float) -> None:
 
 
 def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fitted: bool) -> str:
-    """What speaks against the answer, whatever its quantities are: they are those of images of the right
-    scale and of the side that the hand has, with aligned depth, in which hand and object are whole.
+    """Return a reason against the result, whatever its quantities are; empty if there is none.
+
+    The limits hold for correct scale, aligned depth, the right side of the hand, and a complete hand and
+    object.
 
     Args:
-        side_score: probability of the hand's side, where it was seen in the image.
-        fitted: whether a shape was fitted; a mesh that fits has the size of what is seen, a shape takes any.
+        side_score: probability of the hand's side; None if it was not seen in the image.
+        fitted: whether a shape was fitted, which takes any size; a mesh that fits confirms the scale.
     """
-    # What is cut off may slide along the edge, and fingers beyond it are found inside.
+    # An object that is cut off may slide along the edge; fingers beyond the edge are found inside.
     against = {"cut_off", "depth_shifted", "depth_turned", "axis_off_centre"} | (
         {"hand_size"} if fitted else set()
     )
@@ -432,9 +435,8 @@ def doubt_of(warnings: Sequence[PerceptionWarning], side_score: float | None, fi
 def plausibility_warnings(
     capture: Capture, hand: HandEstimate, obj: ObjectEstimate, model: ObjectModel
 ) -> list[PerceptionWarning]:
-    """Warnings of a hand, or an object whose pose is accepted, that the image's edge cuts off; of swapped red
-    and blue; and of a hand smaller or larger than those of 95 % of adults: of the scale of depth and
-    intrinsics, nothing else in an image tells as much."""
+    """Return warnings about hand and accepted object cut off by the image's edge, swapped red and blue, and a
+    hand size outside that of 95 % of adults, which is the best sign of a wrong scale."""
     lens, edges = capture.intrinsics, {"hand": edge_of_hand(capture, hand)}
     if obj.accepted:
         pixels = lens.project(transform_points(obj.pose_camera_object, model.vertices))
@@ -450,9 +452,8 @@ def plausibility_warnings(
 
 
 def _looks_blue(capture: Capture, hand: HandEstimate) -> bool:
-    """Whether more of the hand's pixels are blue than red, by 10 of 255: skin of all people is redder than it
-    is blue. Of an overexposed hand 8 % of the pixels tell, so that 5 % are enough; in images as they should
-    be none is blue."""
+    """Return whether more of the hand's pixels are blue than red, by 10 of 255. Skin of all people is redder
+    than blue: 8 % of the pixels of an overexposed hand show it, and in correct images none is blue."""
     near, far = hand.pixels[np.transpose(BONES)]
     part = np.linspace(0, 1, 8)[:, None, None]
     u, v = np.rint(near + part * (far - near)).astype(int).reshape(-1, 2).T
@@ -464,14 +465,14 @@ def _looks_blue(capture: Capture, hand: HandEstimate) -> bool:
 
 
 def edge_of_hand(capture: Capture, hand: HandEstimate) -> str | None:
-    """The edge of the image that cuts off a hand; None if it is whole."""
+    """Return the edge of the image that cuts off a hand; None if it is complete."""
     lens = capture.intrinsics
     return cut_edge(lens, np.concatenate([hand.pixels, lens.project(hand.joints_camera)]))
 
 
 def cut_edge(lens: Intrinsics, pixels: np.ndarray) -> str | None:
-    """The edge of the image beyond which, or within 2 pixels of which, most of a thing's pixels are, shape
-    [N, 2]; None if none is."""
+    """Return the edge of the image with most pixels beyond it, or less than 2 pixels inside; None if there
+    are none. pixels: shape [N, 2]."""
     u, v = pixels.T
     beyond = {
         "left": 2.0 - u,

@@ -1,7 +1,6 @@
-"""Compiled loops: distances of many points from capsules, rays that may meet an object, the equations of its
-fit.
+"""Compiled loops: distances from capsules, rays near an object, and the equations of a pose fit.
 
-Products are summed in the order in which NumPy's einsum does: x, z, y, where capsules are concerned.
+Products of capsules are summed in the order x, z, y, as in NumPy's einsum.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from fungrasp.geometry.distance_queries import signed_distance
 
 @compiled_part
 def _along(point, first, last):
-    """Where on a line the point nearest to another is, 0 to 1, and the offset from there (x, y, z)."""
+    """Return the nearest point of a line, 0 to 1, and the offset of the given point from it (x, y, z)."""
     lx, ly, lz = last[0] - first[0], last[1] - first[1], last[2] - first[2]
     x, y, z = point[0] - first[0], point[1] - first[1], point[2] - first[2]
     square = lx * lx + ly * ly + lz * lz
@@ -30,7 +29,7 @@ def _along(point, first, last):
 def capsule_distances(
     points: np.ndarray, first: np.ndarray, last: np.ndarray, radius: np.ndarray, distance: np.ndarray
 ) -> None:
-    """Write what ``hand_capsules.capsule_distances`` returns. Args: as there; distance: shape [P]."""
+    """Write the result of ``hand_capsules.capsule_distances`` to ``distance``, shape [P]."""
     for p in range(len(points)):
         nearest = math.inf
         for c in range(len(first)):
@@ -53,11 +52,11 @@ def nearest_capsules(
     along: np.ndarray,
     normal: np.ndarray,
 ) -> None:
-    """Write what ``hand_capsules.nearest_capsules`` returns.
+    """Write the results of ``hand_capsules.nearest_capsules`` for S hands.
 
     Args: points: shape [P, 3]; first, last: shape [S, C, 3]; radius: at both ends, shape [C, 2]; far_side,
-    penalty: ``FAR_SIDE`` and its penalty; which: int64, shape [S, P], as distance and along; normal: shape
-    [S, P, 3].
+    penalty: ``FAR_SIDE`` and ``FAR_SIDE_PENALTY``; which: int64, shape [S, P], as distance and along; normal:
+    shape [S, P, 3].
     """
     for p in range(len(points)):
         px, py, pz = points[p, 0], points[p, 1], points[p, 2]
@@ -83,12 +82,12 @@ def nearest_capsules(
 
 @compiled
 def count_rays(slopes: np.ndarray, middles: np.ndarray, least: np.ndarray, counts: np.ndarray) -> None:
-    """Write how many rays pass the sphere round the object in each of H poses.
+    """Write the number of rays that pass the bounding sphere of the object in each of H poses.
 
     Args:
         slopes: unit vectors along the rays from the camera's center, shape [R, 3].
-        middles: of the spheres [m], camera frame, shape [H, 3].
-        least: a ray that passes a sphere has its middle so far along it at least [m], shape [H].
+        middles: centers of the spheres [m], camera frame, shape [H, 3].
+        least: smallest distance of a sphere's center along a ray that passes it [m], shape [H].
         counts: int64, shape [H].
     """
     for h in range(len(middles)):
@@ -111,10 +110,10 @@ def local_rays(
     ray: np.ndarray,
     local: np.ndarray,
 ) -> None:
-    """Write pose and ray of each ray that passes a sphere, int64, shape [N], and its direction as the object
-    sees it, float32, shape [N, 3].
+    """Write pose and ray of each ray that passes a sphere, int64, shape [N], and its direction in the object
+    frame, float32, shape [N, 3].
 
-    Args: as of ``count_rays``; directions: the rays, of any length, shape [R, 3]; axes: of the object, as
+    Args: as of ``count_rays``; directions: rays of any length, shape [R, 3]; axes: axes of the object as
     columns, shape [H, 3, 3].
     """
     n = np.int64(0)
@@ -131,8 +130,8 @@ def local_rays(
 
 @compiled_part
 def intrusion(x, y, z, depth, refuge, lens, table):
-    """How far a point [m], camera frame, would have to move to be allowed by a ``FreeSpace`` [m], and the
-    gradient of that; 0 for allowed points."""
+    """Return how far a point [m], camera frame, must move to leave forbidden space (``FreeSpace``) [m], and
+    the gradient of this distance; 0 for allowed points."""
     near = z if z > 1e-3 else 1e-3
     ux, uy = x / near, y / near
     column = int(np.rint(lens[0] * ux + lens[2]))
@@ -140,7 +139,7 @@ def intrusion(x, y, z, depth, refuge, lens, table):
     distance, gx, gy, gz = 0.0, 0.0, 0.0, -1.0
     if 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0]:
         short = depth[row, column] - near
-        # Most points are allowed: the way out, far away in memory, is then not looked at.
+        # Most points are allowed: they need no look at ``refuge``, which is far away in memory.
         if short > 0:
             distance = short
             away_v, away_u = row - refuge[0, row, column], column - refuge[1, row, column]
@@ -157,8 +156,8 @@ def intrusion(x, y, z, depth, refuge, lens, table):
 
 @compiled_part
 def _add(sums, arm, gradient, residual, weight):
-    """Add a residual whose gradient by the point's position is given, for a turn and a shift, to the matrix's
-    upper triangle, row by row, and the vector behind it: one short array stays close at hand."""
+    """Add a residual, with its gradient by the point's position, to the normal equations of a turn and a
+    shift: the matrix's upper triangle, row by row, then the vector, in one short array."""
     ax, ay, az = arm
     gx, gy, gz = gradient
     j = (ay * gz - az * gy, az * gx - ax * gz, ax * gy - ay * gx, gx, gy, gz)
@@ -191,9 +190,9 @@ def fit_terms(
 ) -> None:
     """Write matrix [H, 6, 6], vector [H, 6] and cost [H] of each pose.
 
-    Args: as in ``fit_poses``; weight, scale: of the points, shape [P]; depth, refuge, lens (focal lengths and
-    center [pixels], shape [4]), table (far below where there is none): of the free space; rotation [H, 3, 3]
-    and position [H, 3] of the poses.
+    Args: as in ``fit_poses``; weight, scale: per point, shape [P]; depth, refuge, lens (focal lengths and
+    center [pixels], shape [4]), table (far below if there is none): free space; rotation [H, 3, 3] and
+    position [H, 3]: poses.
     """
     sums = np.empty(27)
     for h in range(len(position)):
