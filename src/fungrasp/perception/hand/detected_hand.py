@@ -1,4 +1,4 @@
-"""Hands that a detector found in the color image, and which of them may be the one that holds the object."""
+"""Hands detected in the color image, and the choice of hands that may hold the object."""
 
 from __future__ import annotations
 
@@ -17,56 +17,54 @@ from fungrasp.perception.io.capture import Box, CameraFrame, Capture
 from fungrasp.perception.io.estimates import HandEstimate, ObjectEstimate, PerceptionWarning, Side
 
 HAND_LENGTH = 0.19  # Length of an adult's hand from wrist to fingertips [m].
-# What is shorter in the image is blurred in the models' windows, some of which then show hands in lenses,
-# paws and parts of hands [pixels]. An adult's hand is 36 pixels wide then. At the far end of the range, 0.9
-# m, it is so long for a camera of 640 pixels and 80 degrees.
+# Length of a hand in the image below which the models' windows are blurred, so that some show hands in
+# lenses, paws and parts of hands [pixels]. An adult's hand is then 36 pixels wide. A camera with 640 pixels
+# and 80 degrees sees this length at the far end of the range, 0.9 m.
 CLEAR_LENGTH = 80.0
-# Below this part of its windows' votes the landmark model is overruled by how the fingers bend.
+# Probability of the landmark model's side below which the fingers' flexion overrules it.
 UNDECIDED = 0.6
-# Fingers bent back by more, on average over their joints, are those of the other hand [rad].
+# Mean backward bend of the fingers' joints beyond which they belong to the other hand [rad].
 BENT_BACK = np.radians(8.0)
-# If the landmark model is confident of the side, fingers bent back by more say that its landmarks are wrong
-# [rad].
+# Backward bend that means wrong landmarks if the landmark model is confident of the side [rad].
 IMPOSSIBLE = np.radians(20.0)
-DISTRUST = 0.5  # Factor of the hand's score in that case.
-MIRROR_X = np.array([-1.0, 1.0, 1.0])  # Reflection that swaps left and right of the image, by coordinate.
+DISTRUST = 0.5  # Factor on the hand's score in that case.
+MIRROR_X = np.array([-1.0, 1.0, 1.0])  # Reflection of x, which swaps left and right of the image.
 
 
 @dataclass(frozen=True, eq=False)
 class DetectedHand:
-    """A hand in the image, joints in the order of ``HUMAN_JOINTS``."""
+    """A hand in the image; joints in the order of ``HUMAN_JOINTS``."""
 
     pixels: np.ndarray
     """Landmarks [pixels], shape [21, 2]."""
     shape_camera: np.ndarray
-    """Landmarks about the hand's middle [m], shape [21, 3], camera axes; size and depth are guesses of the
-    model."""
+    """Landmarks about the hand's center [m], camera axes, shape [21, 3]; the model guesses size and depth."""
     side: Side
-    """Which hand of the person."""
+    """Side of the hand."""
     side_score: float
     """Probability of ``side``, 0.5 to 1."""
     score: float
     """Probability that this is a hand, 0 to 1."""
     spread: float | None = None
-    """Standard deviation of a landmark, hidden or not, each way [pixels]; None: as MediaPipe's err, see
+    """Standard deviation of a landmark along each axis, hidden or not [pixels]; None for MediaPipe's, see
     ``fit_problem.LANDMARK_SPREAD``."""
     direction_spread: float | None = None
-    """Standard deviation of the directions of bones in ``shape_camera`` [rad]; None: as above."""
+    """Standard deviation of bone directions in ``shape_camera`` [rad]; None as above."""
 
     @property
     def box(self) -> np.ndarray:
-        """``x0 y0 x1 y1`` around the landmarks [pixels], shape [4]."""
+        """Box ``x0 y0 x1 y1`` around the landmarks [pixels], shape [4]."""
         return np.concatenate([self.pixels.min(axis=0), self.pixels.max(axis=0)])
 
     @property
     def extent(self) -> float:
-        """Diagonal of that box [pixels]."""
+        """Diagonal of the box [pixels]."""
         return float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
 
     @property
     def length(self) -> float:
-        """How long a straight hand of this scale is in the image [pixels], by ``shape_camera``; where it has
-        no size, the extent."""
+        """Length of a straight hand at the image scale of ``shape_camera`` [pixels]; the extent if that has
+        no size."""
         pixels = self.pixels - self.pixels.mean(axis=0)
         shape = self.shape_camera[:, :2] - self.shape_camera[:, :2].mean(axis=0)
         size = float((shape**2).sum())
@@ -74,40 +72,39 @@ class DetectedHand:
 
     @property
     def right(self) -> float:
-        """Probability that it is a right hand."""
+        """Probability of a right hand."""
         return self.side_score if self.side == "right" else 1.0 - self.side_score
 
     def distance(self, other: DetectedHand) -> float:
-        """Mean distance of the landmarks of two hands [pixels]."""
+        """Return the mean distance between the landmarks of two hands [pixels]."""
         return float(np.linalg.norm(self.pixels - other.pixels, axis=1).mean())
 
 
 class HandDetector(Protocol):
-    """What finds hands in a color image; ``MediaPipeHandDetector`` is one."""
+    """Finds hands in color images, such as ``MediaPipeHandDetector``."""
 
     def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
-        """All hands found in an RGB image, shape [H, W, 3]; near: a box beside or around the hand."""
+        """Detect hands in an RGB image, shape [H, W, 3]. near: box beside or around the hand [pixels]."""
         ...
 
 
 @runtime_checkable
 class DepthHandDetector(HandDetector, Protocol):
-    """A detector that makes use of how large hands are in the image."""
+    """A detector that uses the size of hands in the image."""
 
     def detect_with_depth(
         self, color: np.ndarray, lengths: np.ndarray, near: Box | None = None
     ) -> list[DetectedHand]:
-        """``detect`` with known depth. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
+        """Detect hands with known depth. lengths: ``hand_lengths`` of the image [pixels], shape [H, W]."""
         ...
 
 
 def find_hands(
     detector: HandDetector, capture: Capture | CameraFrame, near: Box | None = None
 ) -> list[DetectedHand]:
-    """All hands found in an image by a detector, which may be one that depth helps.
+    """Return the hands found by a detector, with depth if it is a ``DepthHandDetector``.
 
-    What is not as large as a hand by the depth measured where it is seen is left out, whoever found it;
-    nothing is where no depth is known.
+    Hands of impossible size at the measured depth are dropped; without depth, none are.
     """
     lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
     if isinstance(detector, DepthHandDetector):
@@ -118,29 +115,30 @@ def find_hands(
 
 
 def hand_lengths(depth: np.ndarray, focal: float) -> np.ndarray:
-    """How long a hand is in the image at the depth of each pixel [pixels], shape [H, W]; NaN without depth.
+    """Return the length of a hand at the depth of each pixel [pixels], shape [H, W]; NaN without depth.
 
-    depth: [m], shape [H, W], 0 where nothing was measured; focal: length [pixels].
+    depth: [m], shape [H, W]; 0: not measured; focal: focal length [pixels].
     """
     return HAND_LENGTH * focal / np.where(depth > 0, depth, np.nan)
 
 
 def which_side(right: float) -> dict[str, Any]:
-    """Fields of a detected hand that is a right one with some probability."""
+    """Return the fields ``side`` and ``side_score`` for the probability of a right hand."""
     return {"side": "right" if right >= 0.5 else "left", "side_score": float(max(right, 1 - right))}
 
 
 def choose_hand(
     hands: Sequence[DetectedHand], near: Box | None = None, side: Side | None = None
 ) -> tuple[DetectedHand, list[PerceptionWarning]]:
-    """The hand that is meant.
+    """Choose the hand that is meant.
 
     Args:
-        near: box around the object, or around the hand [pixels].
+        near: box around the object or the hand [pixels].
+        side: side of the hand, if known.
 
     Returns:
-        The hand of that side, if there is one, nearest to the box; without a box, the one largest in the
-        image. And warnings of the choice.
+        The hand of this side, if there is one, that is nearest to the box or, without a box, largest in the
+        image; and warnings about the choice.
 
     Raises:
         FungraspError: there is no hand.
@@ -169,7 +167,7 @@ def choose_hand(
 
 
 def largest_first(hands: Sequence[DetectedHand]) -> list[DetectedHand]:
-    """The hands by the area of their boxes in the image, largest first."""
+    """Sort hands by the area of their boxes, largest first."""
     return sorted(hands, key=lambda hand: -float(np.prod(hand.box[2:] - hand.box[:2])))
 
 
@@ -179,13 +177,10 @@ def _distance_to_box(hand: DetectedHand, box: Box) -> float:
 
 
 def settle_side(hand: DetectedHand, side: Side | None = None) -> tuple[DetectedHand, list[PerceptionWarning]]:
-    """The hand with the side that it has.
+    """Return the hand with its probable side, and a warning if the side or the landmarks are uncertain.
 
-    The landmark model tells the side from the picture, and is at times wrong about a hand behind an object.
-    The same landmarks in 3D, taken for a hand of the other side, bend their fingers backwards.
-
-    Returns:
-        The hand, and a warning if the side was uncertain.
+    The landmark model recognizes the side from the image and sometimes fails for a hand behind an object. If
+    the 3D landmarks are taken for a hand of the wrong side, its fingers bend backwards. A given side is kept.
     """
     if side is not None:
         return dataclasses.replace(hand, side=side), []
@@ -203,18 +198,18 @@ def settle_side(hand: DetectedHand, side: Side | None = None) -> tuple[DetectedH
     return hand, []
 
 
-# Least and largest extent of a hand's landmarks in the image, in hand lengths. Of 170 rendered hands, most of
-# them bent about an object, all were between 0.46 and 1.03.
+# Smallest and largest extent of a hand's landmarks, in hand lengths: 170 rendered hands, most of them bent
+# about an object, had 0.46 to 1.03.
 EXTENTS = (0.4, 1.2)
 
 
 def length_at(pixels: np.ndarray, lengths: np.ndarray | None, otherwise: float) -> float:
-    """How long a hand at some pixels is in the image [pixels].
+    """Return the length of a hand at some pixels [pixels]: the median of ``lengths`` there.
 
     Args:
         pixels: shape [N, 2].
-        lengths: ``hand_lengths``, whose median counts; None if depth is not known.
-        otherwise: what is said if it is not known there.
+        lengths: ``hand_lengths``; None if depth is unknown.
+        otherwise: result if the length is unknown.
     """
     if lengths is None:
         return otherwise
@@ -227,32 +222,32 @@ def length_at(pixels: np.ndarray, lengths: np.ndarray | None, otherwise: float) 
 
 
 def possible(hand: DetectedHand, length: float) -> bool:
-    """Whether the landmarks of a hand may extend so far. length: of a hand in the image [pixels]."""
+    """Return whether a hand's extent is possible. length: length of a hand in the image [pixels]."""
     return EXTENTS[0] < hand.extent / length < EXTENTS[1]
 
 
 def clear(hand: DetectedHand, lengths: np.ndarray | None) -> bool:
-    """Whether a hand has enough pixels to be seen clearly.
+    """Return whether a hand has enough pixels to be seen clearly.
 
-    lengths: as in ``length_at``; where depth is not known, the hand's own scale counts.
+    lengths: as in ``length_at``; without depth, the scale of ``shape_camera`` is used.
     """
     return length_at(hand.pixels, lengths, otherwise=hand.length) >= CLEAR_LENGTH
 
 
-MOST = 2  # So many hands of an image are looked at more closely.
-# A hand with no joint so near to the object's surface [m] does not hold it: joints of a finger that touches
-# are 6 to 11 mm from it, and estimated to 10 to 30 mm.
+MOST = 2  # Largest number of hands that are fitted.
+# Largest distance between the box around the object and the nearest joint of a hand that holds it [m]: joints
+# of a touching finger are 6 to 11 mm from the surface, and located to 10 to 30 mm.
 HOLDING = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class HandHypothesis:
-    """A hand that may be the one that holds the object."""
+    """A hand that may hold the object."""
 
     detected: DetectedHand
-    """With the side that it has."""
+    """Detection with its probable side."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """What was uncertain in the choice."""
+    """Uncertainties in the choice."""
 
 
 def hand_hypotheses(
@@ -262,15 +257,16 @@ def hand_hypotheses(
     side: Side | None,
     detector: HandDetector,
 ) -> list[HandHypothesis]:
-    """The hands that may hold the object: one, where the object's place says which or only one is there; else
-    the two largest of the side.
+    """Return the hands that may hold the object: one, if the object's place is known or only one hand fits;
+    else the two largest of the side.
 
     Args:
-        near: box around the object [pixels], if its place is known.
-        detector: found them; where there are none, it is asked for one of another size.
+        hands: hands that ``detector`` found; if there are none, the error says why.
+        near: box around the object [pixels], if known.
+        side: side of the hand, if known.
 
     Raises:
-        FungraspError: there is no hand; the message says what may be the reason.
+        FungraspError: there is no hand; the message gives a probable reason.
     """
     if not hands and (reason := _of_another_size(capture, near, detector)):
         raise FungraspError(f"no hand was found in the image; {reason}")
@@ -291,7 +287,7 @@ def hand_hypotheses(
 
 
 def _why_no_hand(capture: Capture) -> str:
-    """What may be the reason that no hand is found, in words; empty if nothing is known."""
+    """Return a probable reason why no hand is found, in words; empty if there is none."""
     color, depth, reasons = capture.color[::2, ::2], capture.depth, []
     if np.percentile(color.mean(axis=-1), 95) < 40:
         reasons.append("too dark: more light, or a longer exposure")
@@ -305,7 +301,7 @@ def _why_no_hand(capture: Capture) -> str:
 
 
 def _of_another_size(capture: Capture, near: Box | None, detector: HandDetector) -> str:
-    """What looks like a hand, but is not as large as one by the depth measured there; empty if nothing is."""
+    """Return a description of a detected hand of impossible size at its depth; empty if there is none."""
     lengths = hand_lengths(capture.depth, capture.intrinsics.fx)
     for hand in detector.detect(capture.color, near):
         length = length_at(hand.pixels, lengths, otherwise=hand.extent)
@@ -323,23 +319,22 @@ def _of_another_size(capture: Capture, near: Box | None, detector: HandDetector)
 def hands_elsewhere(
     capture: Capture, known: Sequence[DetectedHand], side: Side | None, detector: HandDetector
 ) -> list[HandHypothesis]:
-    """More hands, where those known are painted over: detectors stop at a hand that is easy to see, which may
-    be somebody else's. Empty if there are none. known: hands that were found and don't hold the object."""
+    """Detect further hands after painting over those that do not hold the object: detectors stop at a clearly
+    visible hand, which may be another person's. known: hands to paint over."""
     color, depth = capture.color.copy(), capture.depth.copy()
     ground = np.median(color.reshape(-1, 3), axis=0).astype(np.uint8)
     for hand in known:
         x0, y0, x1, y1 = np.clip(np.rint(hand.box), 0, None).astype(int)
         color[y0 : y1 + 1, x0 : x1 + 1], depth[y0 : y1 + 1, x0 : x1 + 1] = ground, 0.0
     found = find_hands(detector, CameraFrame(color, depth, capture.intrinsics, 0.0))
-    # One that is found again beside its painted place is no other hand.
+    # A hand that is found again beside its painted box is no other hand.
     others = [h for h in found if side in (None, h.side) and all(_apart(h, k) for k in known)]
     count = len(known) + len(others)
     return [_settled(hand, [_several(hand, count)], side) for hand in largest_first(others)[:MOST]]
 
 
 def object_box(capture: Capture, model: ObjectModel | None, given: ObjectEstimate | None) -> Box | None:
-    """The box around the object [pixels]: the one that was given, that of its mask or point, or that of the
-    object in the pose that it is said to have; None if nothing was said."""
+    """Return the box around the object from box, point, mask or given pose [pixels]; None without any."""
     if capture.box is not None:
         return capture.box
     if capture.point is not None:
@@ -358,17 +353,17 @@ def object_box(capture: Capture, model: ObjectModel | None, given: ObjectEstimat
 
 
 def may_hold(hand: HandEstimate, obj: ObjectEstimate, vertices: np.ndarray) -> bool:
-    """Whether the object's pose is rather right than wrong and the hand is at it.
+    """Return whether the object's pose is probably right and the hand is near the object.
 
     Args:
         hand: camera frame.
-        obj: the object's pose, camera frame.
-        vertices: of its mesh, object frame [m], shape [V, 3].
+        obj: camera frame.
+        vertices: vertices of the mesh [m], object frame, shape [V, 3].
     """
     if not (obj.accepted or obj.score > 0.5):
         return False
     surface = transform_points(obj.pose_camera_object, vertices)
-    # Large triangles have their vertices far from the hand: what counts is the box they span.
+    # Vertices of large triangles may all be far from the hand, so the box around them is used.
     low, high = surface.min(axis=0) - HOLDING, surface.max(axis=0) + HOLDING
     return bool(((hand.joints_camera > low) & (hand.joints_camera < high)).all(axis=1).any())
 

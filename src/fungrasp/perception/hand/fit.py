@@ -1,9 +1,9 @@
-"""The hand in meters, fitted to the image, with or without the object that it holds.
+"""Fit of a hand to an image in meters, with or without the object that it holds.
 
-Landmarks say where joints are in the image; depth, how far the skin in front of them is and where no hand can
-be; the landmark model's own 3D shape, roughly how bones point; anatomy, what lengths and angles are possible;
-the object, once its pose is known, what fingers touch. Depth is trusted only where it agrees with the rest: a
-joint behind the object is seen too near, one beside its landmark too far.
+Landmarks give joint positions in the image; depth gives the position of the skin and excludes free space; the
+landmark model's 3D shape gives approximate bone directions; anatomy limits lengths and angles; the object,
+once its pose is known, gives contacts. Depth is trusted only where it agrees with the rest: a joint behind
+the object appears too near, one beside its landmark too far.
 """
 
 from __future__ import annotations
@@ -43,26 +43,26 @@ FREE_STAGES = tuple(HandFitStage(outlier) for outlier in ((0.02, 0.04), (0.008, 
 PALM_STAGES = (HandFitStage((0.06, 0.06), 0.05), HandFitStage((0.02, 0.04), 0.03))
 # Stage of a fit with the object, after the fingers are searched.
 HELD_STAGE = HandFitStage((0.02, 0.03), 0.015, contact=True, late=True)
-# How candidates are compared and the final estimate is judged.
+# Stage that compares candidates and gives the final estimate.
 COMPARED = HandFitStage((0.02, 0.03), 0.02, contact=True, late=True)
 STAGE_ITERATIONS = 5  # Gauss-Newton steps of a stage.
 THROUGH_ITERATIONS = 8  # Gauss-Newton steps of ``skeleton_through``.
 REFINE_ITERATIONS = 10  # Gauss-Newton steps of ``refine_hand``.
-FITTED_SPREAD = 0.004  # How near a candidate begins to joints that are given [m].
-OTHER_SIDE = 0.8  # If a side is less probable than this, the other is tried, too.
+FITTED_SPREAD = 0.004  # Standard deviation of given joints from which a candidate starts [m].
+OTHER_SIDE = 0.8  # Probability of a side below which the other side is tried as well.
 
 _PALM_JOINTS = np.array([0, 1, 5, 9, 13])
 _AGREEMENT = 0.012
 
 
 def fit_hand(detected: DetectedHand, capture: Capture) -> HandEstimate:
-    """The hand in meters, without knowledge of the object.
+    """Fit a hand without knowledge of the object.
 
     Returns:
-        Joints in the camera frame; a left hand is not mirrored.
+        Hand in the camera frame; a left hand is not mirrored.
 
     Raises:
-        FungraspError: there is no depth where the hand is.
+        FungraspError: there is no depth at the hand.
     """
     problem = HandFitProblem(seen=HandMeasurements.of(detected, capture))
     assert problem.seen is not None
@@ -79,19 +79,19 @@ def fit_held_hand(
     side: Side | None = None,
     seed: int = 0,
 ) -> HandEstimate:
-    """The hand that holds a known object.
+    """Fit a hand that holds a known object.
 
-    The landmarks, taken for each side that it may have, and the hand that was fitted without the object each
-    make a candidate. It is fitted to the landmarks, to depth, to the points that show the hand, to the object
-    that it touches and to the free space that it can't be in. Its fingers are searched, too, as they may be
-    behind the object. The candidate of least cost wins.
+    Candidates start from the landmarks, for each possible side of the hand, and from the hand fitted without
+    the object. Each is fitted to landmarks, depth, measured points of the hand, contacts with the object and
+    free space. As fingers may be behind the object, they are searched, too. The candidate of least cost wins.
 
     Args:
         detected: landmarks in the color image.
-        joints: of the hand as it was fitted without them [m], camera frame, shape [21, 3].
+        joints: joints fitted without the object [m], camera frame, shape [21, 3].
+        side: side of the hand, if known.
 
     Raises:
-        FungraspError: there is no depth where the hand is.
+        FungraspError: there is no depth at the hand.
     """
     begun: list[tuple[DetectedHand, HandMeasurements, Skeleton]] = []
     for guess in _guesses(detected, side):
@@ -116,12 +116,12 @@ def fit_held_hand(
 
 
 def refine_hand(hand: HandEstimate, surroundings: HandSurroundings) -> HandEstimate:
-    """A hand from another estimator that then touches what it nearly touches and is inside of nothing.
+    """Fit a hand from another estimator to the object: no contact gaps, no penetration.
 
-    The joints are evidence as good as their covariances say.
+    Joints are weighted by their covariances.
 
     Returns:
-        The same hand with other joints, covariances and confidences.
+        The hand with new joints, covariances and confidences.
     """
     if hand.side == "left":
         mirrored = refine_hand(mirror_estimate(hand, hand.pixels), surroundings.mirrored())
@@ -162,7 +162,7 @@ def _with_fingers_searched(problem: HandFitProblem, parameters: HandParameters, 
 def _estimate(
     problem: HandFitProblem, parameters: HandParameters, stage: HandFitStage, detected: DetectedHand
 ) -> HandEstimate:
-    """The fitted hand, mirrored back if it is a left one."""
+    """Return the fitted hand, mirrored back if it is a left one."""
     assert problem.seen is not None
     evidence = problem.evidence(parameters, stage)
     joints, covariance = problem.joints(parameters, evidence)
@@ -173,12 +173,12 @@ def _estimate(
 
 
 def _flip(guess: DetectedHand) -> np.ndarray:
-    """Takes a right hand to the guess's side, and back."""
+    """Return the factors that mirror a right hand to the guess's side, and back, shape [3]."""
     return MIRROR_X if guess.side == "left" else np.ones(3)
 
 
 def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
-    """The hand, taken for each side that may be right; the most probable first."""
+    """Return the hand for each possible side, the most probable first."""
     sides: list[Side] = [side or detected.side]
     if side is None and detected.side_score < OTHER_SIDE:
         sides.append("left" if detected.side == "right" else "right")
@@ -186,10 +186,10 @@ def _guesses(detected: DetectedHand, side: Side | None) -> list[DetectedHand]:
 
 
 def initial_skeleton(seen: HandMeasurements) -> Skeleton:
-    """The landmark model's shape at the depth that most landmarks agree on.
+    """Place the landmark model's shape at the depth that most landmarks agree on.
 
     Raises:
-        FungraspError: there is no depth where the hand is.
+        FungraspError: there is no depth at the hand.
     """
     measured = seen.measured(seen.pixels)
     known = measured > 0
@@ -211,11 +211,11 @@ def initial_skeleton(seen: HandMeasurements) -> Skeleton:
 
 
 def skeleton_through(points: np.ndarray, spread: float) -> Skeleton:
-    """The skeleton of a right hand whose joints come nearest to given points.
+    """Fit the skeleton of a right hand to given joints.
 
     Args:
         points: [m], shape [21, 3].
-        spread: standard deviation of the points [m]: how far anatomy may overrule them.
+        spread: standard deviation of the points [m]; the larger it is, the more anatomy counts.
     """
     template = np.vstack([np.zeros(3), BASES[:4]])
     placed = points[_PALM_JOINTS] - points[_PALM_JOINTS].mean(axis=0)
@@ -229,6 +229,6 @@ def skeleton_through(points: np.ndarray, spread: float) -> Skeleton:
 
 
 def _densest(values: np.ndarray) -> float:
-    """Mean of the values near the one that most others are near."""
+    """Return the mean of the densest cluster of values [m]."""
     near = np.abs(values[:, None] - values) < _AGREEMENT
     return float(values[near[near.sum(axis=1).argmax()]].mean())

@@ -1,7 +1,7 @@
-"""One least-squares problem of a hand, whatever is known about it: image, object, another program's joints.
+"""The least-squares problem of a hand, for any evidence: image, object, joints of another estimator.
 
-The unknowns are the parameters of a right hand's ``Skeleton`` and, where there is an image, a turn of the
-shape that the landmark model guessed. Each source of knowledge adds its blocks of residuals.
+Unknowns are the parameters of a right hand's ``Skeleton`` and, with an image, a rotation of the shape that
+the landmark model guesses. Each kind of evidence adds blocks of residuals.
 """
 
 from __future__ import annotations
@@ -41,43 +41,41 @@ from fungrasp.perception.hand.skeleton import (
 )
 from fungrasp.perception.io.estimates import HandEstimate
 
-TRUSTED_ERROR = 0.015  # A joint's confidence is the probability that its error is smaller than this [m].
-# Factor from the covariance of least squares to that of the errors: neighboring measurements err alike.
-# Measured on rendered scenes with known truth.
+TRUSTED_ERROR = 0.015  # Largest error of a joint whose probability is its confidence [m].
+# Factor from the covariance of least squares to that of the errors, as errors of neighboring measurements are
+# correlated. Measured on rendered scenes with known truth.
 COVARIANCE_FACTOR = 1.3
 
 
-# Standard deviations and weights of the measurements.
-LANDMARK_SPREAD = 0.03  # Standard deviation of a landmark, as a part of the hand's extent in the image.
-LEAST_LANDMARK_SPREAD = 2.0  # Least standard deviation of a landmark [pixels].
-LATE_LANDMARKS = 0.35  # Factor of a landmark's residual once the fingers have been searched, and in the cost.
-HIDDEN_BEHIND = 0.03  # A joint so far behind what is seen there [m] is hidden.
-HIDDEN_LANDMARKS = 0.5  # Further factor of the residual of a hidden joint's landmark then.
-OBJECT_DEPTH = 0.004  # What is seen so near to the known object's surface [m] is the object.
-# Number of depth levels that the hand's parts are sorted into to find their background.
-BACKGROUND_LEVELS = 3
-HELD_BACKGROUND_LEVELS = 2  # Number of depth levels where the object is known.
+LANDMARK_SPREAD = 0.03  # Standard deviation of a landmark, as a fraction of the hand's extent in the image.
+LEAST_LANDMARK_SPREAD = 2.0  # Smallest standard deviation of a landmark [pixels].
+LATE_LANDMARKS = 0.35  # Factor on a landmark's residual after the search of fingers, and in the cost.
+HIDDEN_BEHIND = 0.03  # Distance behind the measured depth beyond which a joint is hidden [m].
+HIDDEN_LANDMARKS = 0.5  # Further factor on the residual of a hidden joint's landmark.
+OBJECT_DEPTH = 0.004  # Distance from the object's surface within which measurements show the object [m].
+BACKGROUND_LEVELS = 3  # Depth levels into which parts of the hand are sorted to find their background.
+HELD_BACKGROUND_LEVELS = 2  # Depth levels if the object is known.
 DIRECTION_SPREAD = 0.35  # Standard deviation of the landmark model's bone directions [rad].
-TURN_SPREAD = 0.25  # Standard deviation of the turn of all bone directions together [rad].
+TURN_SPREAD = 0.25  # Standard deviation of a rotation of all bone directions together [rad].
 
 
 @dataclass(frozen=True)
 class HandFitStage:
-    """What counts in one stage of a fit."""
+    """Settings of one stage of a fit."""
 
     depth_outlier: tuple[float, float] = (0.06, 0.06)
-    """How far in front of the skin something else is seen, and how far behind [m]."""
+    """Distances in front of and behind the skin beyond which depth shows something else [m]."""
     point_outlier: float = 0.05
-    """A measured point so far from the skin [m] is none of the hand's."""
+    """Distance from the skin beyond which a measured point does not show the hand [m]."""
     contact: bool = False
-    """Whether object and table are taken to be right for this hand."""
+    """Whether contacts with object and table are used."""
     late: bool = False
-    """Whether the fingers have been searched: landmarks of hidden joints then weigh less."""
+    """Whether the fingers have been searched: landmarks, especially of hidden joints, then weigh less."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandParameters:
-    """The unknowns."""
+    """Unknowns of the problem."""
 
     skeleton: Skeleton
     """Position, size, proportions and joint angles of the hand, camera frame."""
@@ -86,7 +84,7 @@ class HandParameters:
 
 
 class HandFitProblem:
-    """What is known about a right hand, and how well parameters agree with it."""
+    """Evidence about a right hand, and its residuals for given parameters."""
 
     def __init__(
         self,
@@ -98,9 +96,10 @@ class HandFitProblem:
     ):
         """
         Args:
-            view: what of the image shows the hand that holds a known object; needs ``seen``.
+            seen: measurements in the image, if there is one.
+            view: view of a hand that holds a known object; needs ``seen``.
             estimate: joints with covariances from another estimator.
-            surroundings: known object and table; by default those of ``view``.
+            surroundings: known object and table; those of ``view`` by default.
         """
         self.seen, self.view = seen, view
         self.surroundings = view.surroundings if view is not None else surroundings
@@ -113,7 +112,7 @@ class HandFitProblem:
         self._estimate = estimate
 
     def find_background(self, skeleton: Skeleton) -> None:
-        """Look where the background and hidden joints are, for a hand about there."""
+        """Find background and hidden joints around an approximate hand."""
         assert self.seen is not None
         lens = self.seen.intrinsics
         points, slopes = SURFACE_SAMPLES.place(*skeleton.joints_and_derivatives())
@@ -125,7 +124,7 @@ class HandFitProblem:
             self._hidden = joints[:, 2] - self.view.depth_at(lens.project(joints)) > HIDDEN_BEHIND
 
     def solve(self, start: HandParameters, stage: HandFitStage, iterations: int) -> HandParameters:
-        """Gauss-Newton steps from a start."""
+        """Take Gauss-Newton steps from a start."""
         now = start
         for _ in range(iterations):
             evidence = self.evidence(now, stage)
@@ -135,11 +134,11 @@ class HandFitProblem:
         return now
 
     def cost(self, parameters: HandParameters, stage: HandFitStage) -> float:
-        """Sum of all residuals squared, each limited by its outlier bound."""
+        """Return the sum of squared residuals, each limited by its outlier bound."""
         return robust_cost(self.evidence(parameters, stage))
 
     def evidence(self, parameters: HandParameters, stage: HandFitStage) -> list[HandEvidence]:
-        """All that is known: the image's first (landmarks, depth, ...), then anatomy, then contact."""
+        """Return all evidence: given joints, image (landmarks and depth first), anatomy, contact."""
         hand = parameters.skeleton
         joints, jacobian = hand.joints_and_derivatives()
         found = []
@@ -162,7 +161,7 @@ class HandFitProblem:
         jacobian: np.ndarray,
         stage: HandFitStage,
     ) -> list[HandEvidence]:
-        """Landmarks and depth first."""
+        """Return the evidence of the image, landmarks and depth first."""
         lens, hand = seen.intrinsics, parameters.skeleton
         points, slopes = SURFACE_SAMPLES.place(joints, jacobian)
         pixels, pixel_slopes = project(points, slopes, lens)
@@ -197,22 +196,17 @@ class HandFitProblem:
     def joints(
         self, parameters: HandParameters, evidence: list[HandEvidence]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Joints [m], shape [21, 3], and their covariances [m^2], shape [21, 3, 3].
-
-        evidence: at these parameters.
-        """
+        """Return joints [m], shape [21, 3], and their covariances [m^2], shape [21, 3, 3]. evidence: at these
+        parameters."""
         joints, jacobian = parameters.skeleton.joints_and_derivatives()
         matrix, _ = normal_equations(evidence, self.size)
-        # Only of the skeleton; inverting first takes the uncertain turn into account.
+        # Inverting before selecting the skeleton's part accounts for the uncertain rotation.
         inverse = np.linalg.inv(matrix)[:SIZE, :SIZE]
         return joints, COVARIANCE_FACTOR * jacobian @ inverse @ jacobian.transpose(0, 2, 1)
 
     def agreement(self, parameters: HandParameters, evidence: list[HandEvidence]) -> float:
-        """How well the image agrees with a fitted hand, 0 to 1: see ``image_agreement``; times the part of
-        the measured points that the hand explains, where they are known.
-
-        evidence: at these parameters.
-        """
+        """Return how well the image agrees with a fitted hand, 0 to 1: ``image_agreement``, times the
+        fraction of known points that the hand explains. evidence: at these parameters."""
         landmarks, depth = evidence[:2]
         agreement = image_agreement(landmarks, depth)
         if self.view is None:
@@ -223,16 +217,16 @@ class HandFitProblem:
 def _joint_evidence(
     estimate: HandEstimate, whitening: np.ndarray, joints: np.ndarray, jacobian: np.ndarray
 ) -> HandEvidence:
-    """The joints are where another estimator saw them, within its covariances."""
-    # Each joint's three coordinates, whitened by its own covariance: unit variance, shape [21, 3].
+    """Return residuals between the joints and those of another estimator."""
+    # Whitened by each joint's covariance: unit variance, shape [21, 3].
     off = np.einsum("jab,jb->ja", whitening, joints - estimate.joints_camera)
     columns = (whitening @ jacobian).reshape(off.size, -1)
     return HandEvidence(off.ravel(), columns, outlier=6.0, group=3)
 
 
 def image_agreement(landmarks: HandEvidence, depth: HandEvidence) -> float:
-    """The mean weight of the landmarks, times the part of the hand's visible surface that is not seen
-    through; 0 where no depth is measured at any of it."""
+    """Return the mean weight of the landmarks, times the fraction of the hand's visible surface that no depth
+    passes through; 0 without measured depth."""
     if not len(depth.residual):
         return 0.0
     through = np.mean(depth.residual < -np.asarray(depth.outlier))
@@ -240,6 +234,7 @@ def image_agreement(landmarks: HandEvidence, depth: HandEvidence) -> float:
 
 
 def joint_confidence(covariance: np.ndarray) -> np.ndarray:
-    """Probability that a joint's error is below ``TRUSTED_ERROR``. covariance: [m^2], shape [21, 3, 3]."""
+    """Return the probability that a joint's error is below ``TRUSTED_ERROR``, shape [21]. covariance: [m^2],
+    shape [21, 3, 3]."""
     variance = np.trace(covariance, axis1=1, axis2=2) / 3
     return gammainc(1.5, TRUSTED_ERROR**2 / (2 * variance))

@@ -1,4 +1,4 @@
-"""The hand's shape: tapered capsules about its bones, and samples of them that are compared with an image."""
+"""Shape of the hand: tapered capsules about its bones, and surface samples that are compared with images."""
 
 from __future__ import annotations
 
@@ -16,33 +16,32 @@ from fungrasp.grasps.human_hand import (
 )
 from fungrasp.perception.hand.skeleton import Skeleton
 
-TIP_END = 0.7  # The tip joint is on the skin: the last link's capsule ends at this part of it.
-# A camera sees no skin that faces away from it: cosine to the viewing ray from which a point is not taken for
-# a capsule's.
+TIP_END = 0.7  # End of the last link's capsule, as a fraction of the link: the tip joint is on the skin.
+# Cosine between the skin's normal and the viewing ray beyond which the skin faces away from the camera.
 FAR_SIDE = 0.3
-FAR_SIDE_PENALTY = 0.02  # Distance that is added for such a point [m].
-ARM_LENGTH = 0.25  # Length of the forearm that is looked at [m].
-EXPLAINED = 0.012  # Measured points so near to the skin [m] are explained by the hand.
-ARM_NEAR = 0.05  # Points nearer to the wrist than this [m] don't say where the arm goes.
+FAR_SIDE_PENALTY = 0.02  # Distance added for points on such skin [m].
+ARM_LENGTH = 0.25  # Length of the modeled forearm [m].
+EXPLAINED = 0.012  # Distance from the skin within which the hand explains a measured point [m].
+ARM_NEAR = 0.05  # Distance from the wrist within which points say nothing about the arm's direction [m].
 
 
 @dataclass(frozen=True, eq=False)
 class HandCapsules:
-    """Tapered capsules about lines between joints."""
+    """Tapered capsules about C lines between joints."""
 
     near: np.ndarray
-    """Joint at one end, shape [C]."""
+    """Joint at one end, shape [C] int."""
     far: np.ndarray
-    """Joint at the other end, shape [C]."""
+    """Joint at the other end, shape [C] int."""
     end: np.ndarray
-    """Where the line ends, as a part of the distance from the near to the far joint, shape [C]."""
+    """End of the line, as a fraction of the distance from the near to the far joint, shape [C]."""
     radius: np.ndarray
     """Radius at both ends, for a hand of mean size [m], shape [C, 2]."""
     finger: np.ndarray
-    """Which finger each belongs to, -1 for the palm, shape [C]."""
+    """Finger of each capsule, -1 for the palm, shape [C] int."""
 
     def ends(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Both ends of every line. joints: shape [..., 21, 3]; returns two of shape [..., C, 3]."""
+        """Return both ends of every line, shape [..., C, 3] each. joints: shape [..., 21, 3]."""
         first, last = joints[..., self.near, :], joints[..., self.far, :]
         return first, first + self.end[:, None] * (last - first)
 
@@ -72,24 +71,23 @@ def _sure_skin() -> HandCapsules:
 
 
 HAND_CAPSULES = _capsules()  # Four in the palm, three in each finger; the thumb's first is its ball.
-# What surely is skin, with the web between thumb and index finger: thinner, as the pixels next to it may show
-# the object. With the capsules of the fit, one of two real images was no longer accepted; with the fit's made
-# 15 % thinner, two of four.
+# Pixels inside are certainly skin, including the web between thumb and index finger. The capsules are thin,
+# as pixels beside them may show the object: with those of the fit, one of two real images was no longer
+# accepted; with the fit's made 15 % thinner, two of four.
 SURE_SKIN = _sure_skin()
 
 
 def capsule_distances(
     points: np.ndarray, first: np.ndarray, last: np.ndarray, radius: np.ndarray
 ) -> np.ndarray:
-    """Distance of points from the nearest of some capsules [m], negative inside, shape [P]; infinite for
-    points that are NaN.
+    """Return distances from the nearest capsule [m], negative inside, shape [P]; infinite for NaN points.
 
     Args:
         points: [m], shape [P, 3].
         first, last: ends of the capsules [m], shape [C, 3].
-        radius: at both ends [m], shape [C, 2].
+        radius: radius at both ends [m], shape [C, 2].
     """
-    # Importing Numba takes half a second: not before it is needed.
+    # Importing Numba takes half a second.
     from fungrasp.geometry.compiling import plain
     from fungrasp.perception import compiled_loops
 
@@ -101,20 +99,19 @@ def capsule_distances(
 def nearest_capsules(
     points: np.ndarray, first: np.ndarray, last: np.ndarray, radius: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The capsule whose surface is nearest to each of some points of the skin, as a camera at the origin sees
-    them.
+    """Find the capsule whose surface is nearest to each measured point of the skin.
 
     Args:
-        points: [m], shape [P, 3], camera frame.
+        points: [m], shape [P, 3], frame of a camera at the origin.
         first, last: ends of the capsules [m], shape [..., C, 3].
-        radius: at both ends [m], shape [C, 2].
+        radius: radius at both ends [m], shape [C, 2].
 
     Returns:
-        Its index, shape [..., P]; signed distance from its surface [m], same shape, raised by
-        ``FAR_SIDE_PENALTY`` where the skin there faces away from the camera; where on its line the nearest
-        point is, 0 to 1, same shape; the outward normal, shape [..., P, 3].
+        Index of the capsule, shape [..., P]; signed distance from its surface [m], same shape, raised by
+        ``FAR_SIDE_PENALTY`` where the skin faces away from the camera; nearest point of its line, 0 to 1,
+        same shape; outward normal, shape [..., P, 3].
     """
-    # Importing Numba takes half a second: not before it is needed.
+    # Importing Numba takes half a second.
     from fungrasp.geometry.compiling import plain
     from fungrasp.perception import compiled_loops
 
@@ -131,10 +128,8 @@ def nearest_capsules(
 
 
 def explained_part(hand: Skeleton, points: np.ndarray) -> float:
-    """Part of the measured points, those of the arm apart, that lie on the skin, 0 to 1; 0 if there is none.
-
-    points: [m], shape [P, 3].
-    """
+    """Return the fraction of measured points, without those of the arm, that lie on the skin, 0 to 1; 0
+    without points. points: [m], shape [P, 3]."""
     joints = hand.joints()
     _, distance, _, _ = nearest_capsules(
         points, *HAND_CAPSULES.ends(joints), HAND_CAPSULES.radius * np.exp(hand.size)
@@ -146,12 +141,11 @@ def explained_part(hand: Skeleton, points: np.ndarray) -> float:
 
 
 def arm_direction(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Where the forearm goes from the wrist: unit vector, shape [3].
-
-    That is where most of the points behind the wrist are, or straight on from the palm.
+    """Return the direction of the forearm from the wrist: toward most points behind the wrist, or straight on
+    from the palm. Unit vector, shape [3].
 
     Args:
-        points: of hand and arm [m], shape [P, 3].
+        points: points of hand and arm [m], shape [P, 3].
         joints: [m], shape [21, 3].
     """
     back = joints[0] - joints[[1, 5, 9, 13]].mean(axis=0)
@@ -167,19 +161,20 @@ def arm_direction(points: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Points on the lines between joints, each with the distance to the skin around it."""
+    """P points on lines between joints, each with the distance to the skin around it."""
 
     near: np.ndarray
-    """Joint at one end, shape [P]."""
+    """Joint at one end, shape [P] int."""
     far: np.ndarray
-    """Joint at the other end, shape [P]."""
+    """Joint at the other end, shape [P] int."""
     part: np.ndarray
-    """Where between them, 0 to 1, shape [P]."""
+    """Position between them, 0 to 1, shape [P]."""
     radius: np.ndarray
-    """Distance of the skin from the line there, for a hand of mean size [m], shape [P]."""
+    """Distance of the skin from the line, for a hand of mean size [m], shape [P]."""
 
     def place(self, joints: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points [m], shape [P, 3], and their derivatives, [P, 3, n]."""
+        """Return the points [m], shape [P, 3], and their derivatives, shape [P, 3, n]. jacobian: of the
+        joints, shape [21, 3, n]."""
         a = self.part[:, None]
         points = (1 - a) * joints[self.near] + a * joints[self.far]
         a = a[..., None]
@@ -194,7 +189,7 @@ def _surface_samples() -> SurfaceSamples:
             rows += [(0, base, part, PALM_RADIUS) for part in (0.35, 0.65, 0.9)]
         for link in range(3):
             first, last = FINGER_RADII[finger, link], FINGER_RADII[finger, link + 1]
-            # The tip joint is on the skin: the last link's samples end before it.
+            # The tip joint is on the skin, so samples of the last link end before it.
             parts = (0.05, 0.35, 0.65, 0.8) if link == 2 else (0.05, 0.35, 0.65, 0.95)
             rows += [(base + link, base + link + 1, x, first + x * (last - first)) for x in parts]
     near, far, part, radius = zip(*rows, strict=True)
@@ -203,12 +198,12 @@ def _surface_samples() -> SurfaceSamples:
 
 # One at the wrist, three along each bone of the palm, four along each link of the fingers.
 SURFACE_SAMPLES = _surface_samples()
-# Those on each finger's last link.
+# Samples on each finger's last link.
 FINGERTIP_SAMPLES = [np.flatnonzero(SURFACE_SAMPLES.near == 3 + 4 * finger) for finger in range(5)]
 
 
 def in_front(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Which samples are not hidden behind others, bool, shape [P].
+    """Return which samples are not hidden behind others, bool, shape [P].
 
     Args:
         points: [m], shape [P, 3], camera frame.

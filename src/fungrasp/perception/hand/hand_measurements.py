@@ -1,4 +1,4 @@
-"""What an image says about one hand: landmarks, depth and, once object and table are known, its points."""
+"""Measurements of one hand in an image: landmarks, depth, and points of the hand once the object is known."""
 
 from __future__ import annotations
 
@@ -16,48 +16,47 @@ from fungrasp.perception.hand.physical_evidence import HandSurroundings
 from fungrasp.perception.io.capture import Capture, Intrinsics
 from fungrasp.perception.io.estimates import HandEstimate
 
-# Largest depth of a hand, nearest to farthest joint [m]: now and then the landmark model says a quarter of a
-# meter.
+# Largest difference in depth between nearest and farthest joint [m]; the landmark model sometimes gives 0.25.
 DEEPEST = 0.16
-REACH = 0.12  # What is seen farther than this from every joint of a first guess [m] is not this hand.
-OBJECT_NEAR = 0.006  # What is seen so near to the known object's surface [m] is the object.
-TABLE_NEAR = 0.008  # What is seen so low above the table [m] is the table.
-# Where neighboring pixels differ by more [m], a depth camera sees the mean of what is on both sides.
+REACH = 0.12  # Distance from all joints of a first guess beyond which a point is not of this hand [m].
+OBJECT_NEAR = 0.006  # Distance from the object's surface within which points show the object [m].
+TABLE_NEAR = 0.008  # Height above the table within which points show the table [m].
+# Difference between neighboring pixels beyond which a depth camera measures a mixture of both sides [m].
 EDGE = 0.015
-POINTS = 400  # Points of the hand that are looked at.
-FEW = 12  # Factor on that number for the points that are sorted: most show something else.
-BONE = 0.006  # Points that are seen so near to a guessed hand's bones [m] show what color it has.
-LEAST_SKIN = 40  # Least number of points from which the color of the skin is learned.
-MOST_SKIN = 400  # Largest number of points from which the color of the skin is learned.
-OTHER_COLOR = 4.0  # Colors farther from the skin's [standard deviations] are another thing's.
-# Least standard deviation of the skin's color: logarithm of red over green, and blue over green.
+POINTS = 400  # About how many points of the hand are used.
+FEW = 12  # Factor on this number for the points that are sorted: most show something else.
+BONE = 0.006  # Distance from a guessed hand's bones within which points show the color of skin [m].
+LEAST_SKIN = 40  # Smallest number of points from which the color of skin is learned.
+MOST_SKIN = 400  # About the largest number of points from which the color of skin is learned.
+OTHER_COLOR = 4.0  # Difference from the skin's color of other things [standard deviations].
+# Smallest standard deviation of the skin's color: log(red / green) and log(blue / green).
 COLOR_SPREAD = 0.04
 
 
 @dataclass(frozen=True, eq=False)
 class HandMeasurements:
-    """What was seen of a hand, in the mirror image if it is a left one."""
+    """Measurements of a hand; mirrored if it is a left one."""
 
     pixels: np.ndarray
     """Landmarks in the image [pixels], shape [21, 2]."""
     shape: np.ndarray
-    """Joints about the hand's middle [m], camera frame, shape [21, 3], as the landmark model guesses."""
+    """Joints about the hand's center [m], camera axes, shape [21, 3], as the landmark model guesses them."""
     directions: np.ndarray
     """Unit vectors of ``BONES`` in that shape, shape [20, 3]."""
     depth: np.ndarray
-    """Depth at the hand [m], shape [H, W]; NaN where it was not measured."""
+    """Depth [m], shape [H, W]; NaN where it was not measured."""
     intrinsics: Intrinsics
-    """Intrinsics of the image, mirrored where the hand is a left one."""
+    """Intrinsics of the image, mirrored for a left hand."""
     score: float
     """Probability that this is a hand."""
     spread: float | None = None
-    """Standard deviation of a landmark [pixels], if the detector knows it."""
+    """Standard deviation of a landmark [pixels], if known."""
     direction_spread: float | None = None
-    """Standard deviation of ``directions`` [rad], if the detector knows it."""
+    """Standard deviation of ``directions`` [rad], if known."""
 
     @classmethod
     def of(cls, detected: DetectedHand, capture: Capture) -> HandMeasurements:
-        """Measurements of a detected hand, mirrored if it is a left one."""
+        """Return the measurements of a detected hand, mirrored if it is a left one."""
         intrinsics, pixels, shape = capture.intrinsics, detected.pixels, detected.shape_camera
         depth = np.where(capture.depth > 0, capture.depth, np.nan)
         if detected.side == "left":
@@ -67,7 +66,7 @@ class HandMeasurements:
             shape, depth = shape * MIRROR_X, depth[:, ::-1]
         deep = float(np.ptp(shape[:, 2]))
         shape = shape * [1.0, 1.0, min(1.0, DEEPEST / max(deep, 1e-6))]
-        # The landmark model sees every hand as if it were in the middle of the image.
+        # The landmark model sees every hand as if it were in the center of the image.
         toward = intrinsics.deproject(pixels.mean(axis=0), np.ones(()))
         axis = np.cross([0.0, 0.0, 1.0], toward / np.linalg.norm(toward))
         shape = Rotation.from_rotvec(axis).apply(shape)
@@ -77,18 +76,18 @@ class HandMeasurements:
         return cls(pixels, shape, directions, depth, intrinsics, detected.score, *spreads)
 
     def landmark_spread(self, part: float, least: float) -> float:
-        """Standard deviation of a landmark [pixels]: what the detector says, else a part of the hand's extent
-        in the image; at least some pixels."""
+        """Return the standard deviation of a landmark [pixels], at least ``least``: the detector's value, or
+        ``part`` of the hand's extent in the image."""
         extent = float(np.linalg.norm(np.ptp(self.pixels, axis=0)))
         return max(least, part * extent if self.spread is None else self.spread)
 
     def measured(self, pixels: np.ndarray) -> np.ndarray:
-        """``median_depth`` of this image [m], 0 where there is hardly any. pixels: shape [P, 2]."""
+        """Return ``median_depth`` of this image [m], 0 without depth, shape [P]. pixels: shape [P, 2]."""
         return np.nan_to_num(median_depth(self.depth, pixels))
 
 
 def median_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Median depth around each pixel [m], NaN where there is hardly any, shape [P].
+    """Return the median depth of 3 x 3 pixels [m], NaN if fewer than three are measured, shape [P].
 
     Args:
         depth: [m], shape [H, W]; NaN where it was not measured.
@@ -108,24 +107,24 @@ def median_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class HandView:
-    """An image of a right hand with what is known about it; the mirror image if it is of a left one."""
+    """An image of a right hand and a known object; the mirror image for a left hand."""
 
     depth: np.ndarray
     """Depth [m], shape [H, W]; NaN where it was not measured."""
     intrinsics: Intrinsics
-    """Intrinsics of the image, mirrored where the hand is a left one."""
+    """Intrinsics of the image, mirrored for a left hand."""
     surroundings: HandSurroundings
-    """The object and the table, where they are known."""
+    """Object and, if known, table."""
     points: np.ndarray
     """Measured points that may show the hand or its arm [m], camera frame, shape [P, 3]."""
 
     def mirrored(self) -> HandView:
-        """The same seen in a mirror that swaps left and right."""
+        """Return the mirror image, with left and right swapped."""
         lens = dataclasses.replace(self.intrinsics, cx=self.intrinsics.width - 1 - self.intrinsics.cx)
         return HandView(self.depth[:, ::-1], lens, self.surroundings.mirrored(), self.points * MIRROR_X)
 
     def depth_at(self, pixels: np.ndarray) -> np.ndarray:
-        """Depth of the nearest pixel [m], NaN where there is none. pixels: shape [..., 2]."""
+        """Return the depth of the nearest pixel [m], NaN without depth. pixels: shape [..., 2]."""
         height, width = self.depth.shape
         u, v = np.moveaxis(np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int), -1, 0)
         inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
@@ -135,12 +134,12 @@ class HandView:
 def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np.ndarray]) -> HandView:
     """Find the points of the hand.
 
-    They are near a guess, neither object nor table, of the color that most of what is seen at the guesses'
-    bones has: landmarks that are wrong are on the hand nevertheless, or each on something else.
+    They are near a guess, not on object or table, and have the most common color at the bones of the guesses:
+    wrong landmarks are still on the hand, or on various other things.
 
     Args:
         surroundings: object and table, not mirrored.
-        guesses: joints of hands that may be there, best first [m], camera frame, each of shape [21, 3].
+        guesses: joints of possible hands [m], camera frame, shape [21, 3] each.
     """
     depth = np.where(capture.depth > 0, capture.depth, np.nan)
     joints = np.concatenate(guesses)
@@ -173,7 +172,7 @@ def hand_view(capture: Capture, surroundings: HandSurroundings, guesses: list[np
 
 
 def _edges(depth: np.ndarray) -> np.ndarray:
-    """Pixels beside a jump in depth, bool, shape [h, w]."""
+    """Return the pixels beside a jump in depth, bool, shape [h, w]."""
     jumps = np.zeros(depth.shape, dtype=bool)
     down, across = (np.abs(np.diff(depth, axis=axis)) > EDGE for axis in (0, 1))
     jumps[1:] |= down
@@ -184,17 +183,17 @@ def _edges(depth: np.ndarray) -> np.ndarray:
 
 
 def _skin_colored(pixels: np.ndarray, color: np.ndarray, bones: list[np.ndarray], reach: float) -> np.ndarray:
-    """Which pixels have the color of the hand, bool, shape [P].
+    """Return which pixels have the color of the hand, bool, shape [P].
 
     Args:
         pixels: shape [P, 2].
         color: RGB, shape [P, 3].
-        bones: of each guess, pixels of both ends, shape [2, B, 2].
-        reach: pixels nearer than this to a bone may show it.
+        bones: pixels at both ends of the bones, shape [2, B, 2], per guess.
+        reach: distance from a bone within which a pixel may show it [pixels].
     """
     votes = np.zeros(len(pixels))
     for ends in bones:
-        # Capsules in the image's plane.
+        # Capsules in the image plane.
         flat, near, far = (np.insert(points, 2, 0.0, axis=-1) for points in (pixels, *ends))
         votes += capsule_distances(flat, near, far, np.zeros((len(near), 2))) < reach
     on = np.flatnonzero(votes)
@@ -212,7 +211,7 @@ def _skin_colored(pixels: np.ndarray, color: np.ndarray, bones: list[np.ndarray]
 
 
 def mirror_estimate(hand: HandEstimate, pixels: np.ndarray) -> HandEstimate:
-    """The hand seen in a mirror that swaps left and right of the image. pixels: where its joints are seen."""
+    """Mirror a hand left to right. pixels: its joints in the mirror image, shape [21, 2]."""
     return dataclasses.replace(
         hand,
         joints_camera=hand.joints_camera * MIRROR_X,
