@@ -1,4 +1,4 @@
-"""A hand mounted on the flange of a robot arm, and written as one file."""
+"""Mount a hand on the flange of a robot arm, and write both as one file."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ from fungrasp.hands.export import self_contained_xml
 from fungrasp.hands.hand import Hand
 
 FLANGE_SITE = "tool0"
-"""Site of an arm's model where a hand is mounted; z points out of the flange."""
+"""Site of an arm's model at its flange; z points out of the flange."""
 
 PALM_SITE = "mounted_palm"
-"""Site that ``mount`` puts at the origin of the palm body."""
+"""Site that ``mount`` adds at the origin of the palm body."""
 
 MOUNTING_GAP = 0.001
-"""Clearance between the flange and the palm where nobody says how the hand is mounted [m]."""
+"""Default clearance between the flange and the palm [m]."""
 
 ADAPTER = "hand_adapter"
-"""Shape between flange and hand."""
+"""Name of the geom between flange and hand."""
 
 _PREFIX = "mounted/"
 
 
 @dataclass(frozen=True)
 class Mount:
-    """How a hand is fixed to a flange. The hand's frame here: z along the fingers, x out of the palm, its
-    origin in the middle of the palm's lower end."""
+    """Mounting of a hand on a flange. In the hand frame, z points along the fingers and x out of the palm;
+    its origin is the middle of the palm's lower end."""
 
     pose_flange_hand: tuple[float, ...] = ()
-    """Pose of that frame on the flange, whose z axis points out of it: meters and a quaternion wxyz. Empty:
-    ``MOUNTING_GAP`` above the flange, the palm facing the flange's x axis."""
+    """Pose of the hand frame in the flange frame: position [m] and quaternion wxyz. Empty: ``MOUNTING_GAP``
+    above the flange, the palm facing the flange's x axis."""
     adapter_radius: float = 0.0
-    """Radius of a cylinder that adapter and cables fit into, around the flange's z axis [m]; 0: none."""
+    """Radius of a cylinder around the flange's z axis that encloses adapter and cables [m]; 0: none."""
     adapter_length: float = 0.0
-    """Its length from the flange [m]."""
+    """Length of the cylinder from the flange [m]."""
 
 
 DIRECT = Mount()
-"""Of a hand without an adapter."""
+"""Mount without an adapter."""
 
 
 def arm_files() -> dict[str, Path]:
-    """Model of every arm we ship, by name."""
+    """Return the model files of the built-in arms by name."""
     return {path.stem: path for path in sorted((Path(__file__).parent / "arms").glob("*.xml"))}
 
 
 def arm_spec(arm: str) -> mujoco.MjSpec:
-    """A fresh model of a bare arm: base at the world's origin, one position actuator per joint, named as it.
+    """Return a new model of a bare arm: base at the world's origin, one actuator per joint with its name.
 
     Args:
-        arm: name of one that we ship, or an MJCF file (.xml) of another one with the same conventions.
+        arm: name of a built-in arm, or an MJCF file (.xml) with the same conventions.
 
     Raises:
-        FungraspError: no such arm, or the file is no model of one.
+        FungraspError: the arm is unknown, or the file is not a model of an arm.
     """
     if not arm.endswith(".xml"):
         if arm not in arm_files():
@@ -83,14 +83,7 @@ def arm_spec(arm: str) -> mujoco.MjSpec:
 
 
 def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:
-    """Pose of the palm body on a flange whose z axis points out of it.
-
-    Args:
-        mount: of the hand on the flange.
-
-    Returns:
-        ``pose_flange_palm``, shape [7].
-    """
+    """Return the pose of the palm body in the flange frame, ``pose_flange_palm`` [m], shape [7]."""
     z = hand.palm_fingers
     x = hand.palm_normal - (hand.palm_normal @ z) * z
     x = x / np.linalg.norm(x)
@@ -106,15 +99,17 @@ def mounting_pose(hand: Hand, mount: Mount = DIRECT) -> np.ndarray:
 def mount(
     hand: Hand, arm: str = "ur5e", how: Mount = DIRECT, child: mujoco.MjSpec | None = None
 ) -> mujoco.MjSpec:
-    """The hand on the flange of an arm, the arm's base at the world's origin.
+    """Return a model of the hand on the flange of an arm, the arm's base at the world's origin.
 
-    Names of both stay as they are; meshes are held in the spec itself. The weight of the palm is compensated
-    by the arm (as a payload known to its controller), that of the fingers is not. A site ``PALM_SITE`` marks
-    the frame of the palm body. child: what is mounted in place of ``hand.spec()``, one that looks better.
+    Both keep their names, and meshes are stored in the spec. The arm compensates the weight of the palm, as a
+    payload known to its controller, but not that of the fingers. ``PALM_SITE`` marks the palm frame.
+
+    Args:
+        child: model mounted in place of ``hand.spec()``, for example one with visual meshes.
 
     Raises:
-        UnknownNameError: no such arm.
-        FungraspError: the hand and the arm don't make one model, for example because they share a name.
+        UnknownNameError: the arm is unknown.
+        FungraspError: the two do not make one model, for example because they share a name.
     """
     spec = arm_spec(arm)
     mounted: mujoco.MjSpec = child or hand.spec()
@@ -135,14 +130,15 @@ def mount(
         )
     frame = flange.parent.add_frame(pos=pose[:3], quat=pose[3:])
     spec.attach(mounted, prefix=_PREFIX, frame=frame)
-    # Default classes keep the prefix, since both models have a class "main"; all else gets its name back.
+    # Default classes keep the prefix: both models have a class "main".
     return mujoco.MjSpec.from_string(re.sub(f'(?<!class)="{_PREFIX}', '="', self_contained_xml(spec)))
 
 
 def _palm_bounds(hand: Hand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Extent of the palm body's shapes [m] along unit vectors of the palm frame.
+    """Return the bounds of the palm body's geoms along unit vectors [m], shape [3] each; zero without geoms.
 
-    rows: the unit vectors, shape [3, 3]. Returns lower and upper end, each of shape [3].
+    Args:
+        rows: unit vectors, palm frame, shape [3, 3].
     """
     model = hand.model
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
@@ -159,14 +155,13 @@ def _palm_bounds(hand: Hand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def export_hand(hand: Hand, arm: str | None = None) -> str:
-    """MJCF of the hand with one position actuator per independent joint; it needs no other file.
+    """Return self-contained MJCF of the hand with one position actuator per independent joint.
 
     Args:
-        hand: what to write; its palm is fixed at the world's origin.
-        arm: name of an arm to mount the hand on; then the arm's base is at the world's origin.
+        arm: arm to mount the hand on, its base at the world's origin. If None, the palm is fixed there.
 
     Raises:
-        UnknownNameError: no such arm.
-        FungraspError: the model can't be written as one file.
+        UnknownNameError: the arm is unknown.
+        FungraspError: the model cannot be written as one file.
     """
     return self_contained_xml(hand.spec() if arm is None else mount(hand, arm))

@@ -1,4 +1,4 @@
-"""Collision shapes of a hand as spheres, dense enough for distances, and which of its links penetrate."""
+"""Collision geometry of a hand as spheres, and self-collisions of its links."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fungrasp.hands.kinematics import BodyPoints
 
 
 class CollisionSpheres(NamedTuple):
-    """Spheres whose union covers the hand's collision geometry."""
+    """Spheres that cover the hand's collision geometry."""
 
     points: BodyPoints
     """Centers of the P spheres, each fixed to a body."""
@@ -31,14 +31,13 @@ class CollisionSpheres(NamedTuple):
 
 @lru_cache(maxsize=64)
 def collision_spheres(hand: Hand, spacing: float = 0.012) -> CollisionSpheres:
-    """Cover the collision geoms of a hand with spheres; made once for each hand and spacing.
+    """Cover the collision geoms of a hand with spheres (cached).
 
     Spheres and capsules are covered by spheres of their own radius along their axis; boxes, cylinders,
-    ellipsoids and the convex hulls of meshes by points on their surface.
+    ellipsoids and convex hulls of meshes by points on their surface.
 
     Args:
-        spacing: largest gap between neighbors [m]; along a capsule three quarters of its radius, if that is
-            less.
+        spacing: largest distance between neighbors [m]; along a capsule at most 3/4 of its radius.
     """
     model = hand.model
     link_of_body = {name: i for i, members in enumerate(hand.links) for name in members}
@@ -60,14 +59,11 @@ def collision_spheres(hand: Hand, spacing: float = 0.012) -> CollisionSpheres:
 
 
 def self_collision_depth(model: mujoco.MjModel, joint_positions: np.ndarray) -> np.ndarray:
-    """Deepest contact of the hand with itself, by MuJoCo's own collision detection.
+    """Return the depth of the deepest self-collision by MuJoCo's collision detection [m], shape [N].
 
     Args:
-        model: the bare hand's, ``Hand.model``.
-        joint_positions: [rad], shape [N, M].
-
-    Returns:
-        [m], shape [N]; zero without a contact.
+        model: model of the bare hand, ``Hand.model``.
+        joint_positions: all joints [rad], shape [N, M].
     """
     data = mujoco.MjData(model)
     depths = np.zeros(len(joint_positions))
@@ -122,7 +118,7 @@ def _cylinder_surface(radius: float, half: float, spacing: float) -> np.ndarray:
 
 
 def _hull_surface(vertices: np.ndarray, spacing: float) -> np.ndarray:
-    """Points on the convex hull, with which MuJoCo collides, one per cube of half the spacing."""
+    """Return points on the convex hull, MuJoCo's collision shape, one per cube of half the spacing."""
     import trimesh
 
     hull = trimesh.convex.convex_hull(vertices)
@@ -132,39 +128,39 @@ def _hull_surface(vertices: np.ndarray, spacing: float) -> np.ndarray:
 
 
 DEEP = 0.002
-"""Penetration that is named [m]."""
+"""Smallest reported penetration [m]."""
 
 POSES = 200
-"""Random poses in which shapes are tried."""
+"""Number of random poses to check for collisions."""
 
 BY_SHAPE = 0.25
-"""Links that penetrate in this share of all poses do so because of their shapes."""
+"""Links that penetrate in a larger share of random poses do so because of their shapes."""
 
 
 @dataclass(frozen=True)
 class SelfContact:
-    """Two links that penetrate each other in some of a number of poses."""
+    """Two links that penetrate each other in some of the given poses."""
 
     first: str
-    """Name of a body."""
+    """Body name."""
     second: str
-    """Name of a body."""
+    """Body name."""
     depth: float
-    """Of the deepest penetration [m]."""
+    """Depth of the deepest penetration [m]."""
     share: float
-    """Share of the poses in which they penetrate each other."""
+    """Share of poses with a penetration."""
     rows: tuple[int, ...]
-    """These poses, the one of the deepest penetration first."""
+    """Indices of these poses, the deepest penetration first."""
 
 
 def self_contacts(
     model: mujoco.MjModel, joint_positions: np.ndarray, depth: float = DEEP
 ) -> list[SelfContact]:
-    """Pairs of links that penetrate each other, most frequent first.
+    """Return pairs of links that penetrate each other, the most frequent first.
 
     Args:
-        joint_positions: [rad], shape [N, M].
-        depth: contacts less deep don't count [m].
+        joint_positions: all joints [rad], shape [N, M].
+        depth: largest penetration that is ignored [m].
     """
     data = mujoco.MjData(model)
     found: dict[tuple[str, str], list[tuple[float, int]]] = {}
@@ -189,8 +185,8 @@ def self_contacts(
 
 
 def zero_and_random_poses(model: mujoco.MjModel) -> np.ndarray:
-    """The pose nearest to zero, and ``POSES`` random ones over the joints' whole range, couplings kept [rad],
-    shape [1 + POSES, M]. model: with limited joints only."""
+    """Return the pose nearest to zero and ``POSES`` random ones within the limits, with coupled joints [rad],
+    shape [1 + POSES, M]. model: all joints are limited."""
     low, high = model.jnt_range.T
     random = np.random.default_rng(0).uniform(low, high, (POSES, model.njnt))
     return np.stack(
@@ -199,15 +195,15 @@ def zero_and_random_poses(model: mujoco.MjModel) -> np.ndarray:
 
 
 NAMED = 5
-"""Most grasps or pairs of links to name in a warning."""
+"""Largest number of grasps or pairs of links to name in a warning."""
 
 
 def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> list[str]:
-    """What penetrates itself in some grasps, and what to do: a sentence for those whose pose is the reason,
-    and one for pairs of links whose shapes are.
+    """Return warnings about self-collisions and their remedies: one for collisions caused by poses of the
+    grasps, one for those caused by shapes of links.
 
     Args:
-        joint_positions: of the grasps [rad], shape [N, M].
+        joint_positions: all joints of N grasps [rad], shape [N, M].
     """
     contacts = self_contacts(model, joint_positions)
     if not contacts:
@@ -241,13 +237,13 @@ def self_contact_words(model: mujoco.MjModel, joint_positions: np.ndarray) -> li
 
 
 def _some(values: Sequence[object], noun: str = "rows ") -> str:
-    """The first of them, and how many more there are."""
+    """Return the first values and the number of further ones."""
     more = f" and {len(values) - NAMED} more" if len(values) > NAMED else ""
     return noun + ", ".join(map(str, values[:NAMED])) + more
 
 
 def exclusion(first: str, second: str) -> str:
-    """The remedy where the shapes of two bodies penetrate each other."""
+    """Return the remedy for shapes of two bodies that penetrate each other."""
     return (
         f'shrink them, or if the links don\'t touch in truth, write <contact><exclude body1="{first}" '
         f'body2="{second}"/></contact> into the model'

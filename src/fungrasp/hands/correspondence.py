@@ -1,8 +1,7 @@
-"""Correspondence of robot links and key points with the human ones: fingers by name, links from the base
-outwards.
+"""Correspondence of robot links and key points to human ones, by finger name and from the base outwards.
 
-A human finger that the robot lacks is dropped. A robot finger with fewer links lacks those near the tip: its
-last link stands for the rest of the human finger (paper IV.A).
+Human fingers that the robot lacks are ignored. If a robot finger has fewer links, its last link corresponds
+to the rest of the human finger (section IV.A of the paper).
 """
 
 from __future__ import annotations
@@ -14,9 +13,9 @@ import numpy as np
 from fungrasp.hands import FINGERS, Hand
 
 HUMAN_FINGER_JOINTS = {name: tuple(range(1 + 4 * i, 5 + 4 * i)) for i, name in enumerate(FINGERS)}
-"""MCP, PIP, DIP, tip (thumb: CMC, MCP, IP, tip) among the 21 human joints."""
+"""Indices of MCP, PIP, DIP and tip (thumb: CMC, MCP, IP, tip) among the 21 human joints."""
 HUMAN_FINGER_LINKS = {name: tuple(range(1 + 3 * i, 4 + 3 * i)) for i, name in enumerate(FINGERS)}
-"""Proximal, middle, distal among the 16 human links; link 0 is the palm."""
+"""Indices of the proximal, middle and distal link among the 16 human links; link 0 is the palm."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class Correspondence:
     near: np.ndarray
     """Robot key point at the near end of each finger link (index into ``Hand.keypoint_names``), shape [S]."""
     far: np.ndarray
-    """Robot key point at its far end, shape [S]."""
+    """Robot key point at the far end of each finger link, shape [S]."""
     human_near: np.ndarray
     """Human joint that corresponds to ``near``, shape [S]."""
     human_far: np.ndarray
@@ -36,11 +35,10 @@ class Correspondence:
     is_thumb: np.ndarray
     """Whether the link belongs to the thumb, shape [S] bool."""
     human_links: tuple[tuple[int, ...], ...]
-    """Human links that each robot link stands for, length S."""
+    """Human links that correspond to each finger link, length S."""
 
     def link_contacts(self, human_contacts: np.ndarray) -> np.ndarray:
-        """Contacts asked of the robot's links (palm first). human_contacts: shape [N, 16] bool; returns [N, 1
-        + S]."""
+        """Map ``human_contacts``, shape [N, 16] bool, to the robot's links, palm first, shape [N, 1 + S]."""
         columns = [
             human_contacts[:, 0],
             *(human_contacts[:, list(links)].any(axis=1) for links in self.human_links),
@@ -49,7 +47,7 @@ class Correspondence:
 
 
 def correspond(hand: Hand) -> Correspondence:
-    """Match a robot hand's links and key points with the human ones."""
+    """Return the correspondence of a robot hand's links and key points to human ones."""
     near, far, human_near, human_far, is_last, is_thumb, human_links = [], [], [], [], [], [], []
     keypoint = 1
     for finger in hand.fingers.values():

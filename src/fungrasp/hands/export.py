@@ -1,4 +1,4 @@
-"""Models for other programs: one MJCF text that needs no other file, and URDF."""
+"""Export of models to other programs, as self-contained MJCF or URDF."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from fungrasp.hands.kinematic_tree import drives
 
 
 def self_contained_xml(spec: mujoco.MjSpec) -> str:
-    """MJCF text of a model; ``spec`` itself is left in the same state.
+    """Return the self-contained MJCF of a model. ``spec`` is not modified.
 
-    Meshes are written as vertices and faces; pictures used as textures are left out.
+    Meshes are written as vertices and faces; texture files are omitted.
 
     Raises:
         FungraspError: the model does not compile, or cannot be written as one file.
@@ -48,7 +48,7 @@ def _drop_pictures(spec: mujoco.MjSpec) -> None:
 
 
 def _inline_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Replace mesh files by their vertices, in the frame and scale in which the geoms use them."""
+    """Replace mesh files by their vertices, in the frame and scale of the geoms."""
     for mesh in spec.meshes:
         if not mesh.file:
             continue
@@ -59,7 +59,7 @@ def _inline_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
         # The compiler moves a mesh to its inertial frame; this moves it back.
         mujoco.mju_quat2Mat(rotation, model.mesh_quat[i])
         vertices = vertices @ rotation.reshape(3, 3).T + model.mesh_pos[i]
-        # MuJoCo names a nameless mesh after its file, and the geoms use that name.
+        # MuJoCo names an unnamed mesh after its file, and geoms refer to that name.
         mesh.name = model.mesh(i).name
         mesh.file = ""
         mesh.uservert = vertices.ravel()
@@ -68,13 +68,13 @@ def _inline_meshes(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 FAR = 1e3
-"""Limit of joints that have none [m, rad]: URDF asks for one."""
+"""Limit and effort of joints without one [m, rad; N, N m]: URDF requires both."""
 
 LEAST_MASS, LEAST_INERTIA = 1e-6, 1e-9
-"""Of links [kg, kg m^2]: physics engines refuse links without any."""
+"""Smallest mass [kg] and principal inertia [kg m^2] of links: physics engines reject zero."""
 
 SPEED = 10.0
-"""Speed limit of joints [rad/s, m/s], which models don't have and URDF asks for."""
+"""Speed limit of joints [rad/s, m/s]: URDF requires one, and MuJoCo models have none."""
 
 _WORLD = "world"
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -89,18 +89,18 @@ def model_urdf(
     *,
     frames: Mapping[str, str] | None = None,
 ) -> xml.Element:
-    """URDF of a model. Links are its bodies, with their frames, and joints its joints; coupled ones mimic.
+    """Return the URDF of a model. Bodies become links and coupled joints mimic their drivers.
 
-    A link that several joints move, or one away from its origin, has links of almost no mass before it. The
-    root is ``world``.
+    A body with several joints, or with a joint away from its origin, gets nearly massless links before it.
+    The root is ``world``.
 
     Args:
-        model: its joints are hinges and slides.
-        meshes: folder that meshes are written to, which are named by URIs; without shapes if None.
-        frames: links of no mass to add, by the site that each is at.
+        model: model with hinges and slides only.
+        meshes: folder to write meshes to; the URDF names them by URI. If None, links have no geometry.
+        frames: names of nearly massless links to add, by the site at their origin.
 
     Raises:
-        FungraspError: a joint or a shape that URDF has not, or a mesh can't be written.
+        FungraspError: URDF does not support a joint or geom, or a mesh cannot be written.
     """
     robot = xml.Element("robot", name=name)
     xml.SubElement(robot, "link", name=_WORLD)
@@ -119,20 +119,20 @@ def model_urdf(
 
 
 class _Tree:
-    """Links and joints as they are added, parents first."""
+    """Adds links and joints, parents first."""
 
     def __init__(self, robot: xml.Element, model: mujoco.MjModel, meshes: Path | None):
         self._robot, self._model, self._meshes = robot, model, meshes
         self.links: dict[int, str] = {}
 
     def add(self, body: int, parent: str) -> None:
-        """A body: a link after each of its joints, with the joint's frame; the last one carries the body."""
+        """Add a body: a link with the joint's frame after each joint; the last one has the body's frame."""
         m = self._model
         name = self.links[body] = m.body(body).name or f"body {body}"
         place = np.concatenate([m.body_pos[body], m.body_quat[body]])
         first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
         for number in range(first, first + count):
-            # A URDF's joint turns about the origin of its child's frame.
+            # In URDF, a joint rotates about the origin of its child's frame.
             anchor = np.concatenate([m.jnt_pos[number], _IDENTITY[3:]])
             centered = np.allclose(m.jnt_pos[number], 0)
             last = centered and number == first + count - 1
@@ -173,7 +173,7 @@ class _Tree:
         geoms = np.flatnonzero(m.geom_bodyid == body).tolist()
         collides = [bool(m.geom_contype[g] | m.geom_conaffinity[g]) for g in geoms]
         for geom, hit in zip(geoms, collides, strict=True):
-            # Where nothing is for the eye alone, what collides is seen.
+            # If a body has no visual geoms, its collision geoms are shown.
             kinds = ["collision"] * hit + ["visual"] * (not hit or all(collides))
             for kind in kinds:
                 for place, shape in self._shapes(geom):
@@ -182,7 +182,7 @@ class _Tree:
                     xml.SubElement(part, "geometry").append(shape)
 
     def _shapes(self, geom: int) -> list[tuple[np.ndarray, xml.Element]]:
-        """A geom's shapes and where they are in its body."""
+        """Return the URDF geometries of a geom and their poses, body frame."""
         m = self._model
         size, kind = [float(v) for v in m.geom_size[geom]], int(m.geom_type[geom])
         here = np.concatenate([m.geom_pos[geom], m.geom_quat[geom]])
@@ -198,7 +198,7 @@ class _Tree:
         return [(here, xml.Element("mesh", filename=self._mesh(geom)))]
 
     def _mesh(self, geom: int) -> str:
-        """The name of the file of a mesh or an ellipsoid."""
+        """Write the mesh of a mesh geom or ellipsoid; return its URI."""
         import trimesh
 
         assert self._meshes is not None
@@ -220,7 +220,7 @@ class _Tree:
 
 
 def _light_link(robot: xml.Element, name: str) -> None:
-    """A link between joints."""
+    """Add a link with the smallest mass."""
     _inertial(xml.SubElement(robot, "link", name=name), _IDENTITY, 0.0, np.zeros(3))
 
 
@@ -243,7 +243,7 @@ def _joint(
 
 
 def _mimic(robot: xml.Element, m: mujoco.MjModel) -> None:
-    """What a joint equality couples; a URDF holds linear couplings."""
+    """Add the linear part of joint equalities, the only couplings of URDF."""
     named = {joint.get("name"): joint for joint in robot.findall("joint")}
     for joint, drive in drives(m).items():
         offset, slope = _text([drive.constant]), _text([drive.slope])
@@ -256,13 +256,13 @@ def _origin(element: xml.Element, pose: np.ndarray) -> None:
 
 
 def _angles(quaternion: np.ndarray) -> np.ndarray:
-    """Roll, pitch and yaw of URDF: about the fixed x, y and z [rad], shape [3]."""
+    """Return roll, pitch and yaw as in URDF, about the fixed x, y and z axes [rad], shape [3]."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
     r = matrix.reshape(3, 3)
     pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
     if np.hypot(r[0, 0], r[1, 0]) < 1e-9:
-        # Straight up or down: roll alone turns.
+        # Gimbal lock: yaw is set to zero.
         return np.array([np.arctan2(-r[1, 2], r[1, 1]), pitch, 0.0])
     return np.array([np.arctan2(r[2, 1], r[2, 2]), pitch, np.arctan2(r[1, 0], r[0, 0])])
 

@@ -1,4 +1,4 @@
-"""What adding and checking a hand report; the finger that a name tells."""
+"""Findings from adding and checking a hand; the finger that a body's name tells."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ Severity = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault or remark of a check."""
+    """A fault or remark of a check."""
 
     severity: Severity
-    """Error: the hand can't be used, or not rightly. Warning: probably a mistake. Note: good to know."""
+    """"error": the hand cannot be used correctly; "warning": probably a mistake; "note": information."""
     message: str
-    """A sentence that names the body, joint or entry and the remedy."""
+    """Message with the body, joint or entry and the remedy."""
 
 
 def error(message: str) -> Finding:
-    """A finding that stops the hand from being used."""
+    """Return a finding of severity "error"."""
     return Finding("error", message)
 
 
 def warning(message: str) -> Finding:
-    """A finding that probably is a mistake."""
+    """Return a finding of severity "warning"."""
     return Finding("warning", message)
 
 
 def note(message: str) -> Finding:
-    """A finding that is no fault."""
+    """Return a finding of severity "note"."""
     return Finding("note", message)
 
 
 def listed(names: list[str], limit: int = 6) -> str:
-    """Names for a message: 'a', 'b' and 3 more."""
+    """Return names for a message, as in "'a', 'b' and 3 more"."""
     shown = ", ".join(f"'{name}'" for name in names[:limit])
     return shown if len(names) <= limit else f"{shown} and {len(names) - limit} more"
 
@@ -54,6 +54,6 @@ _PATTERN = re.compile(
 
 
 def finger_of(name: str) -> str | None:
-    """The finger that a body's name tells ("rh_ffproximal": "index"), or None."""
+    """Return the finger that a body's name tells ("rh_ffproximal": "index"), or None."""
     match = _PATTERN.search(name.lower())
     return match.lastgroup if match else None

@@ -1,4 +1,4 @@
-"""A dexterous hand: kinematic model, and its correspondence to the human hand."""
+"""A dexterous hand: its kinematic model and the bodies that correspond to a human hand."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HAND_TOML: Schema = {
 
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
-"""Names of fingers, in the order of the human joints and links (docs/concepts.md)."""
+"""Finger names, in the order of the human joints and links (docs/concepts.md)."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,12 @@ class Finger:
     name: str
     """The corresponding human finger, one of ``FINGERS``."""
     links: tuple[str, ...]
-    """Up to three bodies from base to tip, for the human proximal, middle and distal links. With fewer
+    """One to three bodies from base to tip, for the human proximal, middle and distal links. With fewer
     bodies, the links near the tip are missing."""
     joints: tuple[str, ...]
-    """Site or body at the joint at the near end of each link: the link's own body, unless the model's frames
-    lie elsewhere."""
+    """Site or body at the near end of each link: by default the link's body."""
     tip: str
-    """Site or body at the center of the fingertip's round end."""
+    """Site or body at the center of the rounded fingertip."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Actuator:
     """Position servo of one independent joint."""
 
     joint: str
-    """Name of the joint."""
+    """Joint name."""
     kp: float
     """Stiffness [N m/rad]."""
     kd: float
@@ -67,11 +66,11 @@ class Actuator:
     force_limit: float
     """Largest torque [N m]."""
     joint_damping: float | None = None
-    """Damping of the joint in addition to the servo's [N m s/rad]; from the model file if None."""
+    """Joint damping in addition to ``kd`` [N m s/rad]; None: from the model file."""
     joint_friction: float | None = None
-    """Dry friction of the joint [N m]; from the model file if None."""
+    """Dry friction [N m]; None: from the model file."""
     joint_armature: float | None = None
-    """Armature: inertia of the drive at the joint [kg m^2]; from the model file if None."""
+    """Armature, the inertia of the drive at the joint [kg m^2]; None: from the model file."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -79,13 +78,13 @@ class Hand:
     """A hand, as loaded by ``fungrasp.hands.load_hand``."""
 
     name: str
-    """Name of the hand in commands and files."""
+    """Name in commands and files."""
     title: str
-    """Name of the product."""
+    """Product name."""
     path: Path
-    """The TOML file."""
+    """TOML file."""
     model_path: Path
-    """The MJCF or URDF file."""
+    """MJCF or URDF file."""
     palm: str
     """Body that carries the fingers; ``wrist_pose`` is its pose."""
     palm_fingers: np.ndarray
@@ -93,23 +92,23 @@ class Hand:
     palm_normal: np.ndarray
     """Unit vector out of the palm towards a held object, palm frame, shape [3]."""
     fingers: Mapping[str, Finger]
-    """By name, in the order of ``FINGERS``."""
+    """Fingers by name, in the order of ``FINGERS``."""
     actuators: Mapping[str, Actuator]
-    """By joint name, in the model's joint order."""
+    """Servos by joint name, in the model's joint order."""
     side: str = "right"
-    """"right" or "left": the corresponding human hand."""
+    """Corresponding human hand, "right" or "left"."""
     source: str = ""
     """Source of the model."""
     dynamics_path: Path | None = None
-    """File of identified dynamics; None for the model's."""
+    """File of identified dynamics; None: the model's dynamics."""
 
     def __repr__(self) -> str:
         counts = f"{len(self.fingers)} fingers, {len(self.actuators)} driven joints"
         return f"<Hand: {self.name!r}, {self.side}, {counts}>"
 
     def spec(self) -> mujoco.MjSpec:
-        """A fresh model of the bare hand, palm fixed at the world's origin, one position actuator per
-        independent joint (named as its joint)."""
+        """Return a new model of the bare hand: palm fixed at the world's origin, one position actuator per
+        independent joint with the joint's name."""
         spec = read_model(self.model_path)
         _put_at_origin(spec, self.palm)
         for actuator in list(spec.actuators):
@@ -125,7 +124,7 @@ class Hand:
             actuator.ctrllimited = True
             actuator.ctrlrange = joint.range
             if servo.joint_damping is not None:
-                # Linear; MuJoCo takes a quadratic and a cubic part too.
+                # Coefficients of linear, quadratic and cubic damping.
                 joint.damping = [servo.joint_damping, 0.0, 0.0]
             if servo.joint_friction is not None:
                 joint.frictionloss = servo.joint_friction
@@ -135,7 +134,7 @@ class Hand:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model of the bare hand. Do not modify it."""
+        """Compiled model of the bare hand. Do not modify it."""
         try:
             return self.spec().compile()
         except ValueError as error:
@@ -143,18 +142,18 @@ class Hand:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the TOML file, the model file and the servos, identified ones included."""
+        """SHA-256 of the TOML file, the model file and the servos, including identified values."""
         servos = {name: asdict(servo) for name, servo in self.actuators.items()}
         return digest(self.path.read_bytes(), self.model_path.read_bytes(), servos)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """All joints of the model in order, including coupled joints, length M."""
+        """Joints of the model in order, including coupled joints, length M."""
         return tuple(self.model.joint(i).name for i in range(self.model.njnt))
 
     @property
     def joint_limits(self) -> np.ndarray:
-        """Lower and upper limit [rad], shape [M, 2]; infinite for an unlimited joint."""
+        """Lower and upper limits [rad], shape [M, 2]; infinite for unlimited joints."""
         limited = self.model.jnt_limited[:, None].astype(bool)
         return np.where(limited, self.model.jnt_range, [[-np.inf, np.inf]])
 
@@ -162,8 +161,8 @@ class Hand:
     def coupling(self) -> tuple[np.ndarray, np.ndarray]:
         """``joint_positions = matrix @ independent + offset`` [rad]; matrix: shape [M, U], offset: shape [M].
 
-        The U independent joints are those not driven by a joint equality, in model order. Only linear
-        couplings count.
+        The U independent joints are those that no joint equality drives, in model order. Only the linear part
+        of an equality is used.
         """
         try:
             return coupling_matrix(self.model.njnt, drives(self.model))
@@ -175,32 +174,31 @@ class Hand:
         return np.linalg.pinv(self.coupling[0])
 
     def independent(self, joint_positions: Array) -> Array:
-        """Independent joints [rad], shape [..., U], of all joints [rad], shape [..., M]; the nearest ones
-        where the given joints do not keep their couplings."""
+        """Return the independent joints [rad], shape [..., U], for all joints [rad], shape [..., M]: the
+        least-squares solution if the joints violate the couplings."""
         offset, matrix = (constant(joint_positions, part) for part in (self.coupling[1], self._decoupling))
         return (joint_positions - offset) @ matrix.T
 
     def all_joints(self, independent: Array) -> Array:
-        """All joints [rad], shape [..., M], of independent ones [rad], shape [..., U]."""
+        """Return all joints [rad], shape [..., M], for independent joints [rad], shape [..., U]."""
         matrix, offset = (constant(independent, part) for part in self.coupling)
         return independent @ matrix.T + offset
 
     @property
     def open_joints(self) -> np.ndarray:
-        """Independent joints of the open hand: at zero, or at the limit nearest to it [rad], shape [U]."""
+        """Independent joints of the open hand: zero, or the limit nearest to zero [rad], shape [U]."""
         return self.independent(np.clip(np.zeros(len(self.joint_names)), *self.joint_limits.T))
 
     @property
     def index_side(self) -> np.ndarray:
-        """Unit vector across the palm to the side of index finger and thumb, palm frame, shape [3]."""
+        """Unit vector across the palm towards the index finger and thumb, palm frame, shape [3]."""
         across = np.cross(self.palm_fingers, self.palm_normal)
         return across if self.side == "right" else -across
 
     @property
     def links(self) -> tuple[tuple[str, ...], ...]:
-        """Contact links: the palm, then each finger's links in order; a contact flag each. Each entry names
-        the bodies that belong to it (a body not named in the TOML belongs to its nearest named ancestor),
-        length L."""
+        """Bodies of each contact link, length L: the palm, then each finger's links. A body that the TOML
+        file does not name belongs to its nearest named ancestor, or else to the palm."""
         named = [self.palm, *(body for finger in self.fingers.values() for body in finger.links)]
         members: dict[str, list[str]] = {body: [] for body in named}
         m = self.model
@@ -213,25 +211,23 @@ class Hand:
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """Name of each contact link, "palm", "index_proximal", ..., length L."""
+        """Names of the contact links, "palm", "index_proximal", ..., length L."""
         parts = ("proximal", "middle", "distal")
         names = [f"{f.name}_{parts[i]}" for f in self.fingers.values() for i in range(len(f.links))]
         return ("palm", *names)
 
     @property
     def keypoint_names(self) -> tuple[str, ...]:
-        """Names of the key points: the palm body, then each finger's joints and tip, length K: sites or
-        bodies."""
+        """Sites or bodies of the key points, length K: the palm, then each finger's joints and tip."""
         return (self.palm, *(name for f in self.fingers.values() for name in (*f.joints, f.tip)))
 
 
 @guarded("hand file")
 def read_hand_toml(path: Path) -> Hand:
-    """Read a hand's TOML and check that all it names exists in the model.
+    """Read a hand's TOML file and check that its names exist in the model.
 
     Raises:
-        FungraspError: the file or its model is missing, unreadable or inconsistent; the message says which
-            and why.
+        FungraspError: the file or its model is missing, unreadable or inconsistent.
     """
     data = read_toml(path, "hand file")
     for fault in type_faults(data, HAND_TOML):
@@ -302,12 +298,14 @@ def read_hand_toml(path: Path) -> Hand:
 
 
 def side_of(model: mujoco.MjModel, palm: str, fingers: Mapping[str, Finger], across: np.ndarray) -> str:
-    """Whether a hand is "right" or "left": on a right one the index finger lies farther than the others, or
-    where there is one finger the thumb farther than it, along the cross product of fingers and normal.
+    """Return whether a hand is "right" or "left".
+
+    On a right hand, the first finger's base lies farther along ``across`` than that of the last finger. On a
+    right hand with one finger, the thumb's base lies farther than that of the finger.
 
     Args:
-        fingers: by name, in the order of ``FINGERS``.
-        across: that cross product, palm frame, shape [3].
+        fingers: fingers by name, in the order of ``FINGERS``.
+        across: cross product of ``palm_fingers`` and ``palm_normal``, palm frame, shape [3].
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -352,8 +350,8 @@ def _unit(path: Path, name: str, value: Any) -> np.ndarray:
 
 
 def _put_at_origin(spec: mujoco.MjSpec, palm: str) -> None:
-    """Move everything so that a body that stands still lies at the world's origin, without rotation."""
-    # A frame added to a compiled spec has no effect.
+    """Move the model so that a static body has the identity pose in the world."""
+    # The copy is compiled: a frame added to a compiled spec has no effect.
     model = spec.copy().compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -1,4 +1,4 @@
-"""A hand in plain words and numbers: what ``fungrasp hands show`` prints."""
+"""Description of a hand, as printed by ``fungrasp hands show``."""
 
 from __future__ import annotations
 
@@ -11,27 +11,26 @@ from fungrasp.hands.kinematic_tree import drives
 
 
 def contact_points(finger: Finger) -> tuple[str, ...]:
-    """The key point that carries each link's contact flag: the one at the link's far end.
+    """Return the key point at the far end of each link, which carries its contact flag.
 
     Returns:
-        A name per link of ``finger``: the next link's joint (its body, or a site where the TOML gives one),
-        for the last link the tip site.
+        Site or body by link: the joint of the next link, or the tip for the last link.
     """
     return (*finger.joints[1:], finger.tip)
 
 
 def hand_mass(hand: Hand) -> float:
-    """Mass of the palm and all that hangs on it [kg]."""
+    """Return the mass of the palm and all bodies below it [kg]."""
     return float(hand.model.body(hand.palm).subtreemass[0])
 
 
 def describe_hand(hand: Hand) -> dict[str, Any]:
-    """A hand as a JSON-able dictionary.
+    """Return a description of a hand for JSON.
 
-    Lengths in meters, angles in radians, masses in kilograms. A finger's ``joints`` are the points at the
-    near ends of its links, its ``contact_points`` those at the far ends: each the name of a body, or of a
-    site where the model has a site of that name. A coupled joint is ``constant + slope * driver``. ``limits``
-    is null for an unlimited joint.
+    Lengths are in meters, angles in radians, masses in kilograms. A finger's ``joints`` are the points at the
+    near ends of its links and its ``contact_points`` those at the far ends, each by the name of a site or, if
+    there is none, of a body. A coupled joint is ``constant + slope * driver``. ``limits`` is null for an
+    unlimited joint.
     """
     model = hand.model
     joints = hand.joint_names

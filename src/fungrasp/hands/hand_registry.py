@@ -1,4 +1,4 @@
-"""Hands by name: built-in, from other packages (entry point ``fungrasp.hands``), or from a TOML file."""
+"""Load hands by name: built-in, from other packages (entry point ``fungrasp.hands``), or from a TOML file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fungrasp.hands.hand import Hand, read_hand_toml
 
 @cache
 def hand_files() -> dict[str, Path]:
-    """TOML files of all known hands by name. Entry points are callables that return a folder or a TOML
-    file."""
+    """Return the TOML files of all known hands by name. Entry points are functions that return the path of a
+    folder or TOML file."""
     files = {path.parent.name: path for path in sorted(Path(__file__).parent.glob("*/hand.toml"))}
     for entry in entry_points(group="fungrasp.hands"):
         files.setdefault(entry.name, _toml_in(Path(entry.load()())))
@@ -21,10 +21,10 @@ def hand_files() -> dict[str, Path]:
 
 
 def load_hand(name: str | Path) -> Hand:
-    """A hand by name ("allegro"), or by the path of its TOML file or folder.
+    """Load a hand by name ("allegro"), or by the path of its TOML file or folder.
 
     Raises:
-        FungraspError: unknown hand, or invalid files.
+        FungraspError: the hand is unknown, or its files are invalid.
     """
     text = str(name)
     if text in hand_files():
@@ -38,10 +38,10 @@ def load_hand(name: str | Path) -> Hand:
 
 
 def as_hand(hand: Hand | str | Path) -> Hand:
-    """A hand from a hand, name or path.
+    """Return the given hand, or load it by name or path.
 
     Raises:
-        FungraspError: unknown hand or wrong type.
+        FungraspError: the hand is unknown, or the argument has another type.
     """
     if isinstance(hand, Hand):
         return hand
@@ -51,7 +51,7 @@ def as_hand(hand: Hand | str | Path) -> Hand:
 
 
 def hand_origin(hand: Hand) -> str:
-    """Path of the TOML file if ``load_hand`` does not find the hand by its name, else ""."""
+    """Return the path of the TOML file if ``load_hand`` does not find this hand by its name, else ""."""
     known = hand_files().get(hand.name)
     return "" if known is not None and known.resolve() == hand.path.resolve() else str(hand.path.absolute())
 

@@ -1,4 +1,4 @@
-"""Walking the kinematic tree of a model; its linear couplings."""
+"""The kinematic tree of a model and its linear couplings."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import numpy as np
 
 
 def body_name(model: mujoco.MjModel, body: int | np.integer) -> str:
-    """Name of a body; "body 7" if it has none."""
+    """Return the name of a body; "body 7" if it has none."""
     return model.body(int(body)).name or f"body {body}"
 
 
 def joint_name(model: mujoco.MjModel, joint: int | np.integer) -> str:
-    """Name of a joint; "joint 7" if it has none."""
+    """Return the name of a joint; "joint 7" if it has none."""
     return model.joint(int(joint)).name or f"joint {joint}"
 
 
 def carrier_of(model: mujoco.MjModel, name: str) -> int:
-    """Id of the body that a site is on; of the body of that name if there is no such site."""
+    """Return the id of the body that a site is on; if there is no such site, of the body of that name."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name)
     return int(model.site_bodyid[site]) if site >= 0 else int(model.body(name).id)
 
 
 def place_of(data: mujoco.MjData, name: str) -> np.ndarray:
-    """Where a site is, or the body of that name if there is no such site, world frame [m], shape [3]."""
+    """Return the position of a site or, if there is none, of that body, world frame [m], shape [3]."""
     site = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_SITE, name)
     return (data.site_xpos[site] if site >= 0 else data.body(name).xpos).copy()
 
 
 def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    """The body, its parent, and so on up to and without the world."""
+    """Return the body and its ancestors, from the body upwards, without the world."""
     chain = []
     while body:
         chain.append(body)
@@ -41,7 +41,7 @@ def ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def subtree(model: mujoco.MjModel, root: int) -> list[int]:
-    """The body and all that hang on it, in model order."""
+    """Return the body and its descendants in model order."""
     inside = {root}
     for body in range(root + 1, model.nbody):
         if int(model.body_parentid[body]) in inside:
@@ -50,18 +50,18 @@ def subtree(model: mujoco.MjModel, root: int) -> list[int]:
 
 
 class Drive(NamedTuple):
-    """``joint = constant + slope * driver``."""
+    """Linear coupling ``joint = constant + slope * driver``."""
 
     driver: int
-    """Id of the joint that drives."""
+    """Id of the driving joint."""
     constant: float
-    """Position where the driver is at zero [rad]."""
+    """Position of the driven joint if the driver is at zero [rad]."""
     slope: float
-    """Change per change of the driver."""
+    """Ratio of the driven joint's motion to the driver's."""
 
 
 def drives(model: mujoco.MjModel) -> dict[int, Drive]:
-    """What drives each joint that a joint equality ties to another one: the equality's linear part."""
+    """Return the linear part of each joint equality between two joints, by the id of the driven joint."""
     return {
         int(model.eq_obj1id[e]): Drive(int(model.eq_obj2id[e]), *map(float, model.eq_data[e, :2]))
         for e in range(model.neq)
@@ -70,8 +70,11 @@ def drives(model: mujoco.MjModel) -> dict[int, Drive]:
 
 
 def coupling_matrix(count: int, driven: Mapping[int, Drive]) -> tuple[np.ndarray, np.ndarray]:
-    """``joints = matrix @ independent + offset`` of ``count`` joints [rad]; matrix: shape [M, U], offset:
-    shape [M]. The U independent joints are those not driven, in model order.
+    """Return matrix, shape [M, U], and offset [rad], shape [M]: ``joints = matrix @ independent + offset``.
+
+    Args:
+        count: M, the number of joints.
+        driven: couplings by driven joint. The U other joints are independent, in model order.
 
     Raises:
         ValueError: joints drive each other in a loop.
@@ -92,12 +95,13 @@ def coupling_matrix(count: int, driven: Mapping[int, Drive]) -> tuple[np.ndarray
 
 
 def coupled_positions(model: mujoco.MjModel, positions: np.ndarray) -> np.ndarray:
-    """Joint positions with the driven joints set from their drivers, shape [nq]."""
+    """Return joint positions [rad], shape [nq], with driven joints computed from their drivers by the whole
+    polynomial of the equality."""
     positions = positions.copy()
     driven = [
         e for e in range(model.neq) if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj2id[e] >= 0
     ]
-    # As often as the longest possible chain of couplings.
+    # The longest possible chain of couplings has as many links.
     for _ in driven:
         for e in driven:
             driver = positions[model.jnt_qposadr[model.eq_obj2id[e]]]

@@ -1,5 +1,4 @@
-"""Where the bodies of many copies of a hand are: by MuJoCo with Jacobians, or on devices by array libraries;
-which way a hand's joints close."""
+"""Batched kinematics of a hand: with Jacobians by MuJoCo, or on a device by an array library."""
 
 from __future__ import annotations
 
@@ -24,16 +23,16 @@ from fungrasp.hands.hand import Hand
 from fungrasp.hands.kinematic_tree import place_of
 
 FARTHEST = 0.15
-"""Distance of a palm's origin from the bases of its fingers that a palm of human size can have [m]; of the
-built-in hands, 0.02 to 0.14."""
+"""Largest distance of a palm's origin from the bases of its fingers [m]; built-in hands have 0.02 to 0.14."""
 
 
 def palm_offset(model: mujoco.MjModel, palm: str, bases: Sequence[str]) -> np.ndarray:
-    """From a palm's origin to the place where it would lie if it were near the hand, palm frame [m], shape
-    [3]: on the line to the middle of the fingers' bases, ``FARTHEST`` before it. Zero where it is near.
+    """Return the shift of a far palm origin towards the fingers, palm frame [m], shape [3].
+
+    The shifted origin is ``FARTHEST`` from the mean of the bases. The shift is zero if the origin is nearer.
 
     Args:
-        bases: site or body at the base of each finger but the thumb.
+        bases: site or body at the base of each finger except the thumb.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -45,12 +44,12 @@ def palm_offset(model: mujoco.MjModel, palm: str, bases: Sequence[str]) -> np.nd
 
 
 class BodyPoints(NamedTuple):
-    """Points that ride on a hand's bodies."""
+    """Points fixed to a hand's bodies."""
 
     bodies: np.ndarray
     """Body ids, shape [P]."""
     offsets: np.ndarray
-    """Position in the frame of its body [m], shape [P, 3]."""
+    """Positions, body frames [m], shape [P, 3]."""
 
     def __getitem__(self, key):  # type: ignore[override]
         if isinstance(key, slice | np.ndarray | list):
@@ -59,15 +58,13 @@ class BodyPoints(NamedTuple):
 
 
 class HandKinematics:
-    """N hands, each with a wrist pose and U independent joint positions, in any one reference frame of the
-    caller's.
+    """N copies of a hand, each with a wrist pose in a common reference frame and U independent joints.
 
-    Tangent vectors have D = 6 + U numbers: translation of the wrist [m] and its rotation [rad] about the
-    wrist's origin, both along the reference frame's axes, then the independent joints [rad].
+    Tangent vectors have D = 6 + U elements: translation [m] and rotation vector [rad] of the wrist, both in
+    the reference frame and the latter about the wrist's origin, then the independent joints [rad].
     """
 
     def __init__(self, hand: Hand, count: int):
-        """ """
         self.hand = hand
         self.model = model = hand.model
         self.matrix, self.offset = hand.coupling
@@ -81,13 +78,13 @@ class HandKinematics:
         self._anchor, self._axis = np.empty((2, count, *data.xanchor.shape))
         self.moves = _moved_bodies(model)
         self._slides = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
-        # The palm stands still in the model.
+        # The palm is static in the model.
         mujoco.mj_kinematics(model, data)
         palm = model.body(hand.palm).id
         self._palm_place = data.xpos[palm].copy()
         self._to_palm = data.xmat[palm].reshape(1, 3, 3).mT.copy()
         self._in_palm = np.zeros((count, 3)), self._to_palm, -self._to_palm @ self._palm_place
-        # Made when first asked for after each update.
+        # Computed on the first use after each update.
         self._joint_frames: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
@@ -99,8 +96,7 @@ class HandKinematics:
         """Move the hands.
 
         Args:
-            wrist_pose: pose of the palm body in the reference frame, shape [N, 7]; None where the palm itself
-                is that frame.
+            wrist_pose: pose of the palm body, reference frame, shape [N, 7]. None: the identity.
             independent: independent joint positions [rad], shape [N, U].
         """
         model, data = self.model, self._data
@@ -117,20 +113,20 @@ class HandKinematics:
         self._joint_frames = None
 
     def points(self, which: BodyPoints) -> np.ndarray:
-        """Positions in the reference frame [m], shape [N, P, 3]."""
+        """Return positions, reference frame [m], shape [N, P, 3]."""
         matrices = self._matrix.take(which.bodies, axis=1).reshape(-1, len(which.bodies), 3, 3)
         local = self._position.take(which.bodies, axis=1) + (matrices @ which.offsets[:, :, None])[..., 0]
         return self._map(local)
 
     def jacobian(self, bodies: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Derivative of positions that ride on bodies with respect to the tangent vector.
+        """Return the derivative of positions fixed to bodies with respect to the tangent vector.
 
         Args:
             bodies: body ids, shape [P] or [N, P].
             positions: current positions, reference frame [m], shape [N, P, 3].
 
         Returns:
-            shape [N, P, 3, D].
+            Reference frame, shape [N, P, 3, D].
         """
         count, number = positions.shape[:2]
         result = np.zeros((count, number, 3, self.size))
@@ -155,12 +151,12 @@ class HandKinematics:
     def step(
         self, wrist_pose: np.ndarray, independent: np.ndarray, tangent: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Wrist poses and independent joints after a step along ``tangent``, joints clipped to their limits.
+        """Return wrist poses and independent joints after a step, the joints clipped to their limits.
 
         Args:
-            wrist_pose: shape [N, 7].
-            independent: shape [N, U].
-            tangent: shape [N, D].
+            wrist_pose: reference frame, shape [N, 7].
+            independent: independent joint positions [rad], shape [N, U].
+            tangent: tangent vectors, shape [N, D].
         """
         rotation = quaternion_multiply(quaternion_from_rotation_vector(tangent[:, 3:6]), wrist_pose[:, 3:])
         rotation /= np.linalg.norm(rotation, axis=1, keepdims=True)
@@ -168,7 +164,7 @@ class HandKinematics:
         return pose, np.clip(independent + tangent[:, 6:], self.lower, self.upper)
 
     def body_points(self, names: tuple[str, ...]) -> BodyPoints:
-        """Points at body origins or sites, by name."""
+        """Return the points at sites or, where there is no such site, body origins."""
         bodies, offsets = [], []
         for name in names:
             site = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name)
@@ -178,15 +174,19 @@ class HandKinematics:
         return BodyPoints(np.array(bodies), np.array(offsets))
 
     def keypoints(self, wrist_pose: np.ndarray, joint_positions: np.ndarray) -> np.ndarray:
-        """Key points of full joint vectors (coupled joints included). Shape [N, 7], [N, M]; returns [m], [N,
-        K, 3]."""
+        """Return the key points, reference frame [m], shape [N, K, 3].
+
+        Args:
+            wrist_pose: reference frame, shape [N, 7].
+            joint_positions: all joints [rad], shape [N, M].
+        """
         independent = (joint_positions - self.offset) @ np.linalg.pinv(self.matrix).T
         self.update(wrist_pose, independent)
         return self.points(self.body_points(self.hand.keypoint_names))
 
 
 def _moved_bodies(model: mujoco.MjModel) -> np.ndarray:
-    """Whether a joint moves a body, shape [nbody, njnt]."""
+    """Return whether a joint moves a body, as 0 or 1, shape [nbody, njnt]."""
     moves = np.zeros((model.nbody, model.njnt))
     for body in range(1, model.nbody):
         moves[body] = moves[model.body_parentid[body]]
@@ -199,7 +199,7 @@ def _moved_bodies(model: mujoco.MjModel) -> np.ndarray:
 def _independent_limits(
     matrix: np.ndarray, offset: np.ndarray, limits: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the independent joints such that coupled joints keep theirs as well."""
+    """Return limits of the independent joints within which all joints keep theirs, shape [U] each."""
     lower = np.full(matrix.shape[1], -np.inf)
     upper = np.full(matrix.shape[1], np.inf)
     for row, shift, (low, high) in zip(matrix, offset, limits, strict=True):
@@ -213,25 +213,25 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 class _Segment(NamedTuple):
-    """What a joint moves, or a body that none moves; a body of several joints is as many segments."""
+    """Part of a body with at most one joint."""
 
     parent: int
-    """Number among the segments one step nearer to the palm."""
+    """Index among the segments of the level before."""
     place: np.ndarray
-    """In its parent [m], where the joint is at zero, shape [7]."""
+    """Pose in the parent with the joint at zero, shape [7]."""
     column: int
-    """Of the joint, among all joints."""
+    """Index of the joint among all joints."""
     anchor: np.ndarray
-    """Of the joint [m], shape [3]."""
+    """Position of the joint [m], shape [3]."""
     turns: np.ndarray
-    """About which axis it turns, shape [3]; zero for none."""
+    """Axis of a hinge, shape [3]; zero otherwise."""
     shifts: np.ndarray
-    """Along which axis it shifts, shape [3]; zero for none."""
+    """Axis of a slide, shape [3]; zero otherwise."""
 
 
 class ArrayKinematics:
-    """Points on the bodies of N hands, in their palms' frames. Bodies that are as many joints away from the
-    palm are moved together: on a device the number of calls is what takes time."""
+    """Positions of points on the bodies of N hands, palm frame. Segments of the same level, their distance
+    from the palm in the kinematic tree, are moved by one call: on a device, calls are expensive."""
 
     def __init__(self, hand: Hand, points: BodyPoints):
         """
@@ -240,7 +240,7 @@ class ArrayKinematics:
         """
         self._hand, self._offsets = hand, points.offsets
         model = hand.model
-        # What moves the palm itself does not count in its frame.
+        # Joints above the palm do not move points in its frame.
         known = {model.body(hand.palm).id: (0, 0), 0: (0, 0)}
         levels: list[list[_Segment]] = [[]]
         for body in points.bodies.tolist():
@@ -252,7 +252,7 @@ class ArrayKinematics:
         self._carrier = np.array([first[known[b][0]] + known[b][1] for b in points.bodies.tolist()])
 
     def points(self, independent: Array) -> Array:
-        """Palm frame [m], shape [N, P, 3]. independent: joints [rad], shape [N, U]."""
+        """Return the points, palm frame [m], shape [N, P, 3]. independent: joints [rad], shape [N, U]."""
         xp = array_namespace(independent)
         pose = xp.broadcast_to(constant(independent, _IDENTITY), (len(independent), 1, 7))
         poses, begin = [pose], 0
@@ -278,7 +278,7 @@ class ArrayKinematics:
 def _add(
     model: mujoco.MjModel, body: int, known: dict[int, tuple[int, int]], levels: list[list[_Segment]]
 ) -> tuple[int, int]:
-    """Level and number of the last segment of a body, which is added with what carries it."""
+    """Add the segments of a body and its ancestors. Return level and index of its last segment."""
     if body in known:
         return known[body]
     level, number = _add(model, int(model.body_parentid[body]), known, levels)
@@ -302,29 +302,29 @@ def _add(
 
 
 BENT = 1.3
-"""A finger that is shorter by this factor at both limits of a joint bends to both sides."""
+"""A finger that is shorter by this factor at both limits of a joint than between them bends to both sides."""
 
 TOWARD = 0.35
-"""Cosine of the angle to the closing direction within which a tip moves as its finger bends: fingers a third
-of a turn apart have 0.5."""
+"""Smallest cosine between the motion of a bending finger's tip and the closing direction; for three fingers
+around a center it is 0.5."""
 
 NEAR_ZERO = 0.25
-"""A thumb's limit this much nearer to zero than the other is that of the open thumb."""
+"""A thumb is open at the limit whose distance from zero is less than this share of the other's."""
 
 STEP = 1e-3
-"""For derivatives [rad]."""
+"""Step of finite differences [rad]."""
 
 
 def partly_closed(kinematics: HandKinematics, share: float) -> np.ndarray:
-    """Independent joints that have gone a share of their way from open to closed [rad], shape [U].
+    """Return independent joints between open and closed [rad], shape [U].
 
-    A joint closes towards the limit to which its fingertip moves out of the palm, a thumb's joint away from
-    zero; joints that do neither are taken to close towards their upper limits. A finger that bends to both
-    sides is open where it is straight, and its thumb closes towards the other tips.
+    A finger's joint closes towards the limit at which its tip is farther out of the palm; a thumb's joint
+    closes away from zero. Other joints are assumed to close towards their upper limits. A finger that bends
+    to both sides is open where it is straight; such a thumb closes towards the other tips.
 
     Args:
-        kinematics: of 5 copies of any hand; they are moved.
-        share: 0 is open, 1 is closed.
+        kinematics: kinematics of 5 copies of a hand; it is updated.
+        share: 0 for open, 1 for closed.
     """
     lower, upper = kinematics.lower, kinematics.upper
     middle = 0.5 * (lower + upper)
@@ -336,7 +336,7 @@ def partly_closed(kinematics: HandKinematics, share: float) -> np.ndarray:
         trial[:, u] = lower[u], middle[u], upper[u], others[u] - STEP, others[u] + STEP
         length, closing, is_thumb = _moved_finger(kinematics, trial)
         both_ways = length[1] > BENT * max(length[0], length[2])
-        # Thumbs turn as well as bend: only a range on the negative side tells that they close downwards.
+        # Thumbs also rotate, so only a mostly negative range shows that they close downwards.
         negative = closing < -TOWARD if both_ways or not is_thumb else abs(upper[u]) < NEAR_ZERO * -lower[u]
         opened, closed = (upper[u], lower[u]) if negative else (lower[u], upper[u])
         if both_ways:
@@ -346,9 +346,8 @@ def partly_closed(kinematics: HandKinematics, share: float) -> np.ndarray:
 
 
 def _moved_finger(kinematics: HandKinematics, independent: np.ndarray) -> tuple[np.ndarray, float, bool]:
-    """Of the finger that a joint moves most: its length [m], shape [5], the cosine of the angle between its
-    tip's motion from copy 3 to copy 4, which differ in that joint, and the direction in which it closes, and
-    whether it is the thumb."""
+    """Return values of the finger that moves most among the 5 copies: its length [m], shape [5]; the cosine
+    between its tip's motion from copy 3 to copy 4 and its closing direction; whether it is the thumb."""
     hand = kinematics.hand
     kinematics.update(None, independent)
     points = kinematics.points(kinematics.body_points(hand.keypoint_names))

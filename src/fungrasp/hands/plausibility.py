@@ -1,4 +1,4 @@
-"""The last check of a hand that can be loaded: is it of a size, mass and build that a hand can have?"""
+"""Check whether size, mass and kinematics of a loaded hand are plausible."""
 
 from __future__ import annotations
 
@@ -13,38 +13,39 @@ from fungrasp.hands.hand import Hand
 from fungrasp.hands.kinematic_tree import ancestors, body_name, coupled_positions, joint_name, place_of
 
 LARGEST = 0.5
-"""Extent of a hand with straight fingers [m]: of the largest robot hands it is 0.45."""
+"""Largest diagonal of the bounding box of a hand with straight fingers [m]; the largest robot hands have
+0.45."""
 
 MASSES = (0.01, 5.0)
-"""Of a hand [kg]: from small printed ones to those of steel with their motors."""
+"""Range of hand masses [kg], from small printed hands to steel hands with motors."""
 
 FINGER_LENGTHS = (0.03, 0.25)
-"""From a finger's first joint to its tip [m]."""
+"""Range of finger lengths from the first joint to the tip [m]."""
 
 SHAPE_RATIO = 3.0
-"""The shape of a finger's link reaches no farther from its joint than so many times the finger's length."""
+"""Largest radius of the bounding sphere of a link's geom, as a multiple of the finger's length."""
 
 ASIDE = 0.03
-"""No shape of a link is farther from its joint [m]."""
+"""Largest distance of a link's nearest geom from its joint [m]."""
 
 FAR_MASS = 0.05
-"""No center of mass is farther from the shapes of its body [m]."""
+"""Largest distance of a center of mass from the body's geoms [m]."""
 
 WIDEST = np.pi + 0.1
-"""No joint of a finger turns further in all [rad]; wider limits stand for none."""
+"""Largest range of a finger's joint [rad]; wider limits are placeholders."""
 
 STILL = 0.05
-"""A finger whose joints all turn by less does not move [rad]."""
+"""A finger moves if one of its joints has at least this range [rad]."""
 
 LEAST_BEND = 5e-3
-"""Motion of the fingertips to the middle pose that tells to which side they bend [m]."""
+"""Motion of the fingertips to the middle pose that shows to which side they bend [m]."""
 
 STRAIGHTER = 1.1
-"""A finger that is this much longer at an end of its joints' range than at zero is bent at zero."""
+"""A finger that is longer by this factor at a limit of its joints than at zero is bent at zero."""
 
 
 def check_plausibility(hand: Hand) -> Iterator[Finding]:
-    """What no hand is like, each with its number."""
+    """Yield implausible properties of a hand, with their values."""
     model, data = hand.model, mujoco.MjData(hand.model)
     low, high = (model.jnt_range[:, end].copy() for end in (0, 1))
     straight = coupled_positions(model, np.clip(np.zeros(model.nq), low, high))
@@ -56,7 +57,7 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
     misplaced = list(_misplaced_shapes(hand, data, solid))
     yield from misplaced
     if any(finding.severity == "error" for finding in misplaced):
-        # Sizes and centers of mass follow from the shapes.
+        # The further checks depend on the geoms.
         return
     reach = model.geom_rbound[solid]
     if len(solid):
@@ -126,7 +127,7 @@ def check_plausibility(hand: Hand) -> Iterator[Finding]:
 
 
 def _misplaced_shapes(hand: Hand, data: mujoco.MjData, solid: np.ndarray) -> Iterator[Finding]:
-    """Links whose shapes begin far from their joints."""
+    """Find links whose geoms are far from their joints."""
     model, far, count = hand.model, [], 0
     for finger in hand.fingers.values():
         for link, joint in zip(finger.links, finger.joints, strict=True):
@@ -145,8 +146,8 @@ def _misplaced_shapes(hand: Hand, data: mujoco.MjData, solid: np.ndarray) -> Ite
 
 
 def _outside(model: mujoco.MjModel, solid: np.ndarray, body: int, point: np.ndarray) -> float:
-    """Distance of a point from the nearest box of a body's shapes, frame of the body [m]; infinite without
-    shapes."""
+    """Return the distance of a point, body frame, from the nearest bounding box of the body's geoms [m];
+    infinite without geoms."""
     best = np.inf
     for geom in solid[model.geom_bodyid[solid] == body]:
         turn = np.empty(9)
@@ -157,7 +158,7 @@ def _outside(model: mujoco.MjModel, solid: np.ndarray, body: int, point: np.ndar
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
-    """Extents of the box around shapes in the palm's axes [m], shape [3]."""
+    """Return the extents of the geoms' common bounding box, palm frame [m], shape [3]."""
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
     points = []
     for geom in geoms:
@@ -167,7 +168,7 @@ def _boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray) -> np.
 
 
 def _palm_frame(hand: Hand, data: mujoco.MjData, straight: np.ndarray) -> Iterator[Finding]:
-    """Do the fingers point where the palm's frame says, and bend to where it says?"""
+    """Check whether the fingers point and bend in the directions of the palm frame."""
     model, along, normal = hand.model, hand.palm_fingers, hand.palm_normal
     if abs(float(along @ normal)) > 0.1:
         yield warning("palm_frame: 'fingers' and 'normal' must be perpendicular")
@@ -175,7 +176,7 @@ def _palm_frame(hand: Hand, data: mujoco.MjData, straight: np.ndarray) -> Iterat
     turn = data.body(hand.palm).xmat.reshape(3, 3).copy()
 
     def spans(positions: np.ndarray) -> np.ndarray:
-        """From base to tip of each finger, palm frame [m], shape [F, 3]."""
+        """Return the vector from base to tip of each finger, palm frame [m], shape [F, 3]."""
         data.qpos[:] = coupled_positions(model, positions)
         mujoco.mj_kinematics(model, data)
         return np.array([place_of(data, f.tip) - place_of(data, f.links[0]) for f in fingers]) @ turn
@@ -183,7 +184,7 @@ def _palm_frame(hand: Hand, data: mujoco.MjData, straight: np.ndarray) -> Iterat
     lower, upper = model.jnt_range.T
     poses = np.stack([spans(positions) for positions in (straight, lower, upper)])
     lengths = np.linalg.norm(poses, axis=-1)
-    # Where zero is a bent pose, the finger is straight at an end of its range.
+    # A finger that is bent at zero is straight at one of its limits.
     best = np.where(lengths.max(axis=0) > STRAIGHTER * lengths[0], lengths.argmax(axis=0), 0)
     motion = (spans(0.5 * (lower + upper)) - poses[best, np.arange(len(fingers))]).mean(axis=0)
     direction = (poses / np.maximum(lengths, 1e-9)[..., None]).mean(axis=1)

@@ -1,1 +1,1 @@
-"""A hand folder from a foreign URDF or MJCF; ``add_hand.add_hand`` does it all."""
+"""Conversion of foreign URDF or MJCF models to hand folders, by ``add_hand.add_hand``."""

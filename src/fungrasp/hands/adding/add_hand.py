@@ -1,4 +1,4 @@
-"""From a foreign URDF or MJCF to a hand folder that is ready for use."""
+"""Convert a foreign URDF or MJCF model to a hand folder, and check hands."""
 
 from __future__ import annotations
 
@@ -50,23 +50,21 @@ def add_hand(
     answers: Answers | None = None,
     force: bool = False,
 ) -> tuple[Path, list[Finding]]:
-    """Write a hand folder: one MJCF that needs no other file, and ``hand.toml``.
-
-    The same file gives the same bytes.
+    """Write a hand folder with a self-contained MJCF file and ``hand.toml``. The output is deterministic.
 
     Args:
-        path: a URDF or an MJCF, its meshes where it says.
-        folder: of the new hand; beside the current place, named as the hand, if None.
-        name: of the new hand; that of the file if None.
-        answers: what can't be found in the file, or is found wrongly.
+        path: URDF or MJCF file; its meshes are searched for by ``find_mesh``.
+        folder: folder of the new hand. None: named as the hand, in the current directory.
+        name: name of the new hand. None: from the file name.
+        answers: given properties of the hand; the others are found in the file.
         force: overwrite the files of an earlier run.
 
     Returns:
-        the TOML file, and what was found, changed and proposed, with what the check of the hand says.
+        The TOML file, and findings of the conversion and of ``check_hand``.
 
     Raises:
-        FungraspError: the file can't be read, something can't be decided (the message names the option that
-            does), or the folder already holds a hand.
+        FungraspError: the file cannot be read, the result is implausible, the folder already contains a hand,
+            or a property cannot be found (the message names its option).
     """
     path, answers = Path(path), answers or Answers()
     name = name or re.sub(r"\W+", "_", path.stem).strip("_").lower() or "hand"
@@ -121,13 +119,13 @@ MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
 @guarded("hand")
 def check_hand_files(path: str | Path) -> list[Finding]:
-    """Everything found wrong with a hand, the worst first.
+    """Check a hand, or whether a model can be added.
 
     Args:
-        path: a hand's TOML file or folder; or a URDF or an MJCF, which is added on trial.
+        path: TOML file or folder of a hand, or a URDF or MJCF file.
 
     Returns:
-        No finding of severity "error" if and only if the hand can be used (a bare model: be added).
+        Findings, the most severe first. Without errors, the hand can be used or the model added.
     """
     path = Path(path)
     if path.is_dir():
@@ -150,10 +148,10 @@ def check_hand_files(path: str | Path) -> list[Finding]:
 
 
 def parse_fingers(entries: tuple[str, ...]) -> Mapping[str, str]:
-    """``index=BODY`` ... as a mapping.
+    """Parse entries ``FINGER=BODY``.
 
     Raises:
-        FungraspError: an entry without "=".
+        FungraspError: an entry has no "=".
     """
     for entry in entries:
         if "=" not in entry:
@@ -162,12 +160,12 @@ def parse_fingers(entries: tuple[str, ...]) -> Mapping[str, str]:
 
 
 def parse_couplings(entries: tuple[str, ...]) -> tuple[GivenCoupling, ...]:
-    """``JOINT=SLOPE*DRIVER`` or ``JOINT=OFFSET+SLOPE*DRIVER`` ... [rad].
+    """Parse entries ``JOINT=SLOPE*DRIVER`` or ``JOINT=OFFSET+SLOPE*DRIVER`` [rad].
 
-    The offset comes first, as a joint's name may hold signs and digits.
+    The driver comes last because names of joints may contain signs and digits.
 
     Raises:
-        FungraspError: an entry of another form.
+        FungraspError: an entry has another form.
     """
     found = []
     for entry in entries:

@@ -1,4 +1,4 @@
-"""Joints that move together: by the file, by the user, by closed loops."""
+"""Couplings of joints, from the file, the user and closed loops."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from fungrasp.hands.kinematic_tree import (
 )
 
 LEAST_ROOM = 0.1
-"""A coupling that leaves less of its driver's range can't be meant."""
+"""A coupling is wrong if it leaves less than this share of its driver's range."""
 
 TIGHT_TENDON = 0.05
-"""A fixed tendon that lets its joints move by less is a rigid coupling [rad]."""
+"""A fixed tendon is a rigid coupling if it leaves its joints less [rad]."""
 
 
 class GivenCoupling(NamedTuple):
-    """``joint = offset + slope * driver``, as the user says it."""
+    """Coupling ``joint = offset + slope * driver`` given by the user."""
 
     joint: str
-    """Name of the joint that is driven."""
+    """Name of the driven joint."""
     slope: float
-    """Change of the driven joint per change of the driver."""
+    """Ratio of the driven joint's motion to the driver's."""
     driver: str
-    """Name of the joint that drives it."""
+    """Name of the driving joint."""
     offset: float = 0.0
-    """Position of the driven joint where the driver is at zero [rad]."""
+    """Position of the driven joint if the driver is at zero [rad]."""
 
 
 def from_reference(model: mujoco.MjModel, joint: int, drive: Drive) -> float:
-    """The constant of a coupling where positions count from the model's reference pose [rad]."""
+    """Return the constant of a coupling for positions relative to the model's reference pose [rad]."""
     reference = model.qpos0[model.jnt_qposadr]
     return float(drive.constant - reference[joint] + drive.slope * reference[drive.driver])
 
@@ -50,14 +50,14 @@ def from_reference(model: mujoco.MjModel, joint: int, drive: Drive) -> float:
 def find_couplings(
     model: mujoco.MjModel, findings: list[Finding], given: Sequence[GivenCoupling] = ()
 ) -> dict[int, Drive]:
-    """All linear couplings of a model by the joint that is driven, no loop among them.
+    """Return the linear couplings of a model by driven joint; they form no loop.
 
     Args:
-        findings: what is left out or assumed is added.
-        given: further couplings, that come before the model's.
+        findings: ignored and assumed couplings are added.
+        given: couplings with precedence over the model's.
 
     Raises:
-        FungraspError: a given coupling names a joint that does not exist, or closes a loop.
+        FungraspError: a given coupling names an unknown joint, repeats another or closes a loop.
     """
     found: dict[int, Drive] = {}
 
@@ -71,8 +71,8 @@ def find_couplings(
         return True
 
     def tie(joint: int, driver: int, change: float, slope: float) -> bool:
-        """MuJoCo couples changes from the reference pose; ``change`` is that of the joint where the driver's
-        is zero."""
+        """Add a coupling of motions from the reference pose, as in MuJoCo. change: the joint's motion where
+        the driver's is zero [rad]."""
         reference = model.qpos0[model.jnt_qposadr]
         return add(joint, driver, change + float(reference[joint] - slope * reference[driver]), slope)
 
@@ -88,7 +88,7 @@ def find_couplings(
             joint, driver = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
             constant, slope, *curve = model.eq_data[e, :5]
             if driver < 0:
-                # Held still: it follows any other joint with slope 0.
+                # A fixed joint follows any other joint with slope 0.
                 driver, slope, curve = next(j for j in range(model.njnt) if j != joint), 0.0, [0.0]
             off = 0.0
             if np.abs(curve).max() > 1e-9:
@@ -134,7 +134,7 @@ def _tendon(
         return
     terms = sorted(zip(model.wrap_objid[span].tolist(), model.wrap_prm[span].tolist(), strict=True))
     low, high = model.tendon_range[tendon]
-    # A tendon's length is in meters where its coefficients are: in radians of its joints it tells.
+    # Divided by its largest coefficient, the range is in radians even for coefficients in meters.
     slack = (high - low) / max(abs(factor) for _, factor in terms)
     rigid = len(terms) == 2 and bool(model.tendon_limited[tendon]) and slack < TIGHT_TENDON
     rigid |= len(terms) == 2 and bool(
@@ -143,7 +143,7 @@ def _tendon(
     name = model.tendon(tendon).name or f"tendon {tendon}"
     if rigid:
         (near, a), (far, b) = terms
-        # Where limits leave such a coupling no room, it is read as two joints of one motor.
+        # If limits leave such a coupling no room, it becomes two joints of one motor.
         if _room(model, far, near, -a / b) > LEAST_ROOM:
             if not tie(far, near, 0.0, -a / b):
                 tie(near, far, 0.0, -b / a)
@@ -166,7 +166,7 @@ def _tendon(
         return
     near, sign = terms[0]
     for far, factor in terms[1:]:
-        # The joints of one motor are taken to reach the ends of their ranges together.
+        # Assumption: the joints of one motor reach their limits together.
         width = np.ptp(model.jnt_range[far]) / max(float(np.ptp(model.jnt_range[near])), 1e-6)
         slope = float(width) if rigid else float(np.sign(sign * factor)) * float(width)
         start = float(model.jnt_range[far, 0] - slope * model.jnt_range[near, 0]) if rigid else 0.0
@@ -181,7 +181,7 @@ def _tendon(
 
 
 def _room(model: mujoco.MjModel, joint: int, driver: int, slope: float) -> float:
-    """Share of a driver's range in which the joint it drives keeps its own."""
+    """Return the share of a driver's range in which the driven joint keeps its limits."""
     reference = model.qpos0[model.jnt_qposadr]
     ends = np.sort((model.jnt_range[joint] - reference[joint]) / slope + reference[driver])
     low, high = model.jnt_range[driver]
@@ -189,40 +189,40 @@ def _room(model: mujoco.MjModel, joint: int, driver: int, slope: float) -> float
 
 
 STEPS = 60
-"""In which a loop is followed over the range of its driver."""
+"""Number of steps from the file's pose to each limit of a loop's driver."""
 
 CLOSED = 1e-3
-"""Gap within which a loop is closed [m]."""
+"""Largest gap of a closed loop [m]."""
 
 LEAST_MOTION = 0.1
-"""A loop that lets its driver turn less holds it still [rad]."""
+"""Smallest range of a loop's driver [rad]."""
 
 STRAIGHT = 0.15
-"""Deviation of a followed joint from its line that is mentioned [rad]."""
+"""Largest unreported deviation of a coupled joint from its line [rad]."""
 
 TURNING = 0.1
-"""Joints that turn by less than this share of the one that turns most don't drive a loop."""
+"""Smallest motion of a loop's driver, as a share of the largest motion of a joint."""
 
 FREE = 1e-2
-"""Singular values of a loop's Jacobian smaller than this share of the largest leave a motion free."""
+"""Singular values of a loop's Jacobian below this share of the largest count as zero: a free motion each."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Closing constraint of a loop."""
+    """The constraint that closes a loop."""
 
     equality: int
-    """Id in the model."""
+    """Id of the equality."""
     name: str
-    """For messages."""
+    """Name for messages."""
     ends: tuple[int, int]
-    """The two bodies that it ties."""
+    """Ids of the two connected bodies."""
     joints: frozenset[int]
-    """Joints between its ends."""
+    """Joints between these bodies."""
 
 
 def closed_loops(model: mujoco.MjModel, palm: int) -> list[Loop]:
-    """The loops of a hand, those through the palm included."""
+    """Return the loops of a hand, including those through the palm."""
     below, loops = set(subtree(model, palm)), []
     for e in range(model.neq):
         kind = int(model.eq_type[e])
@@ -244,15 +244,15 @@ def closed_loops(model: mujoco.MjModel, palm: int) -> list[Loop]:
 def solve_loops(
     model: mujoco.MjModel, loops: list[Loop], couplings: dict[int, Drive], findings: list[Finding]
 ) -> dict[int, Drive]:
-    """All couplings, those of the loops included. Limits of the loops' joints in the model become those
-    between which the loops stay closed.
+    """Return the couplings and those that replace loops.
 
     Args:
-        couplings: of the model or given; loops that they tie already are left alone.
-        findings: what was solved is added.
+        model: the limits of the loops' joints are set to the range in which the loops stay closed.
+        couplings: known couplings; loops whose joints they couple already are ignored.
+        findings: solved loops are added.
 
     Raises:
-        FungraspError: a loop leaves more than one motion, or none.
+        FungraspError: a loop leaves more than one motion, none, or one with too small a range.
     """
     result = dict(couplings)
     matrix, offset = coupling_matrix(model.njnt, couplings)
@@ -264,7 +264,7 @@ def solve_loops(
             continue
         follower = _Follower(model, group, matrix, offset, moved)
         free, motion = follower.motions()
-        # The columns' own joints, in the order of ``moved``.
+        # Independent joints, in the order of ``moved``.
         own = [int(np.argmax(matrix[:, u] == 1.0)) for u in moved]
         if free != 1:
             freedom = "no motion" if free == 0 else f"{free} motions that mix"
@@ -273,7 +273,7 @@ def solve_loops(
                 "driver or none: tie the joints behind it with --couple JOINT=OFFSET+SLOPE*DRIVER, or give a "
                 "model without loops"
             )
-        # Of the joints that the motion turns, the one that carries most.
+        # Of the joints that move, the driver is the one that carries most bodies.
         carried = [len(subtree(model, int(model.jnt_bodyid[j]))) for j in own]
         driver = int(np.argmax(np.where(motion > TURNING * motion.max(), carried, 0)))
         path = follower.follow(driver, model.jnt_range[own[driver]])
@@ -314,7 +314,7 @@ def solve_loops(
 
 
 def _groups(loops: list[Loop], matrix: np.ndarray) -> list[list[Loop]]:
-    """Loops that move together."""
+    """Group loops that share independent joints."""
     groups: list[tuple[set[int], list[Loop]]] = []
     for loop in loops:
         moved = set(np.flatnonzero(np.abs(matrix[sorted(loop.joints)]).sum(axis=0)).tolist())
@@ -338,7 +338,7 @@ class _Follower:
         offset: np.ndarray,
         moved: np.ndarray,
     ):
-        """moved: the independent joints that the loops hold, columns of the matrix."""
+        """moved: independent joints of the loops, as columns of the matrix, length J."""
         self._model = copy.copy(model)
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -351,7 +351,8 @@ class _Follower:
         self._start = self._start[moved]
 
     def _gap(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is missing to close the loops [m, or m for a turn], and its derivative."""
+        """Return the constraint violations of the loops [m], rotations scaled to lengths, and their
+        Jacobian."""
         data = self._data
         data.qpos[:] = self._rest + self._columns @ position + self._offset
         mujoco.mj_fwdPosition(self._model, data)
@@ -360,7 +361,7 @@ class _Follower:
         return data.efc_pos[rows].copy(), jacobian @ self._columns
 
     def close(self, position: np.ndarray, held: int | None = None) -> tuple[np.ndarray, float]:
-        """The nearest position with closed loops, one joint held; and the gap that is left [m]."""
+        """Return the nearest position with closed loops, one joint held, and the remaining gap [m]."""
         position = position.copy()
         free = np.array([i for i in range(len(position)) if i != held])
         for _ in range(30):
@@ -372,8 +373,8 @@ class _Follower:
         return position, float(np.abs(self._gap(position)[0]).max(initial=0.0))
 
     def motions(self) -> tuple[int, np.ndarray]:
-        """How many motions the loops leave at a place that is not special, and by how much the last of them
-        turns each joint, shape [J]."""
+        """Return the number of free motions at generic positions, and by how much the last one moves each
+        joint, shape [J]."""
         rng, count, size = np.random.default_rng(0), 0, len(self._start)
         motion = np.zeros(size)
         for spread in (0.0, 0.1, 0.1, 0.1):
@@ -385,7 +386,7 @@ class _Follower:
         return size - count, motion
 
     def follow(self, driver: int, limits: np.ndarray) -> np.ndarray:
-        """Positions with closed loops over the range of one joint, as far as they close, shape [P, J]."""
+        """Return positions over the range of one joint, as far as the loops close, shape [P, J]."""
         first, gap = self.close(self._start)
         paths = [first[None]] if gap < CLOSED else [self._start[None]]
         for end in limits:

@@ -1,4 +1,4 @@
-"""Chains of bodies that are fingers, where their links end, and grippers, which have none."""
+"""Find the kinematic chains of fingers and their tips; reject grippers."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from fungrasp.hands.findings import listed
 from fungrasp.hands.kinematic_tree import ancestors, body_name, joint_name, subtree
 
 SAME_PLACE = 0.13
-"""Joints nearer to each other than this make one joint, of several axes or rolling; share of the finger."""
+"""Joints nearer than this share of the finger's length form one joint, with several axes or rolling."""
 
 FLEXING = 0.8
-"""Cosine of the angle to a finger's last axis within which a joint bends the finger."""
+"""Smallest cosine between the axes of a flexing joint and of the finger's last joint."""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """One finger: bodies in order from the palm."""
+    """Body ids of one finger, base to tip."""
 
     bodies: tuple[int, ...]
-    """Every moving body of the finger, base to tip."""
+    """All moving bodies."""
     links: tuple[int, ...]
-    """At most three, whose joints lie apart."""
+    """Up to three bodies whose joints are apart."""
 
 
 def find_chains(
@@ -41,23 +41,22 @@ def find_chains(
     tips: Mapping[int, np.ndarray],
     ties: Sequence[tuple[int, int]] = (),
 ) -> list[Chain]:
-    """The fingers on a palm.
+    """Return the fingers on a palm.
 
     Args:
-        tips: by moving body: its far end, its own frame [m].
-        ties: pairs of bodies that close loops; of two branches that one ties, the shorter is a part of the
-            other's mechanism.
+        tips: far end of each moving body, by body id, body frame [m], shape [3].
+        ties: pairs of bodies that close loops. The shorter of two tied branches is a rod of the other.
 
     Raises:
-        FungraspError: there are fewer than two.
+        FungraspError: there are fewer than two fingers.
     """
     below = [b for b in subtree(model, palm) if b != palm and model.body_jntnum[b] > 0]
     ends = branch_ends(model, set(below))
     chains = [[b for b in reversed(ancestors(model, end)) if b in below] for end in ends]
-    # Bodies without shape or mass carry joints that only drive others.
+    # Joints of bodies without shape and mass only drive other joints.
     solid = [chain for chain in chains if any(not _is_bare(model, body) for body in chain)]
     chains = solid or chains
-    # A side branch shorter than half of the finger it hangs on is a part of its mechanism.
+    # A side branch of one body on a longer finger is a part of the finger's mechanism.
     kept = []
     for chain in chains:
         rivals = [other for other in chains if other is not chain and other[0] == chain[0]]
@@ -88,7 +87,7 @@ def find_chains(
 
 
 def _is_bare(model: mujoco.MjModel, body: int) -> bool:
-    """Whether a body and what is fixed to it have neither shapes nor mass."""
+    """Return whether a body and the bodies fixed to it have neither shapes nor mass."""
     group = np.array(members(model, body))
     return not model.body_geomnum[group].any() and bool((model.body_mass[group] < 1e-6).all())
 
@@ -96,8 +95,7 @@ def _is_bare(model: mujoco.MjModel, body: int) -> bool:
 def _links(
     model: mujoco.MjModel, poses: Poses, chain: list[int], tips: Mapping[int, np.ndarray]
 ) -> tuple[int, ...]:
-    """The last three bodies whose joints lie apart; those that bend the finger come before those that spread
-    or turn it."""
+    """Return the last three bodies whose joints are apart: flexing ones only, if there are three of them."""
     bend = poses.axis(int(model.body_jntadr[chain[-1]] + model.body_jntnum[chain[-1]] - 1))
 
     def joint(body: int) -> tuple[bool, int]:
@@ -121,12 +119,12 @@ def _links(
 
 
 FOLDED = 0.8
-"""A finger whose joints turn by more on average until it is straight was folded at its base too [rad]."""
+"""A finger whose joints turn by more on average until it is straight is also folded at its base [rad]."""
 
 
 def straight_fingers(poses: Poses, chains: list[Chain], tips: Mapping[int, np.ndarray]) -> np.ndarray:
-    """Independent joints with every finger as long as it gets; those that don't lengthen it stay, but unfold
-    with the others where the file's pose is a fist."""
+    """Return independent joints at which every finger is longest [rad], shape [U]. Joints that do not
+    lengthen a finger stay, but unfold with the others if the file's pose is a fist."""
     start, best = poses.start, poses.start.copy()
     for chain in chains:
         poses.set(start)
@@ -140,7 +138,7 @@ def straight_fingers(poses: Poses, chains: list[Chain], tips: Mapping[int, np.nd
                     trial[u] = value
                     poses.set(trial)
                     tip = poses.of_body(chain.bodies[-1], tips[chain.bodies[-1]])
-                    # Small bends hardly shorten a finger: the pose at zero is preferred to those.
+                    # Small bends hardly change the length: the file's pose is preferred to them.
                     reaches.append(
                         np.linalg.norm(tip - poses.anchor(chain.links[0])) - 2e-3 * abs(value - start[u])
                     )
@@ -157,29 +155,28 @@ def straight_fingers(poses: Poses, chains: list[Chain], tips: Mapping[int, np.nd
 
 
 def chain_joints(model: mujoco.MjModel, chain: Chain) -> list[int]:
-    """Joints of a finger, base to tip."""
+    """Return the joints of a finger, base to tip."""
     return [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in chain.bodies]
 
 
 def flexing_joints(poses: Poses, chain: Chain) -> list[int]:
-    """Joints parallel to the finger's last one."""
+    """Return the joints nearly parallel to the finger's last joint."""
     joints = chain_joints(poses.model, chain)
     return [j for j in joints if abs(poses.axis(j) @ poses.axis(joints[-1])) > FLEXING]
 
 
 NEARLY_NOTHING = 0.006
-"""Links shorter than this get no made-up shape [m]."""
+"""Links shorter than this get no default shape [m]."""
 
 
 RIM = 1e-3
-"""Points that are hardly less far than the farthest belong to the same end [m]."""
+"""Points whose distance differs by less from the farthest belong to the same end [m]."""
 
 
 def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
-    """By moving body: the end farthest from its joint of the shapes that move with it, of its frames where it
-    has no shapes, its own frame [m]; for a bare last link, a point as far ahead as the link before is long.
-
-    Frames of sensors and cameras stand beside or ahead of a finger; those called tip count too."""
+    """Return the far end of each moving body, by body id, body frame [m], shape [3]: the point farthest from
+    its joint. It is taken from its shapes; else from its sites and fixed bodies, which may be sensors beside
+    the finger; else it lies ahead by the length of the link before."""
     model = foreign.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -199,16 +196,16 @@ def far_ends(foreign: ForeignModel) -> dict[int, np.ndarray]:
         before = _anchor_before(model, data, body)
         if not len(cloud) or np.linalg.norm(cloud - anchor, axis=1).max() < NEARLY_NOTHING:
             cloud = (2 * anchor - before)[None]
-        # Of two ends equally far from the joint, the one away from the link before is the tip.
+        # Of two ends equally far from the joint, the tip is the one farther from the link before.
         reach = np.linalg.norm(cloud - anchor, axis=1) + np.linalg.norm(cloud - before, axis=1)
-        # The middle of a flat end, and not a place on its rim.
+        # The mean gives the middle of a flat end, not a point on its rim.
         far = cloud[reach > reach.max() - RIM].mean(axis=0)
         ends[body] = turn.T @ (far - data.xpos[body])
     return ends
 
 
 def members(model: mujoco.MjModel, body: int, palm: int = -1) -> tuple[int, ...]:
-    """The body and all that are fixed to it; for the palm also what it is fixed to, but no moving link."""
+    """Return the body and those fixed to it: below it, and for the palm also elsewhere."""
     weld = model.body_weldid
     if body == palm:
         group = np.flatnonzero((weld == weld[body]) & (model.body_jntnum == 0))
@@ -217,7 +214,7 @@ def members(model: mujoco.MjModel, body: int, palm: int = -1) -> tuple[int, ...]
 
 
 def first_anchor(model: mujoco.MjModel, body: int) -> np.ndarray:
-    """Where the first joint of a moving body lies, its own frame [m], shape [3]."""
+    """Return the anchor of a moving body's first joint, body frame [m], shape [3]."""
     return model.jnt_pos[model.body_jntadr[body]]
 
 
@@ -233,7 +230,8 @@ def _anchor_before(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> np.
 
 
 def surface_points(foreign: ForeignModel, body: int, visual: bool = True) -> np.ndarray:
-    """Points of a body's shapes [m], shape [P, 3], its own frame: those that collide if there are any."""
+    """Return points on a body's collision shapes, body frame [m], shape [P, 3]. visual: use visual meshes if
+    there are no collision shapes."""
     model = foreign.model
     meshes = foreign.meshes.get(body, [])
     clouds = [mesh_points(m.vertices, m.faces) for m in meshes if m.collides]
@@ -244,7 +242,7 @@ def surface_points(foreign: ForeignModel, body: int, visual: bool = True) -> np.
 
 
 def primitives(model: mujoco.MjModel, body: int) -> list[int]:
-    """Ids of the geoms of a body that collide and are no meshes."""
+    """Return the ids of a body's primitive collision geoms."""
     return [
         g
         for g in np.flatnonzero(model.geom_bodyid == body).tolist()
@@ -253,7 +251,8 @@ def primitives(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def midline(poses: Poses, chain: Chain, body: int, tip: np.ndarray) -> np.ndarray:
-    """The point on the axis of a body's joint that lies in the middle of the finger, palm frame [m]."""
+    """Return the point on the axis of a body's flexing joint nearest to the finger's tip, palm frame [m],
+    shape [3]; the anchor if no joint flexes. tip: frame of the last body [m], shape [3]."""
     model = poses.model
     last = int(model.body_jntadr[chain.bodies[-1]])
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
@@ -267,14 +266,14 @@ def midline(poses: Poses, chain: Chain, body: int, tip: np.ndarray) -> np.ndarra
 
 
 PARALLEL = 0.95
-"""Cosine of the angle between axes that are parallel."""
+"""Smallest cosine between parallel axes."""
 
 
 def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: Container[int]) -> None:
-    """Refuse what slides or moves as one.
+    """Reject grippers with slides or a single motor.
 
     Raises:
-        FungraspError: a joint below the palm slides, or one motor moves them all.
+        FungraspError: a joint below the palm slides, or there is one motor or one independent joint.
     """
     below = set(subtree(model, palm)) - {palm}
     joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in below]
@@ -293,11 +292,10 @@ def refuse_sliding_or_one_motor(model: mujoco.MjModel, palm: int, couplings: Con
 
 
 def refuse_jaws(poses: Poses, chains: list[Chain]) -> None:
-    """Refuse two fingers that move in one plane, and several that one or two motors move in planes that are
-    parallel.
+    """Reject grippers with parallel joints.
 
     Raises:
-        FungraspError: they do.
+        FungraspError: all joints are parallel, and there are two fingers or at most two independent joints.
     """
     joints = [j for chain in chains for j in chain_joints(poses.model, chain)]
     motors = int(np.any(poses.matrix[joints], axis=0).sum())
@@ -310,8 +308,8 @@ def refuse_jaws(poses: Poses, chains: list[Chain]) -> None:
 
 
 def driven_joints(model: mujoco.MjModel, actuator: int) -> list[int]:
-    """Joints that an actuator moves, by itself or over a tendon; of a tendon in space, those between the
-    bodies that it touches."""
+    """Return the joints that an actuator moves, directly or by a tendon. A spatial tendon moves all joints
+    between the bodies of its sites."""
     target = int(model.actuator_trnid[actuator, 0])
     if model.actuator_trntype[actuator] != mujoco.mjtTrn.mjTRN_TENDON:
         return [target]

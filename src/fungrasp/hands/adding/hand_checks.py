@@ -1,4 +1,4 @@
-"""All checks of a hand's folder: its TOML, its model, its fingers, its shapes."""
+"""Checks of a hand folder: TOML file, model, fingers and shapes."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ from fungrasp.hands.kinematics import FARTHEST, palm_offset
 from fungrasp.hands.plausibility import check_plausibility
 
 LEAST_OVERLAP = 5e-4
-"""Overlap of collision shapes that is mentioned [m]."""
+"""Smallest reported overlap of collision shapes at the zero pose [m]."""
 
 LARGE_OVERLAP = 3e-3
-"""Overlap at the zero pose that is an error [m]."""
+"""Largest overlap at the zero pose that is not an error [m]."""
 
 FRAME_OFFSET = 1e-3
-"""Distance of a link's origin from its joint's axis that is mentioned [m]."""
+"""Largest unreported distance of a link's origin from its joint's axis [m]."""
 
 FAR_ORIGIN = 0.02
-"""A palm's origin this much too far from the fingers is mentioned [m]."""
+"""Largest unreported excess of the palm origin's distance from the fingers over ``FARTHEST`` [m]."""
 
 SHORTEST_LINK = 1e-3
-"""Key points of a finger nearer than this are one and the same [m]."""
+"""Key points of a finger nearer than this coincide [m]."""
 
 
 def check_hand(path: Path) -> list[Finding]:
-    """What is wrong with a hand's TOML file and its model: no error if and only if the hand can be used."""
+    """Check a hand's TOML file and model. Without errors, the hand can be used."""
     findings: list[Finding] = []
     hand = None
     with quiet():
@@ -71,7 +71,7 @@ def check_hand(path: Path) -> list[Finding]:
 
 
 def _faults_of_model(path: Path, loads: bool) -> Iterator[Finding]:
-    """What ``hands add`` mends in a model is an error where nobody does: in that of a hand."""
+    """Report faults that ``hands add`` would repair: as errors, since loading a hand does not repair them."""
     try:
         data = read_toml(path, "hand file")
         if "palm_frame" not in data:
@@ -81,7 +81,7 @@ def _faults_of_model(path: Path, loads: bool) -> Iterator[Finding]:
         couplings = find_couplings(foreign.model, foreign.findings)
         fuses = not loads and read_model(file).compiler.fusestatic
     except (FungraspError, KeyError) as problem:
-        # Where it doesn't load, that says why.
+        # If the hand does not load, its error is reported already.
         if loads:
             yield error(str(problem))
         return
@@ -98,11 +98,11 @@ def _faults_of_model(path: Path, loads: bool) -> Iterator[Finding]:
 
 
 def _joints(hand: Hand) -> Iterator[Finding]:
-    """Joints that are no hinges, have no limits or lie off their link's frame; couplings with slope 0."""
+    """Report joints that are not hinges, have no limits or lie off their link's frame; unusual couplings."""
     model = hand.model
     kinds = {int(mujoco.mjtJoint.mjJNT_SLIDE): "slides", int(mujoco.mjtJoint.mjJNT_BALL): "is a ball joint"}
     kinds[int(mujoco.mjtJoint.mjJNT_FREE)] = "is a free joint"
-    # Links whose key point is another one, named in the TOML, may have their frames anywhere.
+    # The frame of a link is free if the TOML file names another key point.
     links = {
         link for f in hand.fingers.values() for link, at in zip(f.links, f.joints, strict=True) if link == at
     }
@@ -131,7 +131,7 @@ def _joints(hand: Hand) -> Iterator[Finding]:
 
 
 def _palm(hand: Hand) -> Iterator[Finding]:
-    """A palm that is no body of its own, that moves, or whose origin is far from the hand."""
+    """Report a palm that is fused with the world, that moves, or whose origin is far from the fingers."""
     model = hand.model
     on_world = int((model.geom_bodyid == 0).sum())
     if on_world:
@@ -166,7 +166,7 @@ def _side(hand: Hand) -> Iterator[Finding]:
 
 
 def _fingers(hand: Hand) -> Iterator[Finding]:
-    """Fingers that are not one chain from the palm to the tip, in that order."""
+    """Report fingers that are not a chain from the palm to the tip."""
     model, data = hand.model, mujoco.MjData(hand.model)
     mujoco.mj_kinematics(model, data)
     owners: dict[str, str] = {}
@@ -208,7 +208,7 @@ def _fingers(hand: Hand) -> Iterator[Finding]:
 
 
 def _shapes(hand: Hand) -> Iterator[Finding]:
-    """Links without collision shapes; shapes that overlap at the zero pose or in many poses."""
+    """Report links without collision shapes, and shapes that overlap at the zero pose or in many poses."""
     model = hand.model
     solid = set(model.geom_bodyid[(model.geom_contype != 0) | (model.geom_conaffinity != 0)].tolist())
     links = {model.body(link).id: link for finger in hand.fingers.values() for link in finger.links}
@@ -232,7 +232,7 @@ def _shapes(hand: Hand) -> Iterator[Finding]:
 
 
 def _owned(model: mujoco.MjModel, link: int, links: Iterable[int]) -> set[int]:
-    """Bodies that belong to a link: what is fixed to it, and what hangs on it and on no other link."""
+    """Return the bodies fixed to a link and those below it that are not below another link."""
     hanging = {b for b in subtree(model, link) if next(a for a in ancestors(model, b) if a in links) == link}
     return hanging | set(np.flatnonzero(model.body_weldid == model.body_weldid[link]).tolist())
 
@@ -240,7 +240,7 @@ def _owned(model: mujoco.MjModel, link: int, links: Iterable[int]) -> set[int]:
 def _by_finger(
     model: mujoco.MjModel, links: dict[int, str], hand: Hand, contacts: list[SelfContact]
 ) -> list[list[SelfContact]]:
-    """Contacts, the deepest first, by the fingers that their bodies belong to."""
+    """Group contacts by the pair of fingers, the deepest first."""
     owner = {link: name for name, finger in hand.fingers.items() for link in finger.links}
 
     def finger(name: str) -> str:
@@ -254,7 +254,7 @@ def _by_finger(
 
 
 def _overlap(contacts: list[SelfContact], when: str) -> str:
-    """In words. contacts: of the same two fingers, the deepest first."""
+    """Return the message for contacts of two fingers, the deepest first."""
     pairs = ", ".join(f"'{contact.first}' and '{contact.second}'" for contact in contacts[:4])
     more = f", and {len(contacts) - 4} more pairs of these fingers" if len(contacts) > 4 else ""
     return (

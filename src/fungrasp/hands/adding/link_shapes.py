@@ -1,4 +1,4 @@
-"""Collision shapes of a hand's links, fitted to what the file has, made up where it has none."""
+"""Collision shapes of a hand's links: primitives of the file, fits to its meshes, or default shapes."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ from fungrasp.hands.findings import Finding, listed, note, warning
 from fungrasp.hands.kinematic_tree import body_name, subtree
 
 Shape = Capsule | Box | int
-"""An ``int`` is the id of a primitive geom of the foreign model, kept as it is."""
+"""A fitted shape, or the id of a primitive geom of the foreign model."""
 
 
 @dataclass
 class LinkShapes:
-    """Shapes of one body of the new model, frame of that body."""
+    """Collision shapes of one body of the new model."""
 
     body: int
     """Id of the body in the foreign model."""
     members: tuple[int, ...]
-    """Bodies of the foreign model that move with it, itself first."""
+    """Bodies of the foreign model that are merged into this one, itself first."""
     shapes: list[Shape] = field(default_factory=list)
-    """Capsules and boxes, frame of the body."""
+    """Capsules and boxes, body frame, and ids of primitive geoms."""
 
 
 @dataclass
 class HandShapes:
-    """Shapes of all bodies of the new model and the points that follow from them."""
+    """Collision shapes of all bodies of the new model, and key points that depend on them."""
 
     links: dict[int, LinkShapes]
-    """By body id of the foreign model, parents first."""
+    """Shapes by body id of the foreign model, parents first."""
     joints: dict[int, np.ndarray]
-    """By body of a finger: the point at its joint in the finger's middle, its own frame [m], shape [3]."""
+    """Point at the joint in the middle of the finger, by body id, body frame [m], shape [3]."""
     tips: dict[str, np.ndarray]
-    """By finger: center of the tip's round end, frame of the last link [m], shape [3]."""
+    """Center of the rounded tip by finger, frame of the last link [m], shape [3]."""
 
     def owner(self, body: int) -> int:
-        """The new body that a body of the foreign model is part of."""
+        """Return the new body that contains a body of the foreign model."""
         return next(new for new, link in self.links.items() if body in link.members)
 
 
@@ -69,11 +69,12 @@ def hand_shapes(
     radius: float | None,
     findings: list[Finding],
 ) -> HandShapes:
-    """Shapes of all links, joints and tips. The poses are left with straight fingers.
+    """Return collision shapes, joints and tips. ``poses`` is set to straight fingers.
 
     Args:
-        radius: of fingers whose shapes are missing [m]; found if None.
-        findings: what was fitted and made up is added.
+        ends: far end of each moving body, by body id, body frame [m], shape [3].
+        radius: radius of fingers without shapes [m]. None: by ``finger_radii``.
+        findings: fitted and default shapes are added.
     """
     model = foreign.model
     independent = np.linalg.pinv(poses.matrix) @ (structure.straight - poses.offset)
@@ -141,14 +142,14 @@ def hand_shapes(
 
 
 PALM_REACH = 0.25
-"""Nothing of a palm is farther from the bases of its fingers [m]: a hand is 0.2 m long."""
+"""Largest distance of a palm's shapes from the bases of the fingers [m]: a hand is 0.2 m long."""
 
 
 def _palm_link(
     foreign: ForeignModel, structure: HandStructure, poses: Poses, palm: LinkShapes, findings: list[Finding]
 ) -> LinkShapes:
-    """The palm without stands, flanges and other hands that are fixed to it: a body that does not lie toward
-    the fingers is a part of the palm only as far as a hand reaches. Both are said."""
+    """Return the palm without stands, flanges and other hands that are fixed to it: a body that is not below
+    the palm belongs to it only within ``PALM_REACH`` of the fingers. Findings name both kinds."""
     model = foreign.model
     toward = {palm.body, *subtree(model, palm.body)}
     bases = np.array([poses.anchor(chain.links[0]) for chain in structure.fingers.values()])
@@ -176,8 +177,8 @@ def _palm_link(
 def _inside_the_next(
     model: mujoco.MjModel, body: int, chain_of: dict[int, tuple[str, Chain]], capsule: Capsule
 ) -> bool:
-    """Whether a body is but the middle of a joint with several axes: shorter than it is thick, and its next
-    joint in the same place."""
+    """Return whether a body only connects the axes of one joint: it is shorter than thick, and the next joint
+    is at the same place."""
     if body not in chain_of or body == chain_of[body][1].bodies[-1]:
         return False
     bodies = chain_of[body][1].bodies
@@ -190,8 +191,8 @@ def _inside_the_next(
 def _known(
     foreign: ForeignModel, poses: Poses, link: LinkShapes, in_finger: bool
 ) -> tuple[list[int], np.ndarray | None]:
-    """Primitives to keep, which must be round ones where ``in_finger``, or else points of the surface to fit
-    to; neither if nothing is known."""
+    """Return primitives to keep, which must be round if ``in_finger``, or else surface points to fit, body
+    frame [m], shape [P, 3]. Both are empty if the shape is unknown."""
     model, kinds = foreign.model, mujoco.mjtGeom
     stripped = any(member in foreign.stripped for member in link.members)
     simple = [geom for member in link.members for geom in primitives(model, member)]
@@ -216,7 +217,7 @@ def _tip(
     radius: float,
     result: HandShapes,
 ) -> None:
-    """Center of the tip where only its end is known: the round end's center is the radius before it."""
+    """Set the tip one radius before the far end, the center of a rounded end."""
     body = chain.bodies[-1]
     end, anchor = ends[body], first_anchor(foreign.model, body)
     length = float(np.linalg.norm(end - anchor))
@@ -251,7 +252,7 @@ def _palm_shapes(
 
 
 def _tip_of_shape(result: HandShapes, foreign: ForeignModel, name: str, chain: Chain) -> None:
-    """The tip is the center of the round end of the last link's shape, where it has one."""
+    """Set the tip to the center of the rounded end of the last link's shape, if it has one."""
     model, body = foreign.model, chain.bodies[-1]
     anchor = first_anchor(model, body)
     centers = []
@@ -271,27 +272,27 @@ def _tip_of_shape(result: HandShapes, foreign: ForeignModel, name: str, chain: C
 
 
 FINGER_RADIUS = 0.09
-"""Radius of a finger of which nothing is known, as a share of its length from the knuckle: an adult index
-finger is 95 mm long and 16 to 20 mm wide."""
+"""Default ratio of a finger's radius to its length from the knuckle: an adult index finger is 95 mm long and
+16 to 20 mm wide."""
 
 THUMB_WIDER = 1.15
-"""Factor for a thumb."""
+"""Ratio of a thumb's default radius to that of another finger of its length."""
 
 RADIUS_RANGE = (0.004, 0.014)
-"""Within which made-up radii stay [m]."""
+"""Range of default radii [m]."""
 
 PALM_THICKNESS = 0.026
-"""Of a made-up palm [m]."""
+"""Thickness of the default palm [m]."""
 
 PALM_LENGTH = 0.06
-"""Least length of a made-up palm [m]."""
+"""Smallest length of the default palm [m]."""
 
 
 def finger_radii(
     foreign: ForeignModel, structure: HandStructure, poses: Poses, ends: dict[int, np.ndarray]
 ) -> dict[str, float]:
-    """Radius for made-up links by finger [m]: of round shapes of the hand, else of a human finger of that
-    length; so that neighbors don't touch."""
+    """Return default radii by finger [m]: that of the finger's round shapes, else that of a human finger of
+    its length. Radii are limited so that neighbors do not touch."""
     model = foreign.model
     bases = {name: poses.anchor(chain.links[0]) for name, chain in structure.fingers.items()}
     sizes = {}
@@ -320,8 +321,8 @@ def finger_radii(
 def made_up_capsule(
     poses: Poses, chain: Chain, body: int, joints: dict[int, np.ndarray], tip: np.ndarray, radius: float
 ) -> Capsule | None:
-    """A capsule from a finger link's joint to the next, or to the tip, where no shape is known; None for a
-    link without length."""
+    """Return the default capsule of a link, from its joint to the next or to the tip; None for a link without
+    length."""
     i = chain.bodies.index(body)
     start = joints[body]
     if i + 1 < len(chain.bodies):
@@ -341,13 +342,13 @@ def made_up_palm(
     sizes: dict[str, float],
     findings: list[Finding],
 ) -> Box:
-    """A box below the fingers, as wide as they are.
+    """Return the default palm: a box below the fingers, as wide as they are.
 
     Args:
-        poses: with straight fingers.
-        joints: by body of a finger: the point at its joint, its own frame [m].
+        poses: kinematics, set to straight fingers.
+        joints: point at the joint of each body, by body id, body frame [m], shape [3].
         sizes: radius of each finger [m].
-        findings: what was made up is added.
+        findings: the size of the box is added.
     """
     model = poses.model
     axes = np.stack([structure.along, structure.normal, np.cross(structure.along, structure.normal)], axis=1)

@@ -1,4 +1,4 @@
-"""Reading a foreign URDF or MJCF with its meshes, whatever its state: what is mended is reported."""
+"""Read a foreign URDF or MJCF with its meshes, and repair it; repairs are reported."""
 
 from __future__ import annotations
 
@@ -29,54 +29,54 @@ from fungrasp.hands.findings import Finding, listed, note, warning
 from fungrasp.hands.kinematic_tree import subtree
 
 MAX_PARENTS = 4
-"""Folders above the model's in which the path of a mesh is tried."""
+"""Number of folders above the model's in which meshes are searched for."""
 
 
 DENSITY = 1000.0
-"""MuJoCo's own, of shapes whose mass is not known [kg/m^3]."""
+"""MuJoCo's default density, for shapes without a mass [kg/m^3]."""
 
 LARGEST_LINK = 1.0
-"""Half of the meshes of a hand that are larger are in another unit [m]."""
+"""Meshes whose median size is larger are in millimeters [m]."""
 
 LARGEST_ALONE = 3.0
-"""A single mesh that is larger is in another unit [m]: no link is smaller than 3 mm."""
+"""A single mesh that is larger is in millimeters [m]: no link is smaller than 3 mm."""
 
 LONGEST = 10.0
-"""Largest coordinate or size [m] of a hand, with the arm that carries it."""
+"""Largest coordinate or size of a hand with its arm [m]."""
 
 
 @dataclass(frozen=True)
 class MeshShape:
-    """A mesh of one geom."""
+    """The mesh of one geom."""
 
     vertices: np.ndarray
-    """[m], shape [V, 3], frame of the geom's body."""
+    """Vertices, body frame [m], shape [V, 3]."""
     faces: np.ndarray
-    """Shape [F, 3]."""
+    """Indices of vertices, shape [F, 3]."""
     collides: bool
-    """Whether it is a collision shape; else it is for pictures only."""
+    """Whether it is a collision or visual mesh."""
     rgba: np.ndarray
-    """Shape [4]."""
+    """Color, shape [4]."""
     mass: float
-    """[kg]; NaN where the file does not tell it."""
+    """Mass [kg]; NaN if unknown."""
 
 
 @dataclass(frozen=True)
 class ForeignModel:
-    """A model as read: its meshes are kept apart, their geoms are left out of ``model``."""
+    """A model with its meshes apart."""
 
     model: mujoco.MjModel
-    """Static bodies are not fused; every hinge has limits; primitive shapes only."""
+    """Model with points in place of mesh geoms. Static bodies are not fused, and every hinge has limits."""
     meshes: dict[int, list[MeshShape]]
-    """By body id."""
+    """Meshes by body id."""
     stripped: frozenset[int]
-    """Ids of bodies that lost a collision mesh whose file is missing."""
+    """Ids of bodies with a missing or unreadable collision mesh."""
     massless: frozenset[int]
-    """Ids of bodies with neither an inertial that can be nor shapes that weigh something."""
+    """Ids of bodies without a valid mass, by inertial or shapes."""
     palm: str | None = None
-    """Name of the palm body, where it is known."""
+    """Name of the palm body, if known."""
     findings: list[Finding] = field(default_factory=list)
-    """What was found wrong or was assumed on the way."""
+    """Faults, repairs and assumptions."""
 
 
 Carriers = dict[mujoco.MjsGeom, tuple[np.ndarray, np.ndarray, bool, float]]
@@ -86,11 +86,11 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
     """Read a URDF or MJCF.
 
     Args:
-        palm: the palm body, if it is known; "world" where the fingers stand on it.
+        palm: palm body, if known; "world" if the fingers are attached to the world.
         tied: joints whose couplings the user gives.
 
     Raises:
-        FungraspError: it can't be read at all, or the palm must be named.
+        FungraspError: the file cannot be read, or the palm cannot be determined.
     """
     findings: list[Finding] = []
     root = parse_xml(path)
@@ -112,7 +112,7 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
         massless = drop_bad_inertias(spec, findings)
         total_mass, spec.compiler.settotalmass = max(spec.compiler.settotalmass, 0.0), -1.0
         for actuator in list(spec.actuators):
-            # Only the limits of actuators are of use, and actuators of foreign kinds may not compile alone.
+            # Only the limits of actuators are used, and those of other types may not compile alone.
             if actuator.trntype not in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON):
                 spec.delete(actuator)
         things_to_see = (spec.cameras, spec.lights, spec.textures, spec.hfields, spec.skins)
@@ -151,20 +151,20 @@ def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) 
 def _weigh_meshes(
     model: mujoco.MjModel, meshes: Mapping[int, list[MeshShape]], massless: Set[int], total: float
 ) -> set[int]:
-    """Give bodies without inertials the masses of their meshes, as boxes; scale all masses to a total.
+    """Give bodies without a mass that of their meshes, with the inertia of a box, and scale to a total mass.
 
     Args:
-        model: changed.
-        massless: ids of bodies that nothing gave a mass.
-        total: mass of the whole model [kg]; 0 if the file gives none.
+        model: model to modify.
+        massless: ids of bodies without a mass.
+        total: mass of the whole model [kg]; 0 if unknown.
 
     Returns:
-        ids of the bodies that got a mass.
+        Ids of the bodies that got a mass.
     """
     weighed = set()
     for body in massless:
         shapes = meshes.get(body, [])
-        # A total mass takes those at MuJoCo's own density for granted.
+        # With a total mass, meshes without a mass have MuJoCo's default density.
         if not shapes or not (total > 0 or any(np.isfinite(shape.mass) for shape in shapes)):
             continue
         volumes = [abs(trimesh.Trimesh(s.vertices, s.faces, process=False).volume) for s in shapes]
@@ -188,7 +188,7 @@ def _weigh_meshes(
 
 
 def _spec(path: Path, root: ElementTree.Element, findings: list[Finding]) -> mujoco.MjSpec:
-    """Parse, leaving out attributes that this version of MuJoCo does not know (it renames some)."""
+    """Parse a model without attributes that this version of MuJoCo does not know (MuJoCo renames some)."""
     dropped: list[str] = []
     while True:
         try:
@@ -209,10 +209,10 @@ def _spec(path: Path, root: ElementTree.Element, findings: list[Finding]) -> muj
 
 
 def _palm_and_fingers(spec: mujoco.MjSpec, palm: str | None) -> set[str]:
-    """Names of the palm, what it carries and what is fixed to it: no other meshes are read.
+    """Return the names of the palm, the bodies below it and those fixed to it. Only their meshes are read.
 
     Raises:
-        FungraspError: no such body, or the palm must be named: asked for before the meshes are read.
+        FungraspError: the palm is unknown or cannot be determined.
     """
     bare = spec.copy()
     for things in (
@@ -247,11 +247,11 @@ def _palm_and_fingers(spec: mujoco.MjSpec, palm: str | None) -> set[str]:
 def _take_meshes(
     spec: mujoco.MjSpec, folder: Path, urdf: bool, findings: list[Finding]
 ) -> tuple[Carriers, set[str]]:
-    """Replace mesh geoms by weightless points that carry their poses.
+    """Replace mesh geoms by small massless spheres, which keep their poses.
 
     Returns:
-        by geom: vertices [m], faces, whether it collides, mass [kg]; and names of bodies that lost a
-        collision mesh.
+        Vertices [m], faces, whether it collides, and mass [kg] by geom; names of bodies with a missing or
+        unreadable collision mesh.
     """
     loaded: dict[str, trimesh.Trimesh | None] = {}
     missing: list[str] = []
@@ -311,7 +311,7 @@ def _take_meshes(
 def _let_pictures_collide(
     spec: mujoco.MjSpec, carriers: Carriers, wanted: Set[str], findings: list[Finding]
 ) -> None:
-    """In a hand without any shape that collides, those for pictures do."""
+    """Let visual primitives collide if the hand has no collision shape."""
     simple = [geom for geom in spec.geoms if geom not in carriers and geom.parent.name in wanted]
     if not simple or any(collides for *_, collides, _ in carriers.values()):
         return
@@ -322,8 +322,7 @@ def _let_pictures_collide(
 
 
 def _in_meters(carriers: Carriers, findings: list[Finding]) -> Carriers:
-    """The same meshes in meters: all in millimeters where most are so large that they must be, else those
-    that alone are."""
+    """Convert meshes that must be in millimeters to meters: all if most are too large, else single ones."""
     sizes = {geom: float(np.ptp(vertices, axis=0).max()) for geom, (vertices, *_) in carriers.items()}
     most = bool(sizes) and np.median(list(sizes.values())) > LARGEST_LINK
     wrong = {geom for geom, size in sizes.items() if most or size > LARGEST_ALONE}
@@ -343,8 +342,8 @@ def _in_meters(carriers: Carriers, findings: list[Finding]) -> Carriers:
 def _load(
     mesh: mujoco.MjsMesh, folder: Path, meshdir: str, missing: list[str], unreadable: dict[str, str]
 ) -> trimesh.Trimesh | None:
-    """A mesh in the frame and scale of its asset; None if it is added to those that are missing or, with the
-    reason, that can't be read."""
+    """Return a mesh in the frame and scale of its asset; None if it is added to the missing meshes or, with
+    the reason, to the unreadable ones."""
     if not mesh.file:
         vertices = np.asarray(mesh.uservert).reshape(-1, 3)
         faces = np.asarray(mesh.userface).reshape(-1, 3)
@@ -376,11 +375,12 @@ def _load(
 
 
 def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
-    """The file of a mesh by its address: package:// and file:// prefixes, folders above the model's, and
-    addresses that lack the name of the package are tried.
+    """Find the file of a mesh, also by URIs (package://, model://, file://) and by parts of its path in the
+    model's folder and those above. Return None if there is none.
 
     Args:
-        meshdir: folder of meshes that the model names, tried in each of the folders.
+        folder: folder of the model.
+        meshdir: mesh folder named in the model, relative to these folders.
     """
     relative = unquote(re.sub(r"^(package|model|file)://", "", name)).replace("\\", "/")
     parts = [part for part in relative.split("/") if part]
@@ -388,7 +388,7 @@ def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
     tries += [folder / name]
     above = [folder, *folder.resolve().parents[:MAX_PARENTS]]
     folders = [*(place / meshdir for place in above if meshdir), *above]
-    # With and without the leading parts: the name of a package, or folders of another machine.
+    # Leading parts may be the name of a package, or folders of another machine.
     for skip in range(len(parts)):
         tries += [place.joinpath(*parts[skip:]) for place in folders]
     tries += [place / "meshes" / parts[-1] for place in folders[:2]] if parts else []
@@ -396,5 +396,5 @@ def find_mesh(name: str, folder: Path, meshdir: str = "") -> Path | None:
 
 
 def _reason(path: Path, problem: FungraspError) -> str:
-    """Why a mesh can't be read, without its name."""
+    """Return the error message without the path."""
     return str(problem).split(str(path))[-1].strip(" :")

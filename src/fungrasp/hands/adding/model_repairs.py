@@ -1,4 +1,4 @@
-"""What is mended in a foreign model before it is understood: its joints and inertias. Its palm."""
+"""Repair joints and inertias of a foreign model, and find its palm."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from fungrasp.hands.findings import Finding, listed, warning
 from fungrasp.hands.kinematic_tree import ancestors, body_name, subtree
 
 FINGER_RANGE = (-0.2, 1.6)
-"""Proposed for a hinge without limits [rad]: that of a human finger's joint, with some extension."""
+"""Proposed range of a hinge without limits [rad]: that of a human finger's joint, with some extension."""
 
 LARGEST_RADIANS = 3.5
-"""Where no limit is larger, limits that are written as degrees are radians: no finger turns further."""
+"""If no limit in degrees is larger, the limits are in radians."""
 
 BALL_RANGE = 0.5
-"""Proposed to each side for a ball joint without limits [rad]."""
+"""Proposed limit of a ball joint without one [rad]."""
 
 BALL_TWIST = 0.05
-"""Of a ball joint about the line of its link, which rods and tendons keep from turning [rad]."""
+"""Largest twist of a ball joint about its link, which rods and tendons prevent [rad]."""
 
 
 def name_bodies(spec: mujoco.MjSpec) -> None:
@@ -29,7 +29,7 @@ def name_bodies(spec: mujoco.MjSpec) -> None:
 
 
 def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
-    """Name every joint and body, make ball joints three hinges, and give every hinge limits that can be."""
+    """Name joints and bodies, delete free joints, replace ball joints by hinges, and correct limits."""
     kinds = mujoco.mjtJoint
     hinges = [np.abs(j.range).max() for j in spec.joints if j.type == kinds.mjJNT_HINGE and np.any(j.range)]
     if spec.compiler.degree and hinges and max(hinges) < LARGEST_RADIANS:
@@ -58,7 +58,7 @@ def repair_joints(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
 
 
 def _unwind_wheels(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
-    """Hold still what turns by more than one turn and carries nothing: wheels of motors."""
+    """Fix bodies that turn by more than one turn and carry nothing, such as wheels of motors."""
     unit = np.pi / 180 if spec.compiler.degree else 1.0
     hinges = [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_HINGE]
     wide = [j for j in hinges if np.ptp(j.range) * unit > 2 * np.pi + 1e-6]
@@ -87,7 +87,7 @@ def _three_hinges(spec: mujoco.MjSpec, ball: mujoco.MjsJoint) -> Finding:
         limit = BALL_RANGE
     friction, damping, armature = ball.frictionloss, np.array(ball.damping), ball.armature
     spec.delete(ball)
-    # The link's own line is that to the next body.
+    # The link points to the next body.
     ahead = [np.asarray(child.pos) - place for child in body.bodies]
     along = int(np.argmax(np.abs(ahead[0]))) if ahead else 2
     for axis, letter in enumerate("xyz"):
@@ -113,7 +113,7 @@ def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
         hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
         stated = bool(np.isfinite([low, high]).all()) and low != high
         if not stated:
-            # A driven joint takes its limits from its driver's.
+            # A driven joint is limited by its driver's range.
             if joint.name not in driven:
                 none.append(joint.name)
             low, high = FINGER_RANGE if hinge else (0.0, 0.03)
@@ -141,7 +141,8 @@ def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
 
 
 def drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
-    """Leave out inertials that no mass can have; names of the bodies that are left without one."""
+    """Correct impossible inertias and drop impossible masses. Return the names of bodies without a mass or
+    primitive collision shapes."""
     wrong, massless = [], set()
     for body in spec.bodies[1:]:
         if body.explicitinertial:
@@ -150,7 +151,7 @@ def drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
             sound = moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-3)
             if body.mass > 1e-6 and sound and 3e-4 < radius < 0.3:
                 continue
-            # A wrong inertia does not make the mass wrong.
+            # The mass may be right although the inertia is wrong.
             if body.mass > 1e-6:
                 wrong.append(body.name)
                 body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
@@ -170,29 +171,29 @@ def drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
 
 
 def _principal_inertias(body: mujoco.MjsBody) -> np.ndarray:
-    """In rising order [kg m2], shape [3]."""
+    """Return the principal moments of inertia in ascending order [kg m^2], shape [3]."""
     diagonal, full = np.asarray(body.inertia), np.asarray(body.fullinertia)
     return np.linalg.eigvalsh(np.diag(diagonal) if np.isnan(full[0]) else _symmetric(full))
 
 
 def _symmetric(full: np.ndarray) -> np.ndarray:
-    """xx, yy, zz, xy, xz, yz to a matrix, shape [3, 3]."""
+    """Return the matrix for xx, yy, zz, xy, xz, yz, shape [3, 3]."""
     xx, yy, zz, xy, xz, yz = full
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 PALM_SHARE = 0.8
-"""The palm is the last body that carries more than this share of the tree's ends."""
+"""The palm carries more than this share of the branches' ends."""
 
 MIN_BRANCHES = 3
-"""Several bodies from which so many branches go out are the palms of several hands."""
+"""Smallest number of branches with which several bodies are the palms of several hands."""
 
 
 def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
-    """Id of the palm: the body that is given, else the last that carries nearly all ends of the tree.
+    """Return the id of the palm: the given body, else the last body that carries nearly all branches.
 
     Raises:
-        FungraspError: no such body, or no body carries the fingers.
+        FungraspError: the given body is unknown, or there is no palm or more than one.
     """
     names = {model.body(b).name: b for b in range(1, model.nbody)}
     if answer is not None:
@@ -214,7 +215,7 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
             f"there is only one chain of joints, up to '{body_name(model, ends[0])}': a gripper with one "
             "jaw, or an arm without a hand"
         )
-    # A scene may hold things beside the hand: the tree with most ends is the hand's.
+    # A scene may contain other objects: the hand is the tree with most ends.
     roots = [ancestors(model, end)[-1] for end in ends]
     root = max(dict.fromkeys(roots), key=roots.count)
     ends = [end for end, top in zip(ends, roots, strict=True) if top == root]
@@ -229,12 +230,12 @@ def find_palm(model: mujoco.MjModel, answer: str | None) -> int:
 
 
 def branch_ends(model: mujoco.MjModel, moving: set[int]) -> list[int]:
-    """Moving bodies that carry no other."""
+    """Return the moving bodies that carry no other."""
     return [body for body in sorted(moving) if not moving & (set(subtree(model, body)) - {body})]
 
 
 def _palms(model: mujoco.MjModel, moving: set[int]) -> list[int]:
-    """Bodies on which at least three moving branches begin, and no other such body."""
+    """Return the bodies with ``MIN_BRANCHES`` moving branches and no such body below them."""
     branches = np.zeros(model.nbody, dtype=int)
     for body in range(1, model.nbody):
         branches[model.body_parentid[body]] += bool(moving & set(subtree(model, body)))

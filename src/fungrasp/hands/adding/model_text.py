@@ -1,4 +1,4 @@
-"""The text of a foreign URDF or MJCF, with included files in place and a palm that is a body of its own."""
+"""Preprocess the XML of a foreign URDF or MJCF: includes, mimic joints, and a palm fused with the world."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from fungrasp.core.formats.text_files import parse_xml_text
 from fungrasp.hands.findings import Finding, warning
 
 MAX_INCLUDES = 100
-"""Files that a model may include."""
+"""Largest number of included files."""
 
 MIN_FINGERS = 2
-"""Branches with joints on the world that make it a palm, where no body carries as many."""
+"""Smallest number of moving branches with which the world is the palm, if no body carries as many."""
 
 WORLD = "world"
-"""Name by which the world is chosen as the palm."""
+"""Name of the world as the palm."""
 
 SCENERY = ("plane", "hfield")
-"""Types of geoms that are no part of a hand."""
+"""Types of geoms that are not part of a hand."""
 
 
 def parse_xml(path: Path, tags: tuple[str, ...] = ("robot", "mujoco")) -> ElementTree.Element:
-    """Root element of a model file.
+    """Return the root element of a model file.
 
     Raises:
-        FungraspError: it can't be read, is a template, or its root has none of ``tags``.
+        FungraspError: the file cannot be read, is a xacro template, or its root tag is not in ``tags``.
     """
     root = parse_xml_text(_declared(read_model_text(path)), str(path))
     macro = any(
@@ -46,7 +46,7 @@ def parse_xml(path: Path, tags: tuple[str, ...] = ("robot", "mujoco")) -> Elemen
 
 
 def _declared(text: str) -> str:
-    """Declare the prefixes of names that a file for other tools leaves undeclared, as most readers allow."""
+    """Declare undeclared namespace prefixes, which most other readers accept."""
     bare = re.sub(r"<!--.*?-->", "", text, flags=re.S)
     used = set(re.findall(r"</?([A-Za-z_][\w.-]*):", bare)) | set(
         re.findall(r"\s([A-Za-z_][\w.-]*):[\w.-]+\s*=", bare)
@@ -59,7 +59,7 @@ def _declared(text: str) -> str:
 
 
 def keep_everything(robot: ElementTree.Element) -> None:
-    """Make MuJoCo keep visual meshes, static links and paths of a URDF."""
+    """Make MuJoCo keep visual meshes, static links and mesh paths of a URDF."""
     for old in robot.findall("mujoco"):
         robot.remove(old)
     settings = {"discardvisual": "false", "fusestatic": "false", "strippath": "false"}
@@ -67,7 +67,7 @@ def keep_everything(robot: ElementTree.Element) -> None:
 
 
 def inline_includes(root: ElementTree.Element, folder: Path) -> None:
-    """Put included files in place of the ``<include>`` elements, and find those of attached models."""
+    """Replace ``<include>`` elements by the files' contents, and make paths of attached models absolute."""
     for asset in root.iter("model"):
         file = folder / asset.get("file", "")
         read_model_text(file)
@@ -94,21 +94,21 @@ def inline_includes(root: ElementTree.Element, folder: Path) -> None:
 
 
 def wrap_world(root: ElementTree.Element, palm: str | None, findings: list[Finding]) -> str | None:
-    """Give fingers that stand on the world a body to stand on.
+    """Give fingers that are attached to the world a palm body.
 
     Args:
-        root: of a URDF, or of an MJCF with included files in place; it is changed.
-        palm: the body that the user names.
-        findings: what was done is added.
+        root: root of a URDF, or of an MJCF without includes; it is modified.
+        palm: palm given by the user.
+        findings: changes are added.
 
     Returns:
-        name of the palm, which is the new body where ``palm`` is "world".
+        Name of the given or new palm; None if neither exists.
     """
     return (_rename_world if root.tag == "robot" else _wrap_world)(root, palm, findings)
 
 
 def _rename_world(robot: ElementTree.Element, palm: str | None, findings: list[Finding]) -> str | None:
-    """MuJoCo takes a link that is called "world" for the world itself."""
+    """Rename a link "world" that carries fingers: MuJoCo would fuse it with the world."""
     parents = [
         joint.find("parent")
         for joint in robot.findall("joint")
@@ -130,7 +130,7 @@ def _rename_world(robot: ElementTree.Element, palm: str | None, findings: list[F
 
 
 def _wrap_world(root: ElementTree.Element, palm: str | None, findings: list[Finding]) -> str | None:
-    """Put fingers that stand on the world, and the shapes there, into a body of their own."""
+    """Move fingers and shapes that are attached to the world into a new body."""
     worlds = root.findall("worldbody")
     children = [(world, child) for world in worlds for child in world]
     fingers = [child for _, child in children if _moves(child)]
@@ -165,7 +165,7 @@ def _new_name(taken: Container[str | None]) -> str:
 
 
 def _moves(element: ElementTree.Element) -> bool:
-    """Whether a child of a body is the beginning of a branch with joints that is not free itself."""
+    """Return whether an element is the root of a branch with joints, without a free joint."""
     return (
         element.tag in ("body", "frame")
         and element.find("freejoint") is None
@@ -179,7 +179,7 @@ def _branches(body: ElementTree.Element) -> int:
 
 
 def _children(element: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    """Children, through frames."""
+    """Yield the children, and those of frames in their place."""
     for child in element:
         if child.tag == "frame":
             yield from _children(child)
@@ -188,15 +188,15 @@ def _children(element: ElementTree.Element) -> Iterator[ElementTree.Element]:
 
 
 def check_mimics(robot: ElementTree.Element, tied: Container[str], findings: list[Finding]) -> None:
-    """Hold joints still that mimic one that is fixed.
+    """Fix joints that mimic a fixed joint, and remove mimics that the user replaces.
 
     Args:
-        robot: root of a URDF; it is changed.
+        robot: root of a URDF; it is modified.
         tied: joints whose couplings the user gives.
-        findings: what was done is added.
+        findings: changes are added.
 
     Raises:
-        FungraspError: a joint mimics one that does not exist.
+        FungraspError: a joint mimics itself or an unknown joint.
     """
     joints = {joint.get("name", ""): joint for joint in robot.findall("joint")}
     for name, joint in joints.items():

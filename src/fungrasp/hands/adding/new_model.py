@@ -1,4 +1,4 @@
-"""The model of an added hand, and the contacts that it leaves out."""
+"""Build the model of an added hand, with its contact exclusions."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from fungrasp.hands.kinematic_tree import Drive, body_name, joint_name
 from fungrasp.hands.plausibility import FAR_MASS
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
-"""Geom groups, by MuJoCo's convention, where a link has meshes for pictures."""
+"""Geom groups of visual meshes and collision shapes, by MuJoCo's convention."""
 
 STILL = 1e-3
-"""A joint that closed loops hold still turns by so much [rad], as no range may be empty."""
+"""Half range of a joint that closed loops fix [rad]: ranges must not be empty."""
 
 
 def new_model(
@@ -34,10 +34,10 @@ def new_model(
     couplings: dict[int, Drive],
     physics: JointPhysics,
 ) -> mujoco.MjSpec:
-    """Build the model; its palm stands still at the origin. Sites mark joints ("index_joint_1") and tips
+    """Build the model, its palm fixed at the origin, with sites at joints ("index_joint_1") and tips
     ("index_tip")."""
     model = foreign.model
-    # Angles of the new model count from the file's own pose.
+    # In the new model, the file's pose is at zero.
     poses.data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, poses.data)
     spec = mujoco.MjSpec()
@@ -103,12 +103,12 @@ def _relative(poses: Poses, body: int, parent: int) -> tuple[np.ndarray, np.ndar
 
 
 def _clean(values: np.ndarray) -> np.ndarray:
-    """Without the noise of rounding, which would make files differ for nothing."""
+    """Round off numerical noise, so that files do not differ."""
     return np.round(values, 9) + 0.0
 
 
 def _ranges(poses: Poses) -> np.ndarray:
-    """Limits of all joints such that couplings push none beyond its own [rad], shape [M, 2]."""
+    """Return limits of all joints that agree with the couplings [rad], shape [M, 2]."""
     ends = poses.matrix @ np.stack([poses.low, poses.high], axis=1) + poses.offset[:, None]
     still = np.ptp(ends, axis=1, keepdims=True) < STILL
     return np.sort(ends, axis=1) + still * [-STILL, STILL]
@@ -126,7 +126,7 @@ def _add_joints(
             armature=float(physics.armature[j]),
             frictionloss=float(physics.frictionloss[j]),
         )
-        # Angles count from the pose of the file; a reference other than zero is moved into the limits.
+        # In the new model, the file's pose is at zero: limits shift by the reference.
         reference = float(model.qpos0[model.jnt_qposadr[j]])
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.range = _clean(ranges[j] - reference)
@@ -137,7 +137,7 @@ def _add_joints(
 
 
 def _like(old, value: float):
-    """A number, or the coefficients of a polynomial, as this version of MuJoCo has it."""
+    """Return a number or the coefficients of a polynomial, whichever this version of MuJoCo uses."""
     return value if np.ndim(old) == 0 else [value, *([0.0] * (len(old) - 1))]
 
 
@@ -152,7 +152,7 @@ def _add_shapes(
             continue
         asset = spec.add_mesh(name=f"{new.name}_{i}")
         asset.uservert, asset.userface = np.round(vertices, 6).ravel(), faces.ravel()
-        # Thin or open surfaces have no volume; they weigh nothing here.
+        # Thin or open surfaces have no volume.
         asset.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         geom = new.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=asset.name, mass=0.0, group=VISUAL_GROUP
@@ -202,16 +202,16 @@ def _kept(new: mujoco.MjsBody, model: mujoco.MjModel, poses: Poses, body: int, g
 def _add_mass(
     new: mujoco.MjsBody, foreign: ForeignModel, poses: Poses, link: LinkShapes, moved: list[str]
 ) -> bool:
-    """Mass and inertia of all members in one; False where they are left to the shapes.
+    """Set the common mass and inertia of all members. Return False if they must follow from the shapes.
 
-    moved: bodies whose centers of mass are elsewhere in the file are added.
+    moved: bodies whose center of mass is far outside their shapes, and therefore moved, are added.
     """
     model, data = foreign.model, poses.data
     known = [m for m in link.members if m not in foreign.massless and model.body_mass[m] > 1e-6]
     if not known:
         if any(geom.contype for geom in new.geoms):
             return False
-        # Joints of several axes have bodies of no size between them.
+        # The axes of one joint are connected by bodies without size.
         new.mass, new.ipos, new.inertia, new.explicitinertial = 1e-3, np.zeros(3), [1e-7] * 3, True
         return True
     masses = model.body_mass[known]
@@ -236,7 +236,8 @@ def _add_mass(
 def _middle_if_outside(
     center: np.ndarray, foreign: ForeignModel, poses: Poses, link: LinkShapes
 ) -> np.ndarray | None:
-    """The middle of a body's shapes, if a center of mass is far outside them; frame of the body [m]."""
+    """Return the mean of the shapes' centers if the center of mass is far outside, else None; body frame [m],
+    shape [3]."""
     model, middles, gaps = foreign.model, [], []
     for shape in link.shapes:
         if isinstance(shape, int):
@@ -250,14 +251,14 @@ def _middle_if_outside(
 
 
 ALWAYS = 0.6
-"""Share of the poses in which shapes that touch are said to touch always."""
+"""Links that touch in a larger share of poses are excluded from collisions."""
 
 OFTEN = 0.03
-"""The palm and a link before a fingertip that touch in more poses than this may pass through each other:
-limits of joints keep the true ones apart."""
+"""The palm and a link other than the last of a finger are excluded from collisions if they touch in a larger
+share of poses: the limits of joints keep the real ones apart."""
 
 TOUCH = 5e-4
-"""Overlap of shapes that counts [m]."""
+"""Largest overlap of shapes that is not a contact [m]."""
 
 
 def exclude_neighbors(
@@ -266,7 +267,7 @@ def exclude_neighbors(
     structure: HandStructure,
     shapes: HandShapes,
 ) -> None:
-    """Let neighbors, links of one finger, and shapes that always touch pass through each other."""
+    """Exclude collisions between neighbors, links of one finger, and links that usually touch."""
 
     def name(body: int) -> str:
         return body_name(foreign.model, body)
@@ -281,7 +282,7 @@ def exclude_neighbors(
             parent = shapes.owner(int(foreign.model.body_parentid[body]))
             pairs.add(_pair(name(body), name(parent)))
     for chain in structure.fingers.values():
-        # Joints in one place make the first shape of a finger a neighbor of the palm.
+        # Up to its first link, a finger's bodies are at one place and all neighbors of the palm.
         for body in chain.bodies:
             pairs.add(_pair(palm, name(body)))
             if body == chain.links[0]:

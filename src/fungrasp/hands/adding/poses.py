@@ -1,4 +1,4 @@
-"""Poses of a foreign model's bodies and joints, in the frame of its palm."""
+"""Kinematics of a foreign model in its palm frame."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from fungrasp.hands.findings import Finding, listed, note, warning
 from fungrasp.hands.kinematic_tree import Drive, coupling_matrix, joint_name
 
 NOTICED = 0.1
-"""Change of a joint's range that is mentioned [rad]."""
+"""Smallest reported change of a joint's range [rad]."""
 
 
 class Poses:
-    """Poses of a model's bodies and joints at any joint positions, in the palm body's frame."""
+    """Kinematics of a model in the palm frame. All methods refer to the positions of the last ``set``."""
 
     def __init__(self, model: mujoco.MjModel, couplings: dict[int, Drive], palm: int):
         self.model, self.palm = model, palm
@@ -24,10 +24,10 @@ class Poses:
         self.low, self.high = independent_limits(model, self.matrix, self.offset)
         own = np.argmax(self.matrix == 1.0, axis=0)
         self.start = np.clip(model.qpos0[model.jnt_qposadr[own]], self.low, self.high)
-        """Independent joints at the file's pose, as near as limits allow [rad], shape [U]."""
+        """Independent joints at the file's pose, clipped to their limits [rad], shape [U]."""
 
     def set(self, independent: np.ndarray) -> np.ndarray:
-        """Move to independent joint positions [rad]; returns those of all joints."""
+        """Set independent joints [rad], shape [U]; return all joints [rad], shape [M]."""
         joints = self.matrix @ independent + self.offset
         self.data.qpos[:] = joints
         mujoco.mj_kinematics(self.model, self.data)
@@ -35,33 +35,33 @@ class Poses:
         return joints
 
     def points(self, points: np.ndarray) -> np.ndarray:
-        """Points of the world's frame in the palm's [m], shape [..., 3]."""
+        """Transform points from the world frame to the palm frame [m], shape [..., 3]."""
         return (points - self._place) @ self._turn
 
     def anchor(self, body: int) -> np.ndarray:
-        """Where the first joint of a moving body lies [m], shape [3]."""
+        """Return the anchor of a moving body's first joint, palm frame [m], shape [3]."""
         return self.points(self.data.xanchor[self.model.body_jntadr[body]])
 
     def of_body(self, body: int, point: np.ndarray) -> np.ndarray:
-        """A point of a body's frame in the palm's [m], shape [3]."""
+        """Transform a point from a body frame to the palm frame [m], shape [3]."""
         return self.points(self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ point)
 
     def moved(self, points: np.ndarray, source: int, target: int) -> np.ndarray:
-        """Points of the frame of body ``source`` in that of body ``target`` [m], shape [..., 3]."""
+        """Transform points from the frame of body ``source`` to that of ``target`` [m], shape [..., 3]."""
         data = self.data
         world = data.xpos[source] + points @ data.xmat[source].reshape(3, 3).T
         return (world - data.xpos[target]) @ data.xmat[target].reshape(3, 3)
 
     def axis(self, joint: int) -> np.ndarray:
-        """Unit vector along a joint's axis, shape [3]."""
+        """Return a joint's axis, unit vector in the palm frame, shape [3]."""
         return self.data.xaxis[joint] @ self._turn
 
 
 def independent_limits(
     model: mujoco.MjModel, matrix: np.ndarray, offset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Limits of the independent joints [rad], shape [U] each, such that driven joints keep theirs, where
-    that leaves anything."""
+    """Return limits of the independent joints [rad], shape [U] each, within which driven joints keep theirs.
+    If this would halve a joint's range, it keeps its own limits."""
     low, high = np.full(matrix.shape[1], -np.inf), np.full(matrix.shape[1], np.inf)
     for u in range(matrix.shape[1]):
         rows = np.flatnonzero(matrix[:, u])
@@ -75,7 +75,8 @@ def independent_limits(
 
 
 def narrowed_ranges(model: mujoco.MjModel, couplings: dict[int, Drive]) -> Iterator[Finding]:
-    """Joints whose range shrinks because one that they drive would leave its own, or that push it beyond."""
+    """Report joints whose range is narrowed by the limits of driven joints, and driven joints that leave
+    their limits."""
     matrix, offset = coupling_matrix(model.njnt, couplings)
     low, high = independent_limits(model, matrix, offset)
     narrower, beyond = [], []

@@ -1,4 +1,4 @@
-"""Torque limits, gains, armature and damping: the file's where they can be, else proposed with a reason."""
+"""Torque limits, gains, armature, damping and friction of joints: the file's if plausible, else proposed."""
 
 from __future__ import annotations
 
@@ -15,45 +15,47 @@ from fungrasp.hands.findings import Finding, listed, warning
 from fungrasp.hands.kinematic_tree import ancestors, joint_name
 
 TIP_FORCE = 10.0
-"""What a firm robot finger presses with at its tip [N]; the data sheets of Shadow and Inspire say so."""
+"""Strong tip force of a robot finger [N], by the data sheets of Shadow and Inspire."""
 
 BELIEVABLE = (0.25, 3.0)
-"""The stated torque limits of a hand are believed if their median is within these multiples of the torques
-for ``TIP_FORCE``."""
+"""Plausible range of the median ratio between a file's torque limits and the torques for ``TIP_FORCE``."""
 
 POSSIBLE = (0.05, 20.0)
-"""In a hand whose limits are believed, one beyond these multiples is a slip: a thumb's base may be ten times
-as strong as its lever needs."""
+"""Plausible range of this ratio for a single joint: a thumb's base may be ten times as strong as needed."""
 
 FULL_TORQUE_ERROR = 0.2
-"""Distance from the target at which a servo gives all its torque [rad]."""
+"""Position error at which a servo reaches its torque limit [rad]."""
 
 LEAST_TORQUE = 0.05
-"""Of a joint that moves no tip [N m]."""
+"""Smallest proposed torque limit, for joints that move no tip [N m]."""
 
 
 @dataclass(frozen=True)
 class JointPhysics:
-    """Of every joint of the new model, shape [M] each; servo values are used for independent joints only."""
+    """Physics of all joints of the new model, shape [M] each. Servo values apply to independent joints."""
 
     force_limit: np.ndarray
-    """[N m]."""
+    """Torque limits [N m]."""
     kp: np.ndarray
-    """[N m/rad]."""
+    """Stiffness [N m/rad]."""
     kd: np.ndarray
-    """[N m s/rad]."""
+    """Servo damping [N m s/rad]."""
     armature: np.ndarray
-    """[kg m^2]."""
+    """Armature [kg m^2]."""
     damping: np.ndarray
-    """[N m s/rad]."""
+    """Joint damping [N m s/rad]."""
     frictionloss: np.ndarray
-    """[N m]."""
+    """Dry friction [N m]."""
 
 
 def joint_physics(
     poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray], findings: list[Finding]
 ) -> JointPhysics:
-    """Physics of the joints; every value that is not the file's is reported."""
+    """Return the physics of the joints; values that differ from the file's are added to the findings.
+
+    Args:
+        tips: fingertips by finger, frame of the last link [m], shape [3].
+    """
     model = poses.model
     proposed = np.maximum(TIP_FORCE * _levers(poses, structure, tips), LEAST_TORQUE)
     stated = _stated_limits(model)
@@ -85,7 +87,7 @@ def joint_physics(
     kp = force / FULL_TORQUE_ERROR
     armature, damping = model.dof_armature.copy(), model.dof_damping.copy()
     friction = model.dof_frictionloss.copy()
-    # A servo that swings at 45 rad/s is stable at steps of 5 ms, and about critically damped.
+    # This servo has a natural frequency of 45 rad/s: stable at steps of 5 ms, and about critically damped.
     light = inside & ((armature < 1e-4 * kp) | (armature > 0.01 * kp))
     armature[light] = np.maximum(5e-4 * kp[light], 5e-4)
     slack = inside & ((damping < 2e-3 * kp) | (damping > 0.2 * kp))
@@ -110,8 +112,8 @@ def joint_physics(
 
 
 def _levers(poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray]) -> np.ndarray:
-    """How far the tips move per radian of each joint, those it drives included, half bent [m], shape [M];
-    the farthest of the tips it moves. Of a driven joint, that of its driver."""
+    """Return the largest motion of a tip per radian of each joint, with half bent fingers [m/rad], shape [M].
+    The joint moves with all joints that it drives; a driven joint has the value of its driver."""
     half = 0.5 * (poses.start + poses.high)
     poses.set(half)
     at = {n: poses.of_body(c.bodies[-1], tips[n]) for n, c in structure.fingers.items()}
@@ -128,7 +130,7 @@ def _levers(poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray])
 
 
 def _own(matrix: np.ndarray) -> np.ndarray:
-    """Whether each joint is an independent one, shape [M]: the first with slope one in its column."""
+    """Return whether each joint is independent, the first with slope one in its column, shape [M] bool."""
     own = np.zeros(len(matrix), dtype=bool)
     for column in matrix.T:
         own[int(np.argmax(column == 1.0))] = True
@@ -136,7 +138,7 @@ def _own(matrix: np.ndarray) -> np.ndarray:
 
 
 def _stated_limits(model: mujoco.MjModel) -> np.ndarray:
-    """The file's torque limits [N m], infinite where it states none, shape [M]."""
+    """Return the file's torque limits [N m], shape [M]; infinite for joints without one."""
     limits = np.full(model.njnt, np.inf)
     given = model.jnt_actfrclimited.astype(bool) & (np.abs(model.jnt_actfrcrange).max(axis=1) > 0)
     limits[given] = np.abs(model.jnt_actfrcrange[given]).max(axis=1)
@@ -153,7 +155,7 @@ def _stated_limits(model: mujoco.MjModel) -> np.ndarray:
         if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
             first = model.tendon_adr[model.actuator_trnid[a, 0]]
             if model.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT:
-                # The lever of a tendon in space changes with the pose.
+                # The lever of a spatial tendon depends on the pose.
                 continue
         joints = driven_joints(model, a)
         if force > 0:
@@ -162,7 +164,7 @@ def _stated_limits(model: mujoco.MjModel) -> np.ndarray:
 
 
 def shared_motors(poses: Poses, palm: int) -> Finding | None:
-    """Joints of a hand with motors that have none for themselves, or None."""
+    """Return a warning if a hand with motors has joints without their own motor, else None."""
     model = poses.model
     joints = [j for j in range(model.njnt) if _in_hand(model, palm, j)]
     free = {int(u) for u in np.flatnonzero(np.abs(poses.matrix[joints]).sum(axis=0))}
@@ -190,9 +192,10 @@ def _named(model: mujoco.MjModel, mask: np.ndarray) -> str:
 
 
 def servo_entries(physics: JointPhysics, poses: Poses, joints: list[int]) -> tuple[list[str], list[str]]:
-    """Lines of a TOML's [actuators], for most independent joints, and of [actuators.joints], for the others.
+    """Return the lines of the TOML tables [actuators], the most frequent servo, and [actuators.joints].
 
-    joints: those of the hand, driven ones included.
+    Args:
+        joints: joints of the hand, including driven ones.
     """
     joints = [j for j in joints if _own(poses.matrix)[j]]
 

@@ -1,4 +1,4 @@
-"""Capsules and boxes that fit surfaces, and coarser surfaces."""
+"""Fit capsules and boxes to surfaces, and simplify surfaces."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from fungrasp.geometry.shell_from_triangles import shell_from_triangles
 from fungrasp.geometry.signed_distance import points_on_triangles
 
 SAMPLE_GAP = 0.003
-"""Distance between sampled points of a surface [m]."""
+"""Smallest distance between sampled points of a surface [m]."""
 
 MAX_SAMPLES = 1500
-"""Points to which a shape is fitted."""
+"""Approximate largest number of points to which a shape is fitted."""
 
 FULL_ENOUGH = 0.8
-"""A box that is this full of its part's convex hull is not divided further."""
+"""A box is not divided if the convex hull of its points fills more than this share."""
 
 MAX_BOXES = 4
-"""Boxes of one mesh."""
+"""Largest number of boxes for one mesh."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class Capsule:
     """All points within ``radius`` of a segment."""
 
     start: np.ndarray
-    """[m], shape [3]."""
+    """Start of the segment [m], shape [3]."""
     end: np.ndarray
-    """[m], shape [3]."""
+    """End of the segment [m], shape [3]."""
     radius: float
-    """[m]."""
+    """Radius [m]."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance of points [m], shape [P]."""
+        """Return the signed distance of points, shape [P, 3], from the surface [m], shape [P]."""
         along = self.end - self.start
         part = np.clip((points - self.start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
         return np.linalg.norm(points - self.start - part[:, None] * along, axis=1) - self.radius
@@ -46,24 +46,24 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Box:
-    """A box in any direction."""
+    """A box with any orientation."""
 
     center: np.ndarray
-    """[m], shape [3]."""
+    """Center [m], shape [3]."""
     half: np.ndarray
     """Half edges [m], shape [3]."""
     rotation: np.ndarray
-    """Its axes as columns, shape [3, 3]."""
+    """Axes as columns, shape [3, 3]."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance of points [m], shape [P]."""
+        """Return the signed distance of points, shape [P, 3], from the surface [m], shape [P]."""
         beyond = np.abs((points - self.center) @ self.rotation) - self.half
         outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
         return outside + np.minimum(beyond.max(axis=1), 0.0)
 
 
 def mesh_points(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Evenly spread points of a surface [m], shape [P, 3], P at most about ``MAX_SAMPLES``."""
+    """Sample a surface evenly [m], shape [P, 3], P at most about twice ``MAX_SAMPLES``."""
     triangles = vertices[faces]
     area = (
         0.5
@@ -79,7 +79,7 @@ def mesh_points(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def primitive_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
-    """Surface of a primitive geom as vertices [m], in the frame of its body, and faces."""
+    """Return the surface of a primitive geom: vertices, body frame [m], shape [V, 3], and faces."""
     size, kinds = model.geom_size[geom], mujoco.mjtGeom
     kind = model.geom_type[geom]
     if kind == kinds.mjGEOM_BOX:
@@ -99,15 +99,15 @@ def primitive_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.nda
 
 
 def fit_capsule(points: np.ndarray, along: np.ndarray) -> Capsule:
-    """The capsule from whose surface the points lie least far, in the sense of least squares.
+    """Fit a capsule to points of a surface by robust least squares of their distances.
 
     Args:
-        points: of a surface [m], shape [P, 3].
-        along: first guess of its direction, shape [3].
+        points: points of the surface [m], shape [P, 3].
+        along: first guess of the capsule's direction, shape [3].
     """
     along = along / np.linalg.norm(along)
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    # Of the given direction and the longest one, the one that fits better.
+    # Starts from the given direction and from the direction of largest extent.
     _, _, rows = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     low, high = points.min(axis=0) - 1e-3, points.max(axis=0) + 1e-3
     bounds = [*low, *low, 1e-3], [*high, *high, 0.5 * float(np.linalg.norm(high - low))]
@@ -132,12 +132,12 @@ def fit_capsule(points: np.ndarray, along: np.ndarray) -> Capsule:
 
 
 def fit_boxes(vertices: np.ndarray, faces: np.ndarray, rotation: np.ndarray) -> list[Box]:
-    """Boxes with given axes that cover a mesh: it is cut along its longest edges until they are full enough.
+    """Cover a mesh with boxes. Boxes are halved at their longest edge until they are full enough.
 
     Args:
-        vertices: [m], shape [V, 3].
-        faces: shape [F, 3].
-        rotation: the boxes' axes as columns, shape [3, 3].
+        vertices: vertices [m], shape [V, 3].
+        faces: indices of vertices, shape [F, 3].
+        rotation: axes of the boxes as columns, shape [3, 3].
     """
     parts = [mesh_points(vertices, faces) @ rotation]
     done: list[np.ndarray] = []
@@ -159,7 +159,7 @@ def fit_boxes(vertices: np.ndarray, faces: np.ndarray, rotation: np.ndarray) -> 
 
 
 def _fill(points: np.ndarray) -> float:
-    """Volume of the convex hull of points as a share of their box."""
+    """Return the ratio of the convex hull's volume to that of the bounding box; 1 for flat points."""
     edges = np.ptp(points, axis=0)
     if edges.min() < 1e-3:
         return 1.0
@@ -167,25 +167,25 @@ def _fill(points: np.ndarray) -> float:
 
 
 MAX_FACES = 4000
-"""Of a mesh for pictures; finer ones are coarsened."""
+"""Number of faces beyond which a visual mesh is simplified."""
 
 FIRST_TOLERANCE, LAST_TOLERANCE = 1e-4, 5e-3
-"""By how much a step of simplifying may move a surface at first and at last [m]."""
+"""Tolerances of the first and last simplification [m]."""
 
 SHELL = 2e-3
-"""Thickness of the shell that takes the place of a surface that is not closed [m]."""
+"""Thickness of the shell that replaces an open surface [m]."""
 
 
 def coarse(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A surface of at most about ``MAX_FACES``, without holes where there were none.
+    """Simplify a surface to about ``MAX_FACES`` without opening it. Return vertices and faces.
 
     Args:
-        vertices: [m], shape [V, 3].
-        faces: shape [F, 3].
+        vertices: vertices [m], shape [V, 3].
+        faces: indices of vertices, shape [F, 3].
     """
     if len(faces) <= MAX_FACES:
         return vertices, faces
-    # Files of triangles name each corner anew.
+    # Some formats repeat shared vertices.
     places, which = np.unique(np.round(vertices, 7), axis=0, return_inverse=True)
     corners = which.reshape(-1)[faces]
     whole = (corners != np.roll(corners, 1, axis=1)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Palm, fingers and thumb of a hand, found from its kinematic tree and geometry, whatever the names."""
+"""Find fingers, thumb and side of a hand from its kinematic tree and geometry; names resolve ambiguities."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from fungrasp.hands.hand import FINGERS
 from fungrasp.hands.kinematic_tree import Drive, ancestors, body_name, subtree
 
 SIDE_RATIO = 0.15
-"""The thumb's distance to the side below which the side is not certain, as a share of a finger's length."""
+"""Smallest sideways offset of a thumb's base that alone determines the side, as a share of finger length."""
 
 ALIKE = 1.2
-"""Fingers whose lengths differ by less than this factor may be copies of one another."""
+"""Largest ratio of the lengths of identical fingers."""
 
 ONE_SIDED = 1.5
-"""Joints with this many times more range to one side bend the finger to that side."""
+"""A finger bends to the side to which its joints have more range by this factor."""
 
 
 @dataclass(frozen=True)
 class HandStructure:
-    """The parts of a hand; positions and directions are in the palm body's frame, with straight fingers."""
+    """Parts of a hand."""
 
     palm: int
     """Body id."""
     fingers: Mapping[str, Chain]
-    """By name, in the order of ``FINGERS``."""
+    """Fingers by name, in the order of ``FINGERS``."""
     along: np.ndarray
-    """Unit vector along the straight fingers, shape [3]."""
+    """Unit vector along the straight fingers, palm frame, shape [3]."""
     normal: np.ndarray
-    """Unit vector out of the palm, perpendicular to ``along``, shape [3]."""
+    """Unit vector out of the palm, perpendicular to ``along``, palm frame, shape [3]."""
     side: str
     """"right" or "left"."""
     straight: np.ndarray
@@ -56,7 +56,7 @@ class HandStructure:
 
 @dataclass(frozen=True)
 class Answers:
-    """What the user has said; None or empty where it is to be found."""
+    """Properties of a hand given by the user; the others (None or empty) are found."""
 
     palm: str | None = None
     """Name of the palm body."""
@@ -65,13 +65,13 @@ class Answers:
     side: str | None = None
     """"right" or "left"."""
     normal: tuple[float, float, float] | None = None
-    """Out of the palm, frame of the palm body."""
+    """Vector out of the palm, palm frame."""
     fingers: Mapping[str, str] | None = None
-    """A body of each finger that counts, by its name."""
+    """A body of each used finger, by finger."""
     couplings: Sequence[GivenCoupling] = ()
-    """Joints that move together."""
+    """Couplings of joints."""
     radius: float | None = None
-    """Of fingers without shapes [m]."""
+    """Radius of fingers without shapes [m]."""
 
 
 def find_structure(
@@ -87,11 +87,11 @@ def find_structure(
 
     Args:
         ties: pairs of bodies that close loops.
-        tips: by moving body: the far end of the shapes and frames that move with it, its frame [m].
-        findings: what was decided without certainty is added.
+        tips: far end of each moving body, by body id, body frame [m], shape [3].
+        findings: uncertain decisions are added.
 
     Raises:
-        FungraspError: something can't be decided; the message names the option that does.
+        FungraspError: a part cannot be determined; the message names its option.
     """
     poses = Poses(model, couplings, palm)
     poses.set(poses.start)
@@ -133,35 +133,37 @@ def find_structure(
 
 @dataclass(frozen=True)
 class _Features:
+    """Geometry of a finger, palm frame, shape [3] each."""
+
     base: np.ndarray
     direction: np.ndarray
-    """From the base to the tip of the straight finger."""
+    """Unit vector from the base to the tip of the straight finger."""
     bend: np.ndarray
-    """Direction in which the tip moves as the finger bends."""
+    """Direction of the tip's motion as the finger bends."""
     axis: np.ndarray
-    """Of its last joints, about which bending is positive."""
+    """Axis of positive bending."""
     length: float
     middle: np.ndarray
-    """Mean of the base and the tip, half bent."""
+    """Mean of the base and the tip of the half bent finger [m]."""
     guessed: bool
-    """Whether the limits don't tell to which side it bends."""
+    """Whether the limits do not determine to which side it bends."""
 
 
 def _features(
     poses: Poses, chain: Chain, tips: Mapping[int, np.ndarray], straight: np.ndarray, middle: np.ndarray
 ) -> _Features:
-    """middle: of all tips with straight fingers [m], shape [3]."""
+    """middle: mean of all tips with straight fingers, palm frame [m], shape [3]."""
     end = chain.bodies[-1]
     poses.set(straight)
     hinge = poses.axis(chain_joints(poses.model, chain)[-1])
     base, tip = poses.anchor(chain.links[0]), poses.of_body(end, tips[end])
     direction = (tip - base) / max(float(np.linalg.norm(tip - base)), 1e-9)
-    # The axis is exact where shapes that stand out to the side move the tip off the finger's plane.
+    # The axis is exact, while protruding shapes may move the tip off the finger's plane.
     bend = np.cross(hinge, direction)
     bend /= max(float(np.linalg.norm(bend)), 1e-9)
     moved = np.flatnonzero(np.abs(poses.matrix[flexing_joints(poses, chain)]).sum(axis=0)).tolist()
     signs = {u: _tip_motion(poses, chain, tips, straight, u) @ bend for u in moved}
-    # Range of the joints to the side of ``bend`` and to the other.
+    # Range of the joints towards and away from ``bend``.
     up, down = poses.high - straight, straight - poses.low
     toward = sum(up[u] if sign > 0 else down[u] for u, sign in signs.items())
     away = sum(down[u] if sign > 0 else up[u] for u, sign in signs.items())
@@ -169,7 +171,7 @@ def _features(
     if not guessed:
         turn = 1.0 if toward > away else -1.0
     else:
-        # Fingers that bend both ways grasp what is between them.
+        # Fingers that bend both ways close towards each other.
         turn = 1.0 if (middle - tip) @ bend >= 0 else -1.0
     bend *= turn
     bent = straight.copy()
@@ -185,7 +187,7 @@ def _features(
 def _tip_motion(
     poses: Poses, chain: Chain, tips: Mapping[int, np.ndarray], straight: np.ndarray, joint: int
 ) -> np.ndarray:
-    """Motion of the tip per radian of an independent joint [m/rad], shape [3]."""
+    """Return the motion of the tip per radian of an independent joint [m/rad], shape [3]."""
     end, step = chain.bodies[-1], 1e-4
     places = []
     for offset in (step, -step):
@@ -203,7 +205,8 @@ def _thumb(
     answers: Answers,
     findings: list[Finding],
 ) -> int:
-    """The chain without which the others bend most alike; of copies around a center, any."""
+    """Return the index of the thumb: the chain without which the others bend most alike. Names decide between
+    similar candidates; for identical fingers around a center, it is the first."""
     given = answers.thumb or (answers.fingers or {}).get("thumb")
     if given is not None:
         return _chain_of(model, chains, given, "--thumb")
@@ -246,7 +249,7 @@ def _thumb(
 
 
 def _named_thumb(model: mujoco.MjModel, chains: list[Chain]) -> int:
-    """Where geometry does not tell the thumb: the one chain whose names do."""
+    """Return the index of the only chain whose bodies are named after a thumb."""
     named = _thumbs_by_name(model, chains)
     rigid = [b for b in range(1, model.nbody) if finger_of(body_name(model, b)) == "thumb"]
     if rigid and not named:
@@ -279,7 +282,8 @@ def _names(
     answers: Answers,
     findings: list[Finding],
 ) -> tuple[dict[str, int], str]:
-    """Chain of each finger, and the side. across: to the thumb's side of a right hand, shape [3]."""
+    """Return the index of each finger's chain, and the side. across: unit vector to the thumb's side of a
+    right hand, palm frame, shape [3]."""
     model, long = poses.model, [i for i in range(len(chains)) if i != thumb]
     bases = np.array([features[i].base @ across for i in long])
     offset = float(features[thumb].base @ across - bases.mean())
@@ -304,7 +308,7 @@ def _names(
     order = [long[i] for i in np.argsort(-bases if side == "right" else bases, kind="stable")]
     by_name = {name: i for i in long if (name := _name_of(model, chains[i])) in FINGERS}
     if len(by_name) == len(long):
-        # A hand may lack its little finger: only the order of those that it has is compared.
+        # A hand may lack fingers: only the order of those present is compared.
         if [by_name[name] for name in FINGERS if name in by_name] != order:
             raise FungraspError(
                 f"the names of the fingers contradict their places on a {side} hand, which are, from the "
@@ -316,7 +320,7 @@ def _names(
 
 
 def _name_of(model: mujoco.MjModel, chain: Chain) -> str | None:
-    """The finger that most of a chain's bodies are named after, or None."""
+    """Return the finger that most of a chain's bodies are named after, or None."""
     votes = Counter(finger for b in chain.bodies if (finger := finger_of(body_name(model, b))))
     return votes.most_common(1)[0][0] if votes else None
 
@@ -334,7 +338,7 @@ def _ends(model: mujoco.MjModel, chains: list[Chain]) -> str:
 
 
 def _snapped(vector: np.ndarray, within: float = np.radians(12.0)) -> np.ndarray:
-    """Unit vector; the axis of the frame where that is near."""
+    """Return the unit vector, snapped to an axis of the frame within this angle [rad]."""
     vector = vector / np.linalg.norm(vector)
     longest = int(np.argmax(np.abs(vector)))
     if abs(vector[longest]) > np.cos(within):
@@ -346,7 +350,7 @@ SIDES = {
     side: re.compile(rf"(?<![a-z0-9])(?:{words})(?![a-z0-9])")
     for side, words in {"right": "right|rh|r", "left": "left|lh|l"}.items()
 }
-"""Parts of names that tell the side of a hand; "l1" is a link."""
+"""Parts of names that tell the side of a hand; "l1" is not one, as it names a link."""
 
 
 def find_side(
@@ -357,15 +361,16 @@ def find_side(
     answer: str | None,
     findings: list[Finding],
 ) -> str:
-    """The side of a hand; doubts are added to the findings.
+    """Return the side of a hand.
 
     Args:
-        standing: the hand's side by the place of its thumb; None if it stands in the middle.
-        answer: the side that the user gives.
-        findings: doubts are added.
+        standing: side by the position of the thumb; None if the thumb is in the middle.
+        fingers: number of fingers beside the thumb.
+        answer: side given by the user.
+        findings: contradictions and assumptions are added.
 
     Raises:
-        FungraspError: nothing tells it.
+        FungraspError: the side cannot be determined.
     """
     named = _named_side(model, palm)
     if answer is not None:
@@ -390,7 +395,7 @@ def find_side(
             "the thumb stands in the middle, so that a left hand can't be told from a right one: say "
             "--side right or --side left"
         )
-    # Two fingers and a thumb in the middle are their own mirror image.
+    # A hand with two fingers and a thumb in the middle is its own mirror image.
     side = named or "right"
     findings.append(
         warning(
@@ -402,7 +407,7 @@ def find_side(
 
 
 def _named_side(model: mujoco.MjModel, palm: int) -> str | None:
-    """The side that the names of most of a palm's bodies say, else those of what carries it."""
+    """Return the side in most names of the hand's bodies, or else in those of the bodies above the palm."""
     for bodies in (subtree(model, palm), ancestors(model, palm)):
         names = [body_name(model, b).lower() for b in bodies]
         for side, pattern in SIDES.items():
