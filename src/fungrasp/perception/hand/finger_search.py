@@ -1,6 +1,6 @@
-"""Where each finger may be on a palm that is about right: many postures are tried.
+"""Search of finger postures on an approximate palm, by random samples.
 
-Least squares goes downhill only; a thumb that was guessed on the wrong side of an object never gets round it.
+Least squares finds local minima only: a thumb guessed on the wrong side of an object never gets around it.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from fungrasp.perception.hand.skeleton import (
     Skeleton,
 )
 
-TRIES = 256  # Postures tried of each finger.
+TRIES = 256  # Sampled postures per finger.
 ORDER = (4, 0, 1, 2, 3)  # Order in which fingers are searched: the thumb first.
-MOST_POINTS = 80  # Measured points that a finger is compared with.
-WIDE = 1.3  # Factor on the usual spread of postures for those that are tried.
-SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Parts of each link that are looked at.
+MOST_POINTS = 80  # About the largest number of measured points that a finger is compared with.
+WIDE = 1.3  # Factor on the usual spread of postures.
+SAMPLED_PARTS = np.array([0.15, 0.5, 0.85])  # Positions of samples along each link.
 
 
-# What speaks for a finger's posture: standard deviations, and costs beyond which it gets no worse.
-LANDMARK_PART = 0.06  # Standard deviation of a landmark, as a part of the hand's extent in the image.
-# A landmark farther off [standard deviations] is wrong: those of hidden fingers are guesses.
+# Costs of a posture: standard deviations, and bounds beyond which a cost does not grow.
+LANDMARK_PART = 0.06  # Standard deviation of a landmark, as a fraction of the hand's extent in the image.
+# Bound for landmarks [standard deviations]: those of hidden fingers are guesses.
 LANDMARK_WORST = 3.0
 POINT_SPREAD = 0.006  # Standard deviation of a measured point's distance from the skin [m].
-POINT_WORST = 0.02  # Distance from the skin beyond which the cost of a point does not grow [m].
+POINT_WORST = 0.02  # Bound of this distance [m].
 POINTS_WEIGHT = 60.0  # Number of independent measurements that all measured points together count as.
-FRONT_SPREAD = 0.006  # Standard deviation of how far skin is in front of what is seen there [m].
-FRONT_WORST = 0.04  # Distance in front beyond which the cost does not grow [m].
-INSIDE_SPREAD = 0.004  # Standard deviation of how deep the finger is in the object or the table [m].
+FRONT_SPREAD = 0.006  # Standard deviation of the skin's distance in front of the measured depth [m].
+FRONT_WORST = 0.04  # Bound of this distance [m].
+INSIDE_SPREAD = 0.004  # Standard deviation of the finger's penetration of object or table [m].
 TOUCH_SPREAD = 0.008  # Standard deviation of the gap between the last link and the object [m].
-TOUCH_WORST = 0.02  # Gap beyond which the cost does not grow [m].
+TOUCH_WORST = 0.02  # Bound of this gap [m].
 UNUSUAL_WEIGHT = 1.0  # Weight of the cost of an unusual posture.
 
 
 def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Possible angles of one finger [rad], shape [count, 3, 3]."""
+    """Sample angles of one finger [rad], shape [count, 3, 3]."""
     angles = ANGLE_MEAN[finger] + WIDE * ANGLE_SPREAD[finger] * rng.normal(size=(count, 3, 3))
     # Only the first joints deviate, and only the thumb's twists.
     angles[:, 1:, ::2] = 0.0
@@ -56,11 +56,11 @@ def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
 def search_fingers(
     hand: Skeleton, view: HandView, landmarks: np.ndarray, spread: float | None, rng: np.random.Generator
 ) -> Skeleton:
-    """The hand with every finger in the best posture of those tried; its own is among them.
+    """Return the hand with every finger in the best sampled posture, or in its own if that is best.
 
     Args:
         landmarks: [pixels], shape [21, 2].
-        spread: standard deviation of a landmark [pixels], if it is known.
+        spread: standard deviation of a landmark [pixels]; None if unknown.
     """
     if spread is None:
         spread = LANDMARK_PART * float(np.linalg.norm(np.ptp(landmarks, axis=0)))
@@ -81,7 +81,7 @@ def finger_cost(
     landmarks: np.ndarray,
     spread: float,
 ) -> np.ndarray:
-    """What speaks against each posture of a finger, shape [S]. tried: [rad], shape [S, 3, 3]."""
+    """Return the cost of each posture of a finger, shape [S]. tried: angles [rad], shape [S, 3, 3]."""
     joints = hand.finger_joints(finger, tried)
     scale = np.exp(hand.size)
     own = slice(1 + 4 * finger, 5 + 4 * finger)
@@ -119,7 +119,7 @@ def _points_cost(hand: Skeleton, finger: int, joints: np.ndarray, view: HandView
     rest = np.abs(
         nearest_capsules(view.points, first[others], last[others], scale * HAND_CAPSULES.radius[others])[1]
     )
-    # Only points that this finger may explain, and no other part of the hand does.
+    # Only points near this finger that no other part of the hand explains.
     length = scale * LENGTHS[finger].sum() + 0.02
     free = (rest > 0.002) & (np.linalg.norm(view.points - joints[0, 0], axis=1) < length)
     if not free.any():
@@ -140,5 +140,5 @@ def _points_cost(hand: Skeleton, finger: int, joints: np.ndarray, view: HandView
 
 
 def _limited(residual: np.ndarray, worst: float) -> np.ndarray:
-    """Geman and McClure's loss, which tends to the square of ``worst``."""
+    """Geman-McClure loss, which tends to the square of ``worst``."""
     return worst**2 * residual**2 / (worst**2 + residual**2)

@@ -1,6 +1,5 @@
-"""What the image says about a hand: one function per kind of evidence.
-
-Landmarks, depth, silhouette, measured points, and the shape that the landmark model guesses.
+"""Residuals between a hand and an image, one function per kind of evidence: landmarks, depth, silhouette,
+measured points, and the landmark model's bone directions.
 """
 
 from __future__ import annotations
@@ -23,23 +22,23 @@ from fungrasp.perception.io.capture import Intrinsics
 
 NEAR_BONES, FAR_BONES = np.transpose(BONES)
 
-# Standard deviation of depth at a surface sample [m]: camera, thickness, and that neighbors err alike.
+# Standard deviation of depth at a surface sample [m]: camera noise and thickness, with correlated errors.
 DEPTH_SPREAD = 0.012
-FRONT_SPREAD = 0.016  # Standard deviation of how far skin may be in front of what is seen there [m].
-FRONT_OUTLIER = 0.05  # Skin farther in front [m] is likelier a fault of the depth.
-FRONT_SLACK = 0.004  # Skin so little in front [m] is not.
+FRONT_SPREAD = 0.016  # Standard deviation of the skin's distance in front of the measured depth [m].
+FRONT_OUTLIER = 0.05  # Distance in front beyond which the depth is probably wrong [m].
+FRONT_SLACK = 0.004  # Distance in front that is allowed [m].
 SILHOUETTE_SPREAD = 3.0  # Standard deviation of the silhouette [pixels].
-# A part farther in the background [pixels] is likelier hidden by a hole in the depth.
+# Distance into the background beyond which a hole in the depth is more probable [pixels].
 SILHOUETTE_OUTLIER = 20.0
-SILHOUETTE_INSET = 0.7  # Part of the hand's thickness that is surely inside the silhouette.
-# Standard deviation of a measured point's distance from the skin [m]: of fingers, palm and arm.
+SILHOUETTE_INSET = 0.7  # Fraction of the hand's thickness that is certainly inside the silhouette.
+# Standard deviation of a measured point's distance from the skin of fingers, palm and arm [m].
 POINT_SPREAD = np.array([0.004, 0.008, 0.025])
-# Number of independent measurements that all measured points together count as: neighbors err alike.
+# Number of independent measurements that all points together count as, because their errors are correlated.
 POINTS_WORTH = 85.0
-BACKGROUND_BEHIND = 0.02  # What is seen farther behind a part of the hand [m] is background to it.
-FIELD_STEP = 2  # Distances are looked at so many pixels apart: silhouettes are not known better.
-AROUND = 40  # So much is looked at around the hand's parts [pixels].
-NO_BACKGROUND = -1e3  # Distance to the background of a level that has none [pixels].
+BACKGROUND_BEHIND = 0.02  # Distance behind a part of the hand beyond which depth shows its background [m].
+FIELD_STEP = 2  # Resolution of distance fields [pixels]; silhouettes are not known better.
+AROUND = 40  # Margin of distance fields around the hand [pixels].
+NO_BACKGROUND = -1e3  # Distance to the background at a level without background [pixels].
 # Kind of every capsule and of the arm: 0 finger, 1 palm, 2 arm.
 _KIND = np.append(np.where(HAND_CAPSULES.finger < 0, 1, 0), 2)
 
@@ -57,8 +56,8 @@ def landmark_evidence(
     pixels: np.ndarray,
     spread: float | np.ndarray,
 ) -> HandEvidence:
-    """The joints project to the landmarks. spread: standard deviation of a landmark [pixels], shape [21] or
-    one for all."""
+    """Return residuals of the joints' projections from the landmarks. spread: standard deviation of a
+    landmark [pixels], shape [21] or a number."""
     projected, slopes = project(joints, jacobian, intrinsics)
     width = np.broadcast_to(spread, 21)[:, None]
     residual = ((projected - pixels) / width).ravel()
@@ -68,7 +67,7 @@ def landmark_evidence(
 def project(
     points: np.ndarray, jacobian: np.ndarray, intrinsics: Intrinsics
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of points, shape [P, 2], and their derivatives, [P, 2, n]."""
+    """Return pixels of points, shape [P, 2], and their derivatives, shape [P, 2, n]."""
     depth = np.maximum(points[:, 2:], 0.05)
     focal = np.array([intrinsics.fx, intrinsics.fy])
     slope = points[:, :2] / depth
@@ -84,12 +83,13 @@ def depth_evidence(
     measured: np.ndarray,
     outlier: tuple[float, float],
 ) -> HandEvidence:
-    """The skin seen lies in front of the line between joints by half the hand's thickness.
+    """Return residuals of the visible skin's depth: the line between joints minus the hand's radius.
 
     Args:
-        radius: distance of the skin from each [m], shape [P].
-        measured: depth of what is seen at their pixels [m], shape [P]; 0: none.
-        outlier: how far in front of the skin something else is seen, and how far behind [m].
+        points, jacobian: surface samples [m], camera frame, shape [P, 3], and derivatives, shape [P, 3, n].
+        radius: distance of the skin from each sample [m], shape [P].
+        measured: depth measured at each sample's pixel [m], shape [P]; 0: none.
+        outlier: distances in front of and behind the skin beyond which depth shows something else [m].
     """
     seen = (measured > 0) & in_front(points, radius)
     residual = (points[:, 2] - radius - measured)[seen] / DEPTH_SPREAD
@@ -100,7 +100,7 @@ def depth_evidence(
 def front_evidence(
     points: np.ndarray, jacobian: np.ndarray, radius: np.ndarray, measured: np.ndarray
 ) -> HandEvidence:
-    """No skin is in front of what is seen. Arguments as of ``depth_evidence``."""
+    """Return residuals of skin in front of the measured depth. Arguments as in ``depth_evidence``."""
     ahead = measured - points[:, 2] + (radius + FRONT_SLACK)
     wrong = (measured > 0) & (ahead > 0)
     by_step = -jacobian[wrong, 2] / FRONT_SPREAD
@@ -114,17 +114,17 @@ def silhouette_evidence(
     depth: np.ndarray,
     thickness: np.ndarray,
 ) -> HandEvidence:
-    """Nothing of the hand is where the background is seen.
+    """Return residuals of parts of the hand in front of visible background.
 
     Args:
-        pixels, slopes: of the surface samples and their derivatives, shapes [P, 2] and [P, 2, n].
-        depth: of the surface samples [m], shape [P].
-        thickness: of the hand around each [pixels], shape [P].
+        pixels, slopes: pixels of the surface samples and derivatives, shapes [P, 2] and [P, 2, n].
+        depth: depth of the surface samples [m], shape [P].
+        thickness: radius of the hand around each [pixels], shape [P].
     """
     distance, gradient = silhouettes.distance(pixels, depth)
     residual = distance + SILHOUETTE_INSET * thickness
     out = (residual > 0) & gradient.any(axis=1)
-    # Chain rule: image gradient [P, 2] times derivatives of the pixels by the n parameters [P, 2, n].
+    # Chain rule: image gradient, shape [P, 2], times derivatives of the pixels, shape [P, 2, n].
     by_step = np.einsum("pi,pin->pn", gradient[out], slopes[out])
     spread = SILHOUETTE_SPREAD
     return HandEvidence(residual[out] / spread, by_step / spread, SILHOUETTE_OUTLIER / spread)
@@ -133,20 +133,18 @@ def silhouette_evidence(
 def direction_evidence(
     joints: np.ndarray, jacobian: np.ndarray, directions: np.ndarray, spread: float
 ) -> HandEvidence:
-    """The bones point where a model of shape says, up to a turn of the whole hand.
-
-    That turn about the camera's axes is three more parameters, appended to the skeleton's.
+    """Return residuals of bone directions from those of the landmark model, up to a rotation of the whole
+    hand about the camera's axes: three more parameters, appended to the skeleton's.
 
     Args:
-        directions: unit vectors of ``BONES``, at the current estimate of the turn, camera frame, shape
-        [20, 3].
+        directions: unit vectors of ``BONES`` at the current rotation, camera frame, shape [20, 3].
         spread: standard deviation of a direction [rad].
     """
     bones = joints[FAR_BONES] - joints[NEAR_BONES]
     lengths = np.linalg.norm(bones, axis=1)[:, None]
     units = bones / lengths
     slopes = jacobian[FAR_BONES] - jacobian[NEAR_BONES]
-    # A unit vector moves across the bone alone: d(b / |b|) = (I - u u^T) db / |b|, shape [20, 3, n].
+    # A unit vector changes only across the bone: d(b / |b|) = (I - u u^T) db / |b|, shape [20, 3, n].
     along = np.einsum("bi,bin->bn", units, slopes)
     slopes = (slopes - units[..., None] * along[:, None]) / lengths[..., None]
     by_turn = -np.cross(np.eye(3), directions[:, None]).transpose(0, 2, 1)
@@ -161,12 +159,12 @@ def point_evidence(
     points: np.ndarray,
     outlier: float,
 ) -> HandEvidence:
-    """Every point that shows the hand or its arm lies on the skin.
+    """Return distances of measured points of hand and arm from the skin.
 
     Args:
-        hand, joints, jacobian: the skeleton, its joints and their derivatives.
-        points: [m], shape [P, 3].
-        outlier: a point farther from the skin [m] shows something else.
+        hand, joints, jacobian: skeleton, its joints and their derivatives.
+        points: [m], camera frame, shape [P, 3].
+        outlier: distance from the skin beyond which a point shows something else [m].
     """
     first, last = HAND_CAPSULES.ends(joints)
     elbow = joints[0] + ARM_LENGTH * arm_direction(points, joints)
@@ -175,7 +173,7 @@ def point_evidence(
     nearest, distance, along, normal = nearest_capsules(points, first, last, radius)
     kind = _KIND[nearest]
     part = np.where(kind == 2, 0.0, along * _END[nearest])[:, None]
-    # The nearest point of the bone is a mixture of its joints; the residual falls as it moves outward.
+    # The nearest point of a bone interpolates its joints; the distance falls as it moves outward.
     by_step = np.einsum("pi,pin->pn", normal, jacobian[_NEAR[nearest]]) * (1 - part)
     by_step += np.einsum("pi,pin->pn", normal, jacobian[_FAR[nearest]]) * part
     width = (POINT_SPREAD / np.sqrt(POINTS_WORTH / max(len(points), 1)))[kind]
@@ -184,15 +182,14 @@ def point_evidence(
 
 @dataclass(frozen=True, eq=False)
 class Silhouettes:
-    """Distances in the image to the background of a hand, for parts of it at different depths."""
+    """Distance fields to the background in the image, for L depth levels of the hand."""
 
     corner: np.ndarray
-    """Top left pixel ``[u v]`` of the part of the image that was looked at, shape [2]."""
+    """Top left pixel ``[u v]`` of the fields, shape [2]."""
     depths: np.ndarray
-    """Parts nearer than this [m] belong to a level, ascending, shape [L]."""
+    """Largest depth of parts that belong to each level, ascending [m], shape [L]."""
     fields: np.ndarray
-    """Distance into the background of each level, negative outside it [pixels], at every
-    ``FIELD_STEP``-th pixel, shape [L, h, w]."""
+    """Distance into the background at every ``FIELD_STEP``-th pixel, negative outside [pixels], [L, h, w]."""
 
     @classmethod
     def around(
@@ -202,13 +199,13 @@ class Silhouettes:
         parts: np.ndarray,
         levels: int,
     ) -> Silhouettes:
-        """Look at the image around a hand.
+        """Compute the fields around a hand.
 
         Args:
-            depth: of the image [m], shape [H, W]; NaN: none, taken for anything.
-            pixels: of the hand's parts, shape [P, 2].
+            depth: depth image [m], shape [H, W]; NaN: not measured, may be the hand.
+            pixels: pixels of P parts of the hand, shape [P, 2].
             parts: their depths [m], shape [P].
-            levels: number of depth levels that parts are sorted into.
+            levels: L.
         """
         edge = np.array(depth.shape[::-1])
         low = np.clip(np.floor(pixels.min(axis=0)) - AROUND, 0, edge - 2).astype(int)
@@ -218,15 +215,12 @@ class Silhouettes:
         return cls(low, depths, np.stack([_field(crop > limit + BACKGROUND_BEHIND) for limit in depths]))
 
     def distance(self, pixels: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How deep each part is in the background.
+        """Return how far each part is in the background, negative outside [pixels], shape [P], and the
+        gradient, shape [P, 2]; both are 0 outside the fields.
 
         Args:
             pixels: shape [P, 2].
             parts: depths of the parts [m], shape [P].
-
-        Returns:
-            [pixels], shape [P], negative where it is not; its slope, shape [P, 2]; both 0 for parts beyond
-            what was looked at.
         """
         level = np.minimum(np.searchsorted(self.depths, parts), len(self.depths) - 1)
         local = (pixels - self.corner) / FIELD_STEP

@@ -1,9 +1,8 @@
-"""Hands in a color image by MediaPipe's models: 21 landmarks, the side, a rough shape in 3D.
+"""Hand detection in a color image by MediaPipe's models: 21 landmarks, side, approximate 3D shape.
 
-Two models (see ``mediapipe_models``) are run: one finds palms, the other takes an upright window of the hand
-and answers with landmarks, the probability that there is a hand, which hand it is, and the landmarks' places
-in meters about the hand's middle. The window is then cut again around the landmarks found, and the second
-answer counts.
+One model (see ``mediapipe_models``) finds palms. The other takes an upright window of the hand and returns
+landmarks, the probability of a hand, its side, and landmarks in meters about the hand's center. It runs again
+on the window around these landmarks, and the second result counts.
 """
 
 from __future__ import annotations
@@ -40,10 +39,10 @@ FROM_MODEL = np.array([0, *range(5, 21), *range(1, 5)])
 
 _TO_MODEL = np.argsort(FROM_MODEL)
 
-# How far beyond the joints that data sets mean the models' landmarks are, after knuckles, as a part of the
-# bone that ends there; the wrist's toward the middle finger's knuckle, as a part of that distance. Landmarks
-# of tips are on the nail, not at its end. From 178 rendered captures, whose visible landmarks it brings from
-# 7.3 to 6.3 pixels and from 8.1 to 7.1; at knuckles and middle joints taken smaller than measured, as a
+# Distances of the models' landmarks beyond the joints of data sets, after knuckles, as fractions of the bone
+# that ends there; for the wrist, toward the middle finger's knuckle. Landmarks of fingertips are on the nail,
+# not at its end. From 178 rendered captures: the correction reduces errors of visible landmarks from 7.3 to
+# 6.3 and from 8.1 to 7.1 pixels. Values at knuckles and middle joints are smaller than measured, because a
 # rendered hand may mislead.
 FINGER_BEYOND, THUMB_BEYOND, WRIST_BEYOND = (0.09, 0.13, -0.18), (0.08, 0.08, -0.16), 0.04
 
@@ -57,88 +56,83 @@ def _joints_of_landmarks() -> np.ndarray:
     return matrix
 
 
-# Takes landmarks in the order of ``HUMAN_JOINTS`` to joints, shape [21, 21].
+# Matrix that maps landmarks in the order of ``HUMAN_JOINTS`` to joints, shape [21, 21].
 JOINTS_OF_LANDMARKS = _joints_of_landmarks()
 
 _LANDMARKS_OF_JOINTS = np.linalg.inv(JOINTS_OF_LANDMARKS)
 
-LANDMARK_PIXELS = 224  # Edge of the landmark model's input [pixels].
-PALM_SCORE = 0.5  # Palms of lower score are looked at only if no better one is there.
-LEAST_PALM_SCORE = 0.1  # Palms of lower score are none.
-# Where no window shows a hand, so many palms of low score are looked at in many windows: palms are seen in
-# many views of hands behind objects, of which the landmark model knows little.
+LANDMARK_PIXELS = 224  # Size of the landmark model's input [pixels].
+PALM_SCORE = 0.5  # Score of palms below which they are examined only if there is no better one.
+LEAST_PALM_SCORE = 0.1  # Smallest score of a palm.
+# Number of palms of low score that are examined in many windows if no window shows a hand: palms are detected
+# in many views of hands behind objects that the landmark model rarely saw in training.
 LOW_SCORE_PALMS = 3
-HAND_PRESENCE = 0.5  # Windows with a lower probability of a hand show none, if another does.
-# Least score of a hand that many windows were cut for. In 69 images without a hand (52 of them rendered:
-# tables and things with the color of skin) up to 0.40 was seen; of 52 rendered hands four had less than this,
-# three of them off by 24 to 30 pixels in the median of their landmarks.
+HAND_PRESENCE = 0.5  # Probability of a hand below which a window shows none, if another window shows one.
+# Smallest score of a hand after many windows. 69 images without a hand (52 of them rendered: tables and
+# things of skin color) had up to 0.40; of 52 rendered hands, four had less than this, three of them with a
+# median landmark error of 24 to 30 pixels.
 LEAST_HAND_SCORE = 0.45
-LEAST_ANSWER = 0.18  # Around an answer of lower score no second window is cut.
-# About a palm of low score no more windows are cut where the first ones, and then all turned and shifted
-# ones, show a hand with no higher probability: of 30 palms that were none, 19 end so after four windows. Of
-# two that are found there, none had less than 0.17 and 0.44.
+LEAST_ANSWER = 0.18  # Smallest score of a result around which a second window is cut.
+# Smallest probabilities of a hand in the first windows around a palm of low score, and in all rotated and
+# shifted ones, for which more windows are cut: of 30 false palms, 19 end after four windows; two hands that
+# are found this way had at least 0.17 and 0.44.
 FIRST_LOOK, SECOND_LOOK = 0.02, 0.1
-# What overlaps by more than this part with what was looked at and was no hand is not looked at again.
+# Overlap with a rejected hand beyond which a hand is not examined again.
 REFUSED = 0.3
-# So many windows are looked at in one image at most: hands that are found need 4 to 88, and an image without
-# any is to take less than a second.
+# Largest number of windows per image: hands are found in 4 to 88, and an image without a hand should take
+# less than a second.
 MOST_LOOKS = 90
-# Edge of a window that a hand of known length is looked at in, in hand lengths. Hands fill it less than the
-# models were trained on, but one that was first seen at a wrong place is still inside.
+# Size of a window for a hand of known length, in hand lengths. Hands fill it less than in the models'
+# training, but a hand that was first seen at a wrong place is still inside.
 WINDOW_LENGTHS = 1.16
-WINDOW_TURNS = np.radians(np.arange(0, 360, 45))  # Angles by which such windows are turned [rad].
-# Where the middles of such windows are if only a palm of low score is known, from its own, in hand lengths;
-# each is then turned by half as many angles.
+WINDOW_TURNS = np.radians(np.arange(0, 360, 45))  # Rotations of such windows [rad].
+# Shifts of such windows from a palm of low score, in hand lengths; each has half of the rotations.
 WINDOW_OFFSETS = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
-# Around so many of the answers from such windows, the most probable ones, a window is cut, and mirrored.
+# Number of the most probable results around which a window and its mirror image are cut again.
 CUT_AGAIN = 4
-# Windows that are looked at where a hand is to be confirmed.
+# Largest number of windows that confirm a hand.
 VERIFYING = 2 + len(WINDOW_TURNS) + 2 * CUT_AGAIN
-# The same where only a palm of low score is known.
+# Largest number of windows around a palm of low score.
 AROUND_PALM = len(WINDOW_OFFSETS) * len(WINDOW_TURNS) // 2 + 2 * CUT_AGAIN
-MOST_VERIFIED = 2  # Largest number of hands of an image that are looked at in more windows.
-SAME_HAND = 0.5  # Two answers whose boxes overlap by more than this part of their union are one hand.
-# If the first answer, one from the window around it and one from that window's mirror image are of higher
-# scores, and nearer to each other than this part of the hand's length, they are right: of 170 rendered
-# captures 70 % have such, which are off by 7.7 pixels in the median of their landmarks, and 7.5 after more
-# windows.
+MOST_VERIFIED = 2  # Largest number of hands per image that are confirmed.
+SAME_HAND = 0.5  # Overlap (intersection over union) beyond which two results are one hand.
+# A hand is confirmed if it and the results from the window around it and from its mirror image have higher
+# scores than the first and are closer than the second, in hand lengths: 70 % of 170 rendered captures, with a
+# median landmark error of 7.7 pixels, and 7.5 after more windows.
 CONFIRMED_HAND, CONFIRMED = 0.8, 0.05
-# Answers whose landmarks are apart by more than this on average, in hand lengths, don't confirm each other.
+# Scale of the mean distance between landmarks at which results confirm each other less, in hand lengths.
 SAME_ANSWER = 0.12
 
 
 class MediaPipeHandDetector:
-    """The two models, ready to run. Keeps the interpreters: one per thread of the caller."""
+    """The two models, ready to run. One detector per thread: the interpreters are kept."""
 
     def __init__(self) -> None:
         """
         Raises:
             FungraspError: the weights are not set up, or ai-edge-litert is not installed.
         """
-        model_runtime()  # Whoever lacks it is told before having fetched the weights.
+        model_runtime()  # Before the weights, so that a missing runtime is reported first.
         weights = load_weights()
         self._palm, self._landmarks = MediaPipeModel(weights["palm"]), MediaPipeModel(weights["landmarks"])
         self._looks = 0
 
     def detect(self, color: np.ndarray, near: Box | None = None) -> list[DetectedHand]:
-        """All hands found; see ``detect_with_depth``, which finds more of them."""
+        """Detect hands without depth; ``detect_with_depth`` finds more of them."""
         return self.detect_with_depth(color, None, near)
 
     def detect_with_depth(
         self, color: np.ndarray, lengths: np.ndarray | None, near: Box | None = None
     ) -> list[DetectedHand]:
-        """All hands found.
+        """Detect hands, most probable first.
 
-        The whole image is searched first. If nothing is there, so are its parts, enlarged, and the image
-        turned; the first of these that shows a hand counts, or the best of all that may show one.
+        The whole image is searched first. If it shows no hand, enlarged parts and the rotated image follow;
+        the first window with a hand counts, or the best palm of low score.
 
         Args:
             color: RGB, uint8, shape [H, W, 3].
-            lengths: ``hand_lengths`` of the image [pixels], shape [H, W]; None if depth is not known.
-            near: a box beside or around the hand, searched before other parts.
-
-        Returns:
-            Most probable first; empty if there is none.
+            lengths: ``hand_lengths`` of the image [pixels], shape [H, W]; None if depth is unknown.
+            near: box beside or around the hand [pixels], searched before other parts.
         """
         self._looks = 0
         image = Image.fromarray(exposed(color))
@@ -171,8 +165,8 @@ class MediaPipeHandDetector:
         return [best] if best is not None and best.score >= LEAST_HAND_SCORE else []
 
     def _verified(self, image: Image.Image, hand: DetectedHand, lengths: np.ndarray | None) -> DetectedHand:
-        """The hand, if the windows around it confirm it; else what windows all round make of it, of score 0
-        if it is too small for that."""
+        """Return the hand if the windows around it confirm it; otherwise the consensus of windows all around,
+        with score 0 if the hand is too small for them."""
         window = _window_of(hand)
         length = length_at(hand.pixels, lengths, window.size / WINDOW_LENGTHS)
         if possible(hand, length):
@@ -188,8 +182,7 @@ class MediaPipeHandDetector:
     def _around_palm(
         self, image: Image.Image, palm: Window, lengths: np.ndarray | None
     ) -> DetectedHand | None:
-        """What windows about a palm make of its hand; None as soon as they show none. palm: the window that
-        the hand should be in."""
+        """Return the consensus of windows around a palm; None if they show no hand. palm: hand's window."""
         length = length_at(np.array([palm.center]), lengths, palm.size / WINDOW_LENGTHS)
         if length < CLEAR_LENGTH:
             return None
@@ -205,12 +198,12 @@ class MediaPipeHandDetector:
     def _answers(
         self, image: Image.Image, places: list[tuple[np.ndarray, float]], length: float
     ) -> list[DetectedHand]:
-        """What windows as large as a hand show.
+        """Return the results of windows of the size of a hand.
 
         Args:
             image: RGB.
-            places: middles of windows [pixels], shape [2], and how they are turned [rad].
-            length: of a hand in the image [pixels].
+            places: center [pixels], shape [2], and rotation [rad] of each window.
+            length: length of a hand in the image [pixels].
         """
         size = WINDOW_LENGTHS * length
         return [
@@ -221,13 +214,14 @@ class MediaPipeHandDetector:
     def _consensus(
         self, image: Image.Image, every: list[DetectedHand], length: float, lengths: np.ndarray | None
     ) -> DetectedHand:
-        """The answer that most others confirm, of those seen already and from windows around the best; of
-        score 0 where none is clear and of a hand's size.
+        """Return the result that others confirm best, among given ones and those of windows around the best;
+        with score 0 if none is clear and of a hand's size.
 
         Args:
             image: RGB.
-            length: of a hand in the image [pixels].
-            lengths: the same by pixel, if depth is known.
+            every: given results.
+            length: length of a hand in the image [pixels].
+            lengths: ``hand_lengths``, if depth is known.
         """
         best = sorted(every, key=lambda answer: -answer.score)[:CUT_AGAIN]
         last = [
@@ -242,7 +236,7 @@ class MediaPipeHandDetector:
         return consensus(sized, last, length)
 
     def _palms(self, image: Image.Image, window: Window) -> list[tuple[float, Window]]:
-        """Scores of palms in a window, and windows of their hands."""
+        """Return the scores of palms in a window, and the windows of their hands."""
         offsets, logits = self._palm(window.cut(image, DETECTOR_PIXELS))
         found = []
         for palm in decode_palms(offsets.reshape(-1, 18), logits.ravel(), LEAST_PALM_SCORE):
@@ -263,7 +257,7 @@ class MediaPipeHandDetector:
         )
 
     def _landmarks_in(self, image: Image.Image, window: Window, mirrored: bool = False) -> DetectedHand:
-        """What the landmark model says of a window, or of its mirror image."""
+        """Run the landmark model on a window, or on its mirror image."""
         self._looks += 1
         cut = window.cut(image, LANDMARK_PIXELS)
         if mirrored:
@@ -278,12 +272,12 @@ class MediaPipeHandDetector:
 
 
 def _window_of(hand: DetectedHand) -> Window:
-    """Window around the landmarks of an answer."""
+    """Return the window around the landmarks of a result."""
     return window_of_landmarks((_LANDMARKS_OF_JOINTS @ hand.pixels)[_TO_MODEL])
 
 
 def _apart(palms: list[tuple[float, Window]]) -> list[Window]:
-    """Windows of palms, best first, without those in the middle half of a better one."""
+    """Return the windows of palms, best first, without those in the central half of a better one."""
     kept: list[Window] = []
     for _, window in sorted(palms, key=lambda palm: -palm[0]):
         if all(math.dist(window.center, other.center) > 0.25 * other.size for other in kept):
@@ -292,7 +286,7 @@ def _apart(palms: list[tuple[float, Window]]) -> list[Window]:
 
 
 def _distinct(hands: list[DetectedHand], refused: list[DetectedHand]) -> list[DetectedHand]:
-    """The hands, best first, without those that overlap with better ones or with what was refused."""
+    """Return hands, best first, without those that overlap with better ones or with rejected ones."""
     kept: list[DetectedHand] = []
     for hand in sorted(hands, key=lambda hand: -hand.score):
         better, none = (_boxes(others) for others in (kept, refused))
@@ -307,20 +301,21 @@ def _boxes(hands: list[DetectedHand]) -> np.ndarray:
 
 
 def confirms(first: DetectedHand, second: DetectedHand, length: float) -> bool:
-    """Whether both detections have high scores and agree. length: of a hand in the image [pixels]."""
+    """Return whether two detections have high scores and agree. length: of a hand in the image [pixels]."""
     sure = min(first.score, second.score) > CONFIRMED_HAND and first.side == second.side
     return sure and first.distance(second) < CONFIRMED * length
 
 
 def consensus(every: list[DetectedHand], last: list[DetectedHand], length: float) -> DetectedHand:
-    """The detection that most others confirm.
+    """Return the detection that others confirm best.
 
-    Its score is the part of the last answers, weighted by their scores, that confirms it, and the score of
-    its side what part of those agrees.
+    Its score is the mean of the last results' scores, weighted by agreement; the score of its side is the
+    share of their votes.
 
     Args:
-        last: those of them, or others, that judge it.
-        length: of a hand in the image [pixels].
+        every: detections to choose from.
+        last: detections that vote.
+        length: length of a hand in the image [pixels].
     """
 
     def confirmed(hand: DetectedHand, by: list[DetectedHand]) -> np.ndarray:

@@ -1,9 +1,6 @@
-"""MediaPipe's hand models: weights fetched once from the mediapipe wheel and kept in the user's cache.
+"""MediaPipe's hand models (Apache-2.0), run by ``ai-edge-litert``.
 
-The models are run by ``ai-edge-litert``.
-
-The two models (Apache-2.0) are files of the wheel of mediapipe 0.10.21; later wheels don't hold them. This
-package holds no weights.
+The weights are taken once from the wheel of mediapipe 0.10.21 (later wheels lack them) into the user's cache.
 """
 
 from __future__ import annotations
@@ -29,15 +26,15 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, cache_folder, cache_path
 from fungrasp.core.formats.checks import one_line
 
-DROPPED_PREFIX = b"INFO:"  # How lines begin that are left out.
+DROPPED_PREFIX = b"INFO:"  # Prefix of lines that are dropped.
 
 
 @contextmanager
 def filtered_native_output() -> Iterator[None]:
-    """Hold back what is written to stderr meanwhile; then pass it on without lines that begin with "INFO:".
+    """Hold back output to stderr, then pass it on without lines that begin with "INFO:".
 
-    For libraries that write past Python and have no setting for it. Keep what runs inside short: the whole
-    process's stderr is held back.
+    For libraries that bypass Python and have no setting for it. The whole process's stderr is held back, so
+    the block should be short.
     """
     try:
         stderr = os.dup(2)
@@ -65,13 +62,13 @@ def _flush() -> None:
         sys.stderr.flush()
 
 
-PACKAGE = "mediapipe==0.10.21"  # The release, on the package index, whose wheels hold the models.
-SETUP_COMMAND = "fungrasp setup perception"  # What a user runs once.
+PACKAGE = "mediapipe==0.10.21"  # Release whose wheels contain the models.
+SETUP_COMMAND = "fungrasp setup perception"  # Command that a user runs once.
 
 CACHE_KIND = "hand_models"
-THREADS = 2  # That a model is run in.
+THREADS = 2  # Threads of a model.
 
-LARGEST = 50_000_000  # Bytes of the largest file that is taken out of a wheel.
+LARGEST = 50_000_000  # Largest size of a file that is taken out of a wheel [bytes].
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,7 @@ class WeightFile:
     member: str
     """Path in the wheel."""
     sha256: str
-    """Digest of its bytes, hexadecimal."""
+    """SHA-256 digest, hexadecimal."""
 
     @property
     def name(self) -> str:
@@ -89,7 +86,7 @@ class WeightFile:
         return Path(self.member).name
 
 
-# The palm detector and the landmark model; the same bytes are in the wheels of all platforms.
+# Palm detector and landmark model; the wheels of all platforms contain the same bytes.
 WEIGHT_FILES: Mapping[str, WeightFile] = {
     "palm": WeightFile(
         "mediapipe/modules/palm_detection/palm_detection_full.tflite",
@@ -103,10 +100,10 @@ WEIGHT_FILES: Mapping[str, WeightFile] = {
 
 
 def load_weights() -> dict[str, bytes]:
-    """Bytes of each of ``WEIGHT_FILES``, from the cache.
+    """Return the bytes of each of ``WEIGHT_FILES`` from the cache.
 
     Raises:
-        FungraspError: they were not fetched yet, or the files have been changed.
+        FungraspError: the files are missing, unreadable or changed.
     """
     folder = cache_path(CACHE_KIND)
     weights = {}
@@ -125,13 +122,13 @@ def load_weights() -> dict[str, bytes]:
 
 
 def have_weights() -> bool:
-    """Whether the files are in the cache (their bytes are checked when they are loaded)."""
+    """Return whether the files are in the cache; their bytes are checked when they are loaded."""
     folder = cache_path(CACHE_KIND)
     return all((folder / file.name).is_file() for file in WEIGHT_FILES.values())
 
 
 def kept_weights() -> list[Path]:
-    """The files in the cache, if they are there and hold the right bytes; else none."""
+    """Return the files in the cache if they have the right bytes; otherwise none."""
     try:
         load_weights()
     except FungraspError:
@@ -140,16 +137,16 @@ def kept_weights() -> list[Path]:
 
 
 def fetch_weights(wheel: Path | None = None) -> list[Path]:
-    """Take the weights from a mediapipe wheel into the cache; nothing of the wheel is installed or run.
+    """Copy the weights from a mediapipe wheel to the cache; nothing of the wheel is installed or run.
 
     Args:
-        wheel: a wheel of ``PACKAGE`` for any platform; by default pip downloads one, as pip is configured.
+        wheel: wheel of ``PACKAGE`` for any platform; downloaded with pip if None.
 
     Returns:
         The files in the cache.
 
     Raises:
-        FungraspError: pip failed, or the wheel does not hold the expected bytes.
+        FungraspError: pip failed, or the wheel does not contain the expected bytes.
     """
     if wheel is not None:
         return _extract(wheel)
@@ -158,7 +155,7 @@ def fetch_weights(wheel: Path | None = None) -> list[Path]:
 
 
 def _download(folder: Path) -> Path:
-    """The wheel for one platform, whatever this machine is: the models are the same."""
+    """Download the wheel for one platform, whatever this machine is: the models are the same."""
     command = [sys.executable, "-m", "pip", "download", PACKAGE, "--no-deps", "--only-binary=:all:"]
     command += ["--platform", "manylinux_2_28_x86_64", "--platform", "manylinux_2_17_x86_64"]
     command += ["--python-version", "311", "--implementation", "cp", "--dest", str(folder), "--quiet"]
@@ -207,7 +204,7 @@ def _check(content: bytes, file: WeightFile, where: Path) -> None:
 
 
 def model_runtime() -> Any:
-    """What runs the models.
+    """Import the runtime of the models.
 
     Raises:
         FungraspError: ai-edge-litert is not installed.
@@ -221,11 +218,10 @@ def model_runtime() -> Any:
 
 
 class MediaPipeModel:
-    """A model file in an interpreter; called with one image."""
+    """A model in an interpreter; called with one image."""
 
     def __init__(self, content: bytes):
         """
-
         Raises:
             FungraspError: ai-edge-litert is not installed.
         """
@@ -233,12 +229,12 @@ class MediaPipeModel:
             self._interpreter = model_runtime().Interpreter(model_content=content, num_threads=THREADS)
             self._interpreter.allocate_tensors()
         self._input = self._interpreter.get_input_details()[0]["index"]
-        # The runtime lists outputs in any order; their names tell it.
+        # The runtime lists outputs in any order, so they are sorted by name.
         outputs = sorted(self._interpreter.get_output_details(), key=lambda output: output["name"])
         self._outputs = [output["index"] for output in outputs]
 
     def __call__(self, image: np.ndarray) -> list[np.ndarray]:
-        """Outputs in the order of their names. image: 0 to 1, float32, shape [S, S, 3]."""
+        """Return outputs in the order of their names. image: 0 to 1, float32, shape [S, S, 3]."""
         self._interpreter.set_tensor(self._input, image[None])
         self._interpreter.invoke()
         return [self._interpreter.get_tensor(index)[0] for index in self._outputs]

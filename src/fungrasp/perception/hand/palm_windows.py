@@ -1,10 +1,10 @@
-"""Where palms are in an image, and the square windows, turned and scaled, that the hand models take.
+"""Palms in an image, and the square windows, rotated and scaled, that the hand models take.
 
-Pixels are ``[u v]`` with whole numbers at pixel centers. A window's own coordinates run from 0 at its left or
-top edge to 1 at its right or bottom edge.
+Pixels are ``[u v]`` with whole numbers at pixel centers. Window coordinates run from 0 at the left or top
+edge to 1 at the right or bottom edge.
 
-The palm detector (input 192 x 192) is a single-shot one with a fixed anchor at the center of every cell: two
-per cell of 8 pixels, six per cell of 16. An anchor answers with a score and 18 offsets in pixels from its
+The palm detector (input 192 x 192) is a single-shot detector with fixed anchors at the center of every cell:
+two per cell of 8 pixels, six per cell of 16. Each anchor gives a score and 18 offsets in pixels from its
 center: box center, width and height, then seven key points, of which 0 is the wrist and 2 the middle finger's
 MCP.
 """
@@ -20,8 +20,8 @@ from PIL import Image
 
 from fungrasp.perception.io.capture import Box
 
-DIM = 128  # Images whose brightest parts are darker, of 255, are underexposed by half the range or more.
-# Landmarks (models' order) that a window around known landmarks is made from: palm, thumb, near joints.
+DIM = 128  # 99th percentile of brightness, of 255, below which an image is underexposed.
+# Landmarks (models' order) for a window around known landmarks: palm, thumb, near joints.
 PALM_OUTLINE = np.array([0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18])
 
 
@@ -34,27 +34,24 @@ class Window:
     size: float
     """Length of an edge [pixels]."""
     angle: float = 0.0
-    """Angle by which the window is turned, clockwise in the image [rad]."""
+    """Clockwise rotation of the window in the image [rad]."""
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
-        """Pixels of points in window coordinates. Both: shape [..., 2]."""
+        """Return the pixels of points in window coordinates. Both: shape [..., 2]."""
         return (np.asarray(points) - 0.5) * self.size @ self._rotation().T + self.center
 
     def turn(self, vectors: np.ndarray) -> np.ndarray:
-        """Vectors ``[x y z]`` in the window's axes (right, down, into the image) in the image's. Both: shape
-        [..., 3]."""
+        """Rotate vectors ``[x y z]`` from the window's axes (right, down, into the image) to the image's.
+        Both: shape [..., 3]."""
         turned = np.array(vectors, dtype=float)
         turned[..., :2] = turned[..., :2] @ self._rotation().T
         return turned
 
     def cut(self, image: Image.Image, pixels: int) -> np.ndarray:
-        """The window's content, black where it lies beyond the image.
+        """Return the window's content, 0 to 1, black beyond the image, float32, shape [pixels, pixels, 3].
 
         Args:
             image: RGB.
-
-        Returns:
-            0 to 1, float32, shape [pixels, pixels, 3].
         """
         shrink = max(1, int(self.size / pixels))
         left, top = (0, 0)
@@ -80,7 +77,7 @@ class Window:
 
 
 def exposed(color: np.ndarray) -> np.ndarray:
-    """An underexposed image, as bright as the models know images: its 99th percentile white; else as given.
+    """Brighten an underexposed image so that its 99th percentile is white; return others unchanged.
 
     color: RGB, uint8, shape [H, W, 3]; so is the result.
     """
@@ -91,7 +88,7 @@ def exposed(color: np.ndarray) -> np.ndarray:
 
 
 def window_of_palm(box: np.ndarray, wrist: np.ndarray, middle_mcp: np.ndarray) -> Window:
-    """Window of the whole hand whose palm was detected, fingers up.
+    """Return the window of the hand of a detected palm, with fingers up.
 
     Args:
         box: ``x0 y0 x1 y1`` of the palm [pixels], shape [4].
@@ -105,7 +102,7 @@ def window_of_palm(box: np.ndarray, wrist: np.ndarray, middle_mcp: np.ndarray) -
 
 
 def window_of_landmarks(pixels: np.ndarray) -> Window:
-    """Window of the whole hand whose landmarks are known, fingers up.
+    """Return the window of a hand with known landmarks, with fingers up.
 
     pixels: shape [21, 2], models' order.
     """
@@ -120,10 +117,8 @@ def window_of_landmarks(pixels: np.ndarray) -> Window:
 
 
 def search_windows(width: int, height: int, near: Box | None) -> Iterator[Window]:
-    """Windows in which palms are searched in turn: the image, around a box, its parts, the image turned.
-
-    width, height: of the image [pixels].
-    """
+    """Yield windows in which palms are searched, in this order: the image, around a box, its parts, the image
+    rotated. width, height: size of the image [pixels]; near: box [pixels]."""
     middle = ((width - 1) / 2, (height - 1) / 2)
     whole = Window(middle, float(max(width, height)))
     yield whole
@@ -140,14 +135,14 @@ def search_windows(width: int, height: int, near: Box | None) -> Iterator[Window
 
 
 def _upright(direction: np.ndarray) -> float:
-    """Angle of a window in which the direction points up."""
+    """Return the angle of a window in which the direction points up [rad]."""
     return math.atan2(direction[0], -direction[1])
 
 
 DETECTOR_PIXELS = 192
 
 ANCHOR_LAYERS = ((8, 2), (16, 6))  # Cell size [pixels] and anchors per cell.
-OVERLAP = 0.3  # Boxes that overlap by more than this part of their union are one palm.
+OVERLAP = 0.3  # Overlap (intersection over union) beyond which boxes are one palm.
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,15 +150,15 @@ class Palm:
     """A detected palm; coordinates of the detector's window, 0 to 1."""
 
     box: np.ndarray
-    """Corners ``x0 y0 x1 y1`` of the box round the palm, shape [4]."""
+    """Corners ``x0 y0 x1 y1`` of the box, shape [4]."""
     points: np.ndarray
-    """Key points of the palm, shape [7, 2]."""
+    """Key points, shape [7, 2]."""
     score: float
     """Probability that this is a palm, 0 to 1."""
 
 
 def anchor_centers() -> np.ndarray:
-    """Centers of the detector's anchors, 0 to 1, shape [2016, 2]."""
+    """Return the centers of the detector's anchors, 0 to 1, shape [2016, 2]."""
     layers = []
     for cell, copies in ANCHOR_LAYERS:
         count = DETECTOR_PIXELS // cell
@@ -174,15 +169,12 @@ def anchor_centers() -> np.ndarray:
 
 
 def decode_palms(offsets: np.ndarray, logits: np.ndarray, threshold: float) -> list[Palm]:
-    """Palms from the detector's answers; overlapping answers are averaged, weighted by their scores.
+    """Return palms from the detector's outputs, best first; overlapping ones are averaged by score.
 
     Args:
         offsets: [pixels of the detector], shape [2016, 18].
         logits: shape [2016].
-        threshold: answers of lower score are dropped.
-
-    Returns:
-        Best first.
+        threshold: smallest score.
     """
     scores = 1.0 / (1.0 + np.exp(-np.clip(logits, -100.0, 100.0)))
     chosen = np.flatnonzero(scores >= threshold)
@@ -207,7 +199,7 @@ def decode_palms(offsets: np.ndarray, logits: np.ndarray, threshold: float) -> l
 
 
 def box_overlap(box: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Area common to two boxes over that of their union. box: shape [4]; others: [N, 4]; returns [N]."""
+    """Return intersection over union of boxes, shape [N]. box: shape [4]; others: shape [N, 4]."""
     low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
     common = np.prod(np.maximum(high - low, 0.0), axis=1)
     union = np.prod(box[2:] - box[:2]) + np.prod(others[:, 2:] - others[:, :2], axis=1) - common

@@ -1,6 +1,4 @@
-"""What bodies allow: sizes, proportions and angles of people, no finger inside another one, and, where object
-and table are known, fingers that touch them and nothing inside them.
-"""
+"""Residuals of anatomy (size, proportions, angles, overlap) and of contact with object and table."""
 
 from __future__ import annotations
 
@@ -26,20 +24,20 @@ from fungrasp.perception.hand.skeleton import (
     Skeleton,
 )
 
-SIZE_SPREAD = 0.1  # Standard deviation of the logarithm of adults' hand sizes: both sexes together.
-# Standard deviation of the logarithm of a bone's length in hands of one size, and what different makers of
-# landmarks mean by the same joint.
+SIZE_SPREAD = 0.1  # Standard deviation of the logarithm of adults' hand sizes, of both sexes.
+# Standard deviation of the logarithm of bone lengths in hands of one size, including different definitions of
+# joints by landmark models.
 BONE_SPREAD = 0.06
-BASE_SPREAD = 0.005  # Standard deviation of where a finger's base is in the palm [m].
-# A joint bent beyond its limit by this much [rad] is one standard deviation out.
+BASE_SPREAD = 0.005  # Standard deviation of the position of a finger's base in the palm [m].
+# Standard deviation of joint angles beyond their limits [rad].
 LIMIT_SOFTNESS = np.radians(5.0)
-# Soft tissue gives way by so much [m]: nine in ten of the human grasps at hand have at most that.
+# Overlap of soft tissue [m]; nine in ten of the available human grasps have at most this.
 OVERLAP_SLACK = 0.0015
-OVERLAP_SPREAD = 0.002  # Standard deviation of how deep fingers are in each other [m].
+OVERLAP_SPREAD = 0.002  # Standard deviation of the overlap of fingers [m].
 
 
 def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
-    """Sizes, proportions and angles are those of people."""
+    """Return residuals of size, proportions and angles from those of people."""
     beyond = np.minimum(hand.angles - ANGLE_LOW, 0.0) + np.maximum(hand.angles - ANGLE_HIGH, 0.0)
     unusual = (hand.angles - ANGLE_MEAN) / ANGLE_SPREAD
     return [
@@ -53,8 +51,8 @@ def anatomy_evidence(hand: Skeleton) -> list[HandEvidence]:
 
 
 def _alike() -> np.ndarray:
-    """Differences of what neighboring fingers' flexion is beyond the usual, over their spread, by angle,
-    shape [9, 45]."""
+    """Return the matrix, shape [9, 45], that maps angles minus their means to differences between the flexion
+    of neighboring fingers, in standard deviations."""
     rows = np.zeros((3, 3, 5, 3, 3))
     for finger in range(3):
         for joint in range(3):
@@ -75,7 +73,7 @@ def _prior(kind: str, residual: np.ndarray, slope: np.ndarray | float) -> HandEv
 
 
 def _pairs() -> tuple[np.ndarray, np.ndarray]:
-    """Capsules that may meet: links of different fingers, and the palm with the outer links of its four."""
+    """Return pairs of capsules that may meet: links of different fingers, or the palm and outer links."""
     first, last = [], []
     for i, one in enumerate(HAND_CAPSULES.finger):
         for j in range(i + 1, len(HAND_CAPSULES.finger)):
@@ -94,10 +92,7 @@ _ONE, _OTHER = _pairs()
 def nearest_between(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where lines a-b and c-d are nearest to each other, 0 to 1 on each.
-
-    a, b, c, d: shape [N, 3]; returns two of shape [N].
-    """
+    """Return the nearest points of lines a-b and c-d, 0 to 1, shape [N] each. a, b, c, d: shape [N, 3]."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv = np.sum(u * u, axis=1), np.sum(u * v, axis=1), np.sum(v * v, axis=1)
     uw, vw = np.sum(u * w, axis=1), np.sum(v * w, axis=1)
@@ -108,7 +103,7 @@ def nearest_between(
 
 
 def overlap_evidence(hand: Skeleton, joints: np.ndarray, jacobian: np.ndarray) -> HandEvidence:
-    """Fingers are apart. Arguments: the skeleton, its joints and their derivatives."""
+    """Return overlaps of fingers. joints, jacobian: joints of ``hand`` and their derivatives."""
     first, last = HAND_CAPSULES.ends(joints)
     a, b, c, d = first[_ONE], last[_ONE], first[_OTHER], last[_OTHER]
     s, t = nearest_between(a, b, c, d)
@@ -129,60 +124,58 @@ def _between(ends: np.ndarray, part: np.ndarray) -> np.ndarray:
 
 
 def _slopes(jacobian: np.ndarray, capsules: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Derivatives of points on the lines of capsules, shape [N, 3, n]."""
+    """Return derivatives of points on the lines of capsules, shape [N, 3, n]."""
     part = (part * HAND_CAPSULES.end[capsules])[:, None, None]
     return (1 - part) * jacobian[HAND_CAPSULES.near[capsules]] + part * jacobian[HAND_CAPSULES.far[capsules]]
 
 
-# Gaps between skin and surface below which a link touches [m]: the last links of the fingers, all others.
-# Fingertips are on the object in nearly all grasps, only their estimate is off; other links pass by near it
-# and touch when they are pressed in. Against D-Grasp's labels, on 30 rendered captures of 16 YCB objects,
-# contacts have with these an F1 of 0.83 with the hands that were found, 0.87 with those fitted to the true
-# landmarks and noise; with 5 mm for all links 0.71 and 0.75.
+# Largest gaps between the skin of a touching link and the surface [m]: last links of fingers, all others.
+# Fingertips touch in nearly all grasps, and only their estimate is off; other links often pass near the
+# object and touch if they are pressed in. Compared with D-Grasp's labels on 30 rendered captures of 16 YCB
+# objects, contacts have an F1 of 0.83 for detected hands and 0.87 for hands fitted to the true landmarks with
+# noise; with 5 mm for all links, 0.71 and 0.75.
 FINGERTIP_TOLERANCE, OTHER_TOLERANCE = 0.010, -0.005
-# Largest gap at which each of ``HUMAN_LINKS`` counts as touching [m].
+# Largest gap of each of ``HUMAN_LINKS`` [m].
 TOLERANCES = np.array([OTHER_TOLERANCE] + [OTHER_TOLERANCE, OTHER_TOLERANCE, FINGERTIP_TOLERANCE] * 5)
 
 
-# Standard deviations and limits of the contact evidence.
 CONTACT_SPREAD = 0.004  # Standard deviation of the gap between a touching finger's skin and the surface [m].
-CONTACT_REACH = 0.008  # A gap beyond this [m] is likelier no contact.
-PRESSED = 0.6  # Part of the hand's thickness that is between bone and surface when a finger presses.
-SOLID = 0.4  # Part of the hand's thickness that nothing goes into.
-PENETRATION_SPREAD = 0.003  # Standard deviation of how deep that part is in the object or the table [m].
+CONTACT_REACH = 0.008  # Gap beyond which contact is improbable [m].
+PRESSED = 0.6  # Fraction of the hand's radius between bone and surface of a pressed finger.
+SOLID = 0.4  # Fraction of the hand's radius that nothing penetrates.
+PENETRATION_SPREAD = 0.003  # Standard deviation of the penetration of object or table [m].
 
 
 class HandSurroundings:
-    """Distances to a known object and the table, of points in the camera frame or its mirror image."""
+    """Distances of points, camera frame or its mirror image, to a known object and the table."""
 
     def __init__(
         self, surface: SignedDistanceGrid, pose_camera_object: np.ndarray, table: np.ndarray | None = None
     ):
         """
         Args:
-            surface: of the object, object's frame.
-            pose_camera_object: shape [7].
-            table: plane ``n x + d = 0`` of the table top, camera frame, shape [4]: unit normal away from the
-                table, offset [m].
+            surface: signed distance grid of the object, object frame.
+            pose_camera_object: pose of the object, camera frame, shape [7].
+            table: plane ``[nx ny nz d]`` of the table top, unit normal up, camera frame, shape [4].
         """
         self._bank = SignedDistanceBank([surface])
         self._pose, self._table = np.asarray(pose_camera_object, dtype=float), table
         self._flip = np.ones(3)
 
     def mirrored(self) -> HandSurroundings:
-        """The same for points whose x is reversed."""
+        """Return the same for points whose x is reversed."""
         other = copy.copy(self)
         other._flip = self._flip * MIRROR_X
         return other
 
     def object_distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distance [m], shape [P], and its gradient, [P, 3]. points: [m], shape [P, 3]."""
+        """Return signed distances [m], shape [P], and gradients, shape [P, 3]. points: [m], shape [P, 3]."""
         local = inverse_transform_points(self._pose, points * self._flip)
         distance, gradient = self._bank.query(np.zeros(1, dtype=int), local[None])
         return distance[0], rotate(self._pose[None, 3:], gradient[0]) * self._flip
 
     def table_distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Height above the table [m], shape [P], and its gradient, [P, 3]; None without a table."""
+        """Return heights above the table [m], shape [P], and gradients, [P, 3]; None without a table."""
         if self._table is None:
             return None
         normal = self._table[:3] * self._flip
@@ -195,14 +188,12 @@ def contact_evidence(
     jacobian: np.ndarray,
     surroundings: HandSurroundings,
 ) -> list[HandEvidence]:
-    """Each finger's last link touches the object where it is nearest, if it is near; no part is inside.
-
-    hand, joints, jacobian: the skeleton, its joints and their derivatives.
-    """
+    """Return gaps between the nearest point of each last link and the object, if it is near, and penetrations
+    of object and table. joints, jacobian: joints of ``hand`` and their derivatives."""
     points, slopes = SURFACE_SAMPLES.place(joints, jacobian)
     radius = SURFACE_SAMPLES.radius * np.exp(hand.size)
     distance, gradient = surroundings.object_distance(points)
-    # Change of each sample's signed distance by the n parameters, shape [P, n].
+    # Derivatives of signed distances by the n parameters, shape [P, n].
     by_step = np.einsum("pi,pin->pn", gradient, slopes)
     gap = distance - PRESSED * radius
     touching = np.array([samples[gap[samples].argmin()] for samples in FINGERTIP_SAMPLES])
@@ -229,22 +220,18 @@ def _not_inside(gap: np.ndarray, by_step: np.ndarray, spread: float) -> HandEvid
 
 
 def touching_links(joints: np.ndarray, surface: SignedDistanceGrid, pose: np.ndarray) -> np.ndarray:
-    """Which of ``HUMAN_LINKS`` touch the object, bool, shape [16]. Arguments as of ``link_gaps``."""
+    """Return which of ``HUMAN_LINKS`` touch the object, bool, shape [16]. Arguments as in ``link_gaps``."""
     return link_gaps(joints, surface, pose) < TOLERANCES
 
 
 def link_gaps(joints: np.ndarray, surface: SignedDistanceGrid, pose: np.ndarray) -> np.ndarray:
-    """Gap between the skin of each link and the object [m], negative where the link is in it.
-
-    A link is a capsule about its bone, with the thickness of an adult's.
+    """Return the gap between the skin of each of ``HUMAN_LINKS`` and the object, negative inside [m], shape
+    [16]. A link is a capsule about its bone, with the thickness of an adult's link.
 
     Args:
         joints: [m], shape [21, 3], any frame.
-        surface: of the object, object's frame.
-        pose: of the object in the frame of the joints, shape [7].
-
-    Returns:
-        In the order of ``HUMAN_LINKS``, shape [16].
+        surface: signed distance grid of the object, object frame.
+        pose: pose of the object in the frame of the joints, shape [7].
     """
     points = link_points(joints[None])[0]
     local = inverse_transform_points(pose, points.reshape(-1, 3))

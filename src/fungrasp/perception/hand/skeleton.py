@@ -1,10 +1,8 @@
-"""A right hand's skeleton with bones of adjustable length, and how its joints move with its parameters.
+"""Skeleton of a right hand with adjustable bone lengths, its derivatives, and robust least squares.
 
 Palm frame: origin at the wrist, x toward the middle finger's knuckle, y toward the index finger's side, z out
-of the back of the hand. A finger is three bones along their own x axes; each of its three joints turns about
-z (deviation, toward the index finger's side), then y (flexion), then x (twist).
-
-Its parameters are found by robust Gauss-Newton steps from blocks of residuals.
+of the back of the hand. A finger has three bones along their own x axes; each of its three joints rotates
+about z (deviation, toward the index finger's side), then y (flexion), then x (twist).
 """
 
 from __future__ import annotations
@@ -23,23 +21,22 @@ BASES = np.array(
     [[87.5, 23.5, -5.5], [94.5, 0.0, 0.0], [82.5, -24.0, -1.0], [70.5, -41.5, -5.5], [23.5, 25.5, -17.0]]
 )
 BASES *= 1e-3
-"""Bases of the fingers of an adult's hand, palm frame [m], shape [5, 3]: those of the built-in grasps' hand,
-whose joints lie as in most data sets of tracked hands. Radiographs put the knuckles some 8 mm nearer to the
-wrist, but mean another wrist."""
+"""Finger bases of an adult's hand [m], palm frame, shape [5, 3]: those of the built-in grasps, like most data
+sets of tracked hands. Radiographs put knuckles about 8 mm nearer to the wrist, but define another wrist."""
 
 LENGTHS = np.array(
     [[33.0, 22.0, 23.5], [31.5, 23.5, 31.5], [29.0, 25.0, 30.5], [21.0, 19.0, 23.0], [31.0, 27.0, 38.0]]
 )
 LENGTHS *= 1e-3
-"""Lengths of the fingers' bones of the same hand [m], shape [5, 3]; the last end at the skin."""
+"""Bone lengths of the same hand [m], shape [5, 3]; the last bones end at the skin."""
 
-# The thumb's metacarpal at rest, palm frame: 45 degrees between it and the palm's plane and index finger.
+# Direction of the thumb's metacarpal at rest, palm frame: 45 degrees from the palm's plane and index finger.
 THUMB_DIRECTION = np.array([0.66, 0.53, -0.53])
-# Where the thumb's tip goes when it flexes, palm frame: across the palm.
+# Direction in which the flexing thumb's tip moves, palm frame: across the palm.
 THUMB_FLEXION = np.array([0.0, -0.8, -0.6])
-# Where each kind of parameter stands in a step: position [m] and turn of the palm (camera frame), logarithm
-# of the hand's size, shift of the five finger bases [m, palm frame], logarithm of 15 bone lengths, 45 angles
-# [rad]: finger, joint, (deviation, flexion, twist).
+# Layout of a step: position [m] and rotation of the palm (camera frame), logarithm of the hand's size, shifts
+# of the five finger bases [m] (palm frame), logarithms of 15 bone lengths, 45 angles [rad]: finger, joint,
+# (deviation, flexion, twist).
 PARAMETERS = {
     "position": slice(0, 3),
     "turn": slice(3, 6),
@@ -80,40 +77,39 @@ def _angle_priors() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return mean, spread, low, high
 
 
-# Angles that are usual in grasps, how far they vary, and the limits of flexion [rad], shape [5, 3, 3]:
-# finger, joint, (deviation, flexion, twist). Fingers hinge: only their first joints deviate by much. Mean and
-# spread of flexion and deviation are about those of the built-in grasps and of 289 of DexYCB, pooled.
+# Usual angles in grasps, their standard deviations, and the limits of flexion [rad], shape [5, 3, 3]: finger,
+# joint, (deviation, flexion, twist). Fingers are hinges: only their first joints deviate by much. Mean and
+# spread of flexion and deviation are about those of the built-in grasps and 289 of DexYCB, pooled.
 ANGLE_MEAN, ANGLE_SPREAD, ANGLE_LOW, ANGLE_HIGH = _angle_priors()
-# Standard deviation of how differently, by joint, neighboring fingers are bent from what is usual [rad]. In
-# the same grasps, what other fingers do tells each flexion to 4 to 10 degrees.
+# Standard deviation of the difference between flexions of neighboring fingers, by joint [rad]. In the same
+# grasps, the other fingers predict each flexion to 4 to 10 degrees.
 ALIKE_SPREAD = np.radians([12.0, 13.0, 9.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """One hand: the parameters."""
+    """Parameters of one hand."""
 
     position: np.ndarray
     """Position of the wrist [m], camera frame, shape [3]."""
     turn: np.ndarray
     """Rotation of the palm frame, shape [3, 3]."""
     size: float
-    """Logarithm of the size, 0 for a mean adult's."""
+    """Logarithm of the size, 0 for a mean adult."""
     bases: np.ndarray
-    """Shift of the fingers' bases [m], palm frame, for a hand of mean size, shape [5, 3]."""
+    """Shift of the finger bases [m], palm frame, for a hand of mean size, shape [5, 3]."""
     bones: np.ndarray
-    """Logarithm of the bones' lengths over the template's, shape [5, 3]."""
+    """Logarithm of the bone lengths relative to the template, shape [5, 3]."""
     angles: np.ndarray
     """Joint angles [rad], shape [5, 3, 3]: finger, joint, (deviation, flexion, twist)."""
 
     @classmethod
     def usual(cls, position: np.ndarray, turn: np.ndarray) -> Skeleton:
-        """A hand of usual proportions and usual angles."""
+        """Create a hand of usual proportions and angles."""
         return cls(position, turn, 0.0, np.zeros((5, 3)), np.zeros((5, 3)), ANGLE_MEAN)
 
     def moved(self, step: np.ndarray) -> Skeleton:
-        """The skeleton with every parameter changed by a step, shape [``SIZE``]; the turn is about the
-        camera's axes."""
+        """Return the skeleton after a step, shape [``SIZE``]; the palm rotates about the camera's axes."""
         part = {name: step[where] for name, where in PARAMETERS.items()}
         return Skeleton(
             self.position + part["position"],
@@ -125,11 +121,11 @@ class Skeleton:
         )
 
     def joints(self) -> np.ndarray:
-        """Joints [m], shape [21, 3], camera frame, in the order of ``HUMAN_JOINTS``."""
+        """Return joints [m], shape [21, 3], camera frame, in the order of ``HUMAN_JOINTS``."""
         return self._forward()[0]
 
     def joints_and_derivatives(self) -> tuple[np.ndarray, np.ndarray]:
-        """``joints`` and their derivatives by the parameters, shape [21, 3, ``SIZE``]."""
+        """Return ``joints`` and their derivatives by the parameters, shape [21, 3, ``SIZE``]."""
         joints, axes, directions = self._forward()
         scale = np.exp(self.size)
         jacobian = np.zeros((21, 3, SIZE))
@@ -143,7 +139,7 @@ class Skeleton:
         stretch = lengths[..., None] * directions
         for joint in range(JOINTS_OF_FINGER):
             reach = fingers[:, joint + 1 :] - fingers[:, joint, None]
-            # a x r for each axis a (columns) and each reach r.
+            # a x r for each axis a (columns) and each vector r.
             turned = -_cross_matrices(reach) @ axes[:, joint, None]
             for finger in range(FINGERS):
                 bone = PARAMETERS["bones"].start + 3 * finger + joint
@@ -156,7 +152,7 @@ class Skeleton:
         return joints, jacobian
 
     def _forward(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Joints; axes of all angles as columns, shape [5, 3, 3, 3]; bones' directions, shape [5, 3, 3]."""
+        """Return joints; rotation axes as columns, shape [5, 3, 3, 3]; bone directions, shape [5, 3, 3]."""
         scale = np.exp(self.size)
         lengths = scale * LENGTHS * np.exp(self.bones)
         joints = np.empty((21, 3))
@@ -168,7 +164,7 @@ class Skeleton:
         return joints, axes, directions
 
     def finger_joints(self, finger: int, angles: np.ndarray) -> np.ndarray:
-        """Joints of one finger in S postures [m], shape [S, 4, 3].
+        """Return the joints of one finger in S postures [m], camera frame, shape [S, 4, 3].
 
         angles: [rad], shape [S, 3, 3]: joint, (deviation, flexion, twist).
         """
@@ -182,10 +178,10 @@ class Skeleton:
 
 
 def finger_axes(frames: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Axes of F fingers' angles as columns, shape [F, 3, 3, 3], and directions of their bones, [F, 3, 3].
+    """Return the rotation axes of F fingers as columns, shape [F, 3, 3, 3], and bone directions, [F, 3, 3].
 
     Args:
-        frames: axes of the extended fingers as columns, shape [F, 3, 3].
+        frames: axes of extended fingers as columns, shape [F, 3, 3].
         angles: [rad], shape [F, 3, 3]: joint, (deviation, flexion, twist).
     """
     axes, directions = np.empty((len(angles), 3, 3, 3)), np.empty((len(angles), 3, 3))
@@ -202,7 +198,7 @@ def finger_axes(frames: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _turns(axis: int, c: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Rotations about one of the axes x, y, z by angles of cosine c and sine s, shape [F]; [F, 3, 3]."""
+    """Return rotations about an axis, shape [F, 3, 3]. c, s: cosine and sine of the angles, shape [F]."""
     turns = np.zeros((len(c), 3, 3))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turns[:, axis, axis] = 1.0
@@ -212,7 +208,7 @@ def _turns(axis: int, c: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def _cross_matrices(v: np.ndarray) -> np.ndarray:
-    """``M`` with ``M w = v x w``. v: shape [..., 3]; returns [..., 3, 3]."""
+    """Return ``M`` with ``M w = v x w``, shape [..., 3, 3]. v: shape [..., 3]."""
     matrices = np.zeros((*v.shape, 3))
     for axis in range(3):
         i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -220,32 +216,32 @@ def _cross_matrices(v: np.ndarray) -> np.ndarray:
     return matrices
 
 
-# Largest change of a parameter in one step [m] or [rad]: the derivatives know no farther.
+# Largest change of a parameter in one step [m] or [rad], within which derivatives are valid.
 LONGEST_STEP = {"position": 0.05, "turn": 0.5, "angles": 0.5}
 
 
 @dataclass(frozen=True, eq=False)
 class HandEvidence:
-    """One block of residuals, with their derivatives by the parameters."""
+    """A block of R residuals with derivatives."""
 
     residual: np.ndarray
     """Residuals in standard deviations, shape [R]."""
     jacobian: np.ndarray
     """Derivatives by the parameters, shape [R, n]; n may be less than the number of parameters."""
     outlier: float | np.ndarray = np.inf
-    """Residuals beyond this hardly count: one limit for all, or one per group, shape [R / group]."""
+    """Residual beyond which the weight falls: one limit for all, or one per group, shape [R / group]."""
     group: int = 1
-    """Number of consecutive residuals that are one measurement, judged by their norm."""
+    """Number of consecutive residuals that form one measurement, weighted by their norm."""
 
 
 def normal_equations(evidence: Iterable[HandEvidence], size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted normal matrix, shape [size, size], and gradient, [size].
+    """Return the weighted normal matrix, shape [size, size], and the gradient, shape [size].
 
-    A residual (or group) of norm r with outlier limit c weighs ``(c^2 / (c^2 + r^2))^2``: the loss of Geman
-    and McClure, on which outliers pull the less the farther out they are.
+    A residual (or group) of norm r with outlier limit c has the weight ``(c^2 / (c^2 + r^2))^2`` of the
+    Geman-McClure loss.
 
     Args:
-        evidence: blocks; those with fewer than ``size`` columns leave the last parameters alone.
+        evidence: blocks; those with fewer than ``size`` columns do not depend on the last parameters.
         size: number of parameters.
     """
     matrix, gradient = np.zeros((size, size)), np.zeros(size)
@@ -258,17 +254,17 @@ def normal_equations(evidence: Iterable[HandEvidence], size: int) -> tuple[np.nd
 
 
 def robust_weights(block: HandEvidence) -> np.ndarray:
-    """Weight of each residual, 0 to 1, shape [R]."""
+    """Return the weight of each residual, 0 to 1, shape [R]."""
     square = (block.residual**2).reshape(-1, block.group).sum(axis=1)
     return np.repeat((1.0 + square / np.square(block.outlier)) ** -2.0, block.group)
 
 
 def damped_step(matrix: np.ndarray, gradient: np.ndarray, damping: float = 1e-3) -> np.ndarray:
-    """Step towards the least-squares solution, shortened where it would be too long to trust.
+    """Return a step towards the least-squares solution, shortened to ``LONGEST_STEP``.
 
     Args:
         matrix, gradient: normal equations; the first parameters are those of a skeleton.
-        damping: added to each parameter's curvature, as a part of it.
+        damping: damping of each parameter, as a fraction of its curvature.
     """
     step = -np.linalg.solve(matrix + np.diag(damping * np.diag(matrix) + 1e-9), gradient)
     largest = max(float(np.abs(step[PARAMETERS[kind]]).max()) / most for kind, most in LONGEST_STEP.items())
@@ -276,7 +272,7 @@ def damped_step(matrix: np.ndarray, gradient: np.ndarray, damping: float = 1e-3)
 
 
 def robust_cost(evidence: Iterable[HandEvidence]) -> float:
-    """Sum over all residuals (or groups) of ``r^2 / (1 + r^2 / c^2)``, of a norm r with outlier limit c."""
+    """Return the sum of ``r^2 / (1 + r^2 / c^2)`` over residuals (or groups) of norm r, outlier limit c."""
     total = 0.0
     for block in evidence:
         square = (block.residual**2).reshape(-1, block.group).sum(axis=1)
