@@ -1,6 +1,4 @@
-"""The pose of a known mesh from one depth image; and the score of a pose from another program, compared with
-the depth as our own answers are.
-"""
+"""Pose estimation of a known mesh in a depth image, and scores of poses from other programs."""
 
 from __future__ import annotations
 
@@ -34,11 +32,11 @@ from fungrasp.perception.scene.table import largest_plane
 if TYPE_CHECKING:
     import trimesh
 
-COLOR_WEIGHT = 0.15  # Quality that full agreement of colors adds, as a part of the best pose's.
-POLISHED = 6  # Poses that are polished where depth is smoothed.
-RAYS = 1000  # About how many rays that meet a mask an answer is judged by.
-ANSWERS = 5  # Most alternatives that are kept.
-ALLOWED = 0.25  # A pixel whose confidence to show a thing is below this is not the object's.
+COLOR_WEIGHT = 0.15  # Bonus for full agreement of colors, as a fraction of the best quality.
+POLISHED = 6  # Number of poses that are polished if depth is smoothed.
+RAYS = 1000  # About how many rays of the final scores meet a mask.
+ANSWERS = 5  # Largest number of alternatives.
+ALLOWED = 0.25  # Smallest probability to show a thing of pixels whose colors are compared.
 
 
 def estimate_object_pose(
@@ -49,16 +47,19 @@ def estimate_object_pose(
     *,
     seed: int = 0,
 ) -> ObjectEstimate:
-    """Find a known object in a depth image.
+    """Estimate the pose of a known object in a depth image.
 
-    The object's pixels are those of the capture's mask; without one, several masks are proposed from table,
-    hand and box, and the fit decides. An answer that the image does not support is still given, with
-    ``accepted`` False and warnings.
+    The mask of the capture shows the object. Without a mask, several are proposed from table, hand, box and
+    point, and the fit decides. If the image does not support the result, ``accepted`` is False and there are
+    warnings.
 
     Args:
-        mesh: the object [m]; a trimesh with colors settles which way round a nearly symmetric object is.
-        table: plane ``[nx ny nz d]`` with ``n . x + d`` the height of a point above it [m], camera frame,
-            shape [4]; looked for in the image if None.
+        capture: image.
+        mesh: object [m]; colors of a trimesh help to orient nearly symmetric objects.
+        hand: hand that holds the object, if known.
+        table: plane ``[nx ny nz d]``: ``n . x + d`` is the height of a point above it [m], camera frame,
+            shape [4]; found in the image if None.
+        seed: random seed.
 
     Raises:
         FungraspError: the mesh has no faces.
@@ -90,30 +91,30 @@ def estimate_object_pose(
 
 
 def _best(poses: np.ndarray, scores: PoseScores, residual_m: float, first: PoseEvidence) -> ObjectEstimate:
-    """The best answer with its score, and the others.
+    """Return the estimate with the best pose and its alternatives.
 
     Args:
         poses: object in the camera frame, best first, shape [H, 7].
-        scores: of the H poses.
-        residual_m: of the first pose.
-        first: what speaks for and against it.
+        scores: scores of the H poses.
+        residual_m: residual of the first pose [m].
+        first: evidence for the first pose.
     """
     score = object_score(first)
     others = []
     for i in range(1, min(len(poses), ANSWERS + 1)):
-        # Poses of a near-symmetry share most of their pixels: the root of how well it fits, relative.
+        # Near-symmetric poses share most of their pixels, hence the square root of the relative quality.
         relative = float(scores.quality[i] / max(scores.quality[0], 1e-6))
         others.append((poses[i], score * min(relative, 1.0) ** 0.5))
     return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), residual_m, evidence=first)
 
 
 def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
-    """Different poses, their scores, and the agreement of their colors."""
+    """Return different poses, their scores, and the agreement of their colors."""
     few, many = view.scorer(250), view.scorer(RAYS)
     known, evidence = view.known, view.evidence
     found = search_poses(known, evidence, (few, many), rng)
     if len(known.symmetries):
-        # What tells the sides apart may be hidden: then all are answers, and colors may tell.
+        # Details that distinguish the sides may be hidden: all variants are kept, and colors may decide.
         found = refine_poses(
             known, evidence, with_symmetries(best_poses(found, known, many, 2), known), FINE[0]
         )
@@ -127,7 +128,7 @@ def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses
 
 
 def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning) -> ObjectEstimate:
-    """No answer: a pose in the middle of what is known, and the reason."""
+    """Return an estimate that is not accepted, at the center of the fingertips or of the mask."""
     if joints is not None:
         middle = joints[list(TIPS)].mean(axis=0)
     else:
@@ -148,20 +149,22 @@ def score_given_pose(
     seed: int = 0,
     improve: bool = False,
 ) -> ObjectEstimate:
-    """The same answer with the score that the depth gives it, whatever score its program gave.
+    """Score a pose from another program by the depth, like those of ``estimate_object_pose``.
 
-    The score means what it means for our own answers: how clearly the mesh at the pose explains the
-    image. The best fit to the depth nearby is looked for; if it is within 10 mm, its score is the pose's.
+    The pose is fitted to the depth. The best fit within 10 mm of it, or the pose itself, gives the score.
 
     Args:
-        obj: a pose as another program gave it.
-        table: plane ``[nx ny nz d]``, camera frame, shape [4], if known.
-        improve: whether to give the best fit nearby instead of the pose itself.
+        obj: pose from another program.
+        capture: image.
+        mesh: object [m], see ``estimate_object_pose``.
+        hand: hand that holds the object, if known.
+        table: plane ``[nx ny nz d]``, camera frame, shape [4]; None if unknown.
+        seed: random seed.
+        improve: whether to return the best fit instead of the pose itself.
 
     Returns:
-        The answer with its score, and as alternatives the poses that the mesh's near-symmetries make of it,
-        each as it fits best. Not accepted where the depth says nothing about the object; the warning
-        says why.
+        Estimate with the new score; its alternatives are the near-symmetric variants of the pose, each
+        fitted. It is not accepted if the depth cannot be compared; a warning says why.
 
     Raises:
         FungraspError: the mesh has no faces.
@@ -193,8 +196,8 @@ def score_given_pose(
 
 
 def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> PoseHypotheses:
-    """What the mesh's near-symmetries make of a pose, each fitted to the depth, best first: a program that
-    gives one pose does not say which way round the object may be as well."""
+    """Return the near-symmetric variants of a pose, fitted to the depth, best first: a program that gives one
+    pose says nothing about others."""
     turned = with_symmetries(first, view.known)
     turned = PoseHypotheses(turned.poses[1:], turned.owner[1:])
     for step in FINE:

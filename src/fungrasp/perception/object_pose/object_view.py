@@ -1,4 +1,4 @@
-"""What an image says about a known object, made ready for searching and scoring poses."""
+"""An image prepared for the search and the scores of a known object's poses."""
 
 from __future__ import annotations
 
@@ -13,51 +13,49 @@ from fungrasp.perception.object_pose.search import ObjectEvidence, free_space
 from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import Segmentation, segment
 
-LEAST_PIXELS = 80  # Fewer measured pixels of the object don't tell its pose.
-# What a mask shows is not the mesh if its points are farther from their middle than this part of the mesh's
-# size: those of a stick are 0.5 away at most, if its middle is seen.
+LEAST_PIXELS = 80  # Smallest number of measured pixels from which a pose is estimated.
+# Largest distance of a mask's points from their center, as a fraction of the mesh's size; 0.5 for a stick.
 TOO_LARGE = 0.6
-# Part of a mask's pixels that may show something else far from the rest: masks drawn in labeling tools have
-# holes and rims.
+# Largest fraction of a mask's pixels far from the rest: masks from labeling tools have holes and rims.
 BACKGROUND = 0.5
-COMPARED = 400  # So many of a mask's points are compared with each other to find where most of them are.
-# Where depth is smoothed, a surface may be in front of it by so many standard deviations more.
+COMPARED = 400  # Number of a mask's points that are compared with each other to find the densest ones.
+# Standard deviations by which a surface may be farther in front of smoothed depth.
 SMOOTHED = 2.0
-SURE = 0.9  # Pixels that show the background by this probability show no object, whatever their depth is.
-WIDEST = 960  # Longer images [pixels] are thinned out: more pixels cost time and do not help.
+SURE = 0.9  # Probability of background from which a pixel shows no object, whatever its depth is.
+WIDEST = 960  # Largest side of the images used [pixels]: more pixels cost time and do not help.
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectView:
-    """What an image says about the object. ``view_of_object`` makes it."""
+    """An image prepared for a known object by ``view_of_object``."""
 
     known: ObjectTemplate
-    """The object that is looked for."""
+    """Known object."""
     capture: Capture
-    """The image with its depth and intrinsics."""
+    """Color, depth and intrinsics."""
     table: np.ndarray | None
     """Plane ``[nx ny nz d]``, camera frame, shape [4], if known."""
     joints: np.ndarray | None
-    """Joints of the hand [m], camera frame, shape [21, 3]; None if not known."""
+    """Joints of the hand [m], camera frame, shape [21, 3]; None if unknown."""
     support: np.ndarray
-    """Confidence that a pixel shows a thing, not skin, table or room, 0 to 1, shape [H, W]."""
+    """Probability that a pixel shows the object or another thing within reach, 0 to 1, shape [H, W]."""
     masks: tuple[np.ndarray, ...]
     """Proposals for the object's pixels, bool, shape [H, W] each."""
     evidence: tuple[ObjectEvidence, ...]
-    """What the object must agree with under each of ``masks``."""
+    """Evidence for the object's pose under each of ``masks``."""
     seen: Segmentation
-    """What each pixel shows, and how certain its depth is."""
+    """Segmentation, with the standard deviation of the depth."""
     given: np.ndarray | None = None
-    """The mask as it was given, shape [H, W] bool; what is too far from the rest is not in ``capture``."""
+    """Given mask, shape [H, W] bool; ``capture`` has it without pixels far from the rest."""
 
     @property
     def foreign(self) -> float:
-        """Part of the given mask's pixels that look like hand or background; 0 without a mask."""
+        """Fraction of the mask's pixels that look like hand or background; 0 without a mask."""
         mask = self.capture.mask
         return 0.0 if mask is None else float((self.seen.classes.obj[mask] < 0.5).mean())
 
     def scorer(self, rays: int) -> PoseScorer:
-        """Scores poses by about so many rays that meet a mask."""
+        """Return a scorer of poses. rays: about how many rays meet a mask."""
         known, capture = self.known, self.capture
         return pose_scorer(known, capture, self.seen, self.masks, self.table, self.joints, rays)
 
@@ -69,7 +67,7 @@ def view_of_object(
     table: np.ndarray | None,
     rng: np.random.Generator,
 ) -> tuple[ObjectView | None, str]:
-    """The image made ready; or why that can't be."""
+    """Prepare an image. Return the view, or None and the reason why that is impossible."""
     given = capture.mask
     if capture.mask is not None:
         pixels = int((capture.mask & capture.measured).sum())
@@ -93,14 +91,14 @@ def view_of_object(
 
 
 def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """The mask without what is too far from most of it to be the same object, such as background.
+    """Remove pixels from the mask that are too far from most others, such as background.
 
     Args:
-        capture: with a mask.
+        capture: capture with a mask.
         size: longest distance within the object [m].
 
     Returns:
-        the mask, shape [H, W] bool; how large a thing all of it would be [m].
+        mask, shape [H, W] bool; size of the thing that the given mask shows [m].
     """
     mask = capture.mask
     assert mask is not None
@@ -120,11 +118,11 @@ def cleaned_mask(capture: Capture, size: float, rng: np.random.Generator) -> tup
 def object_evidence(
     capture: Capture, mask: np.ndarray, seen: Segmentation, table: np.ndarray | None, rng: np.random.Generator
 ) -> ObjectEvidence:
-    """What a mask says about the object.
+    """Return the evidence for the object's pose under a mask.
 
     Args:
         mask: pixels that show the object, shape [H, W] bool.
-        seen: what each pixel shows, and how certain its depth is.
+        seen: segmentation, with the standard deviation of the depth.
         table: plane ``[nx ny nz d]``, camera frame, or None.
     """
     shown = mask & capture.measured

@@ -1,12 +1,8 @@
-"""What speaks for a pose of the mesh, and what it may be confused with: another size of the mesh, another
-pose.
+"""Evidence for a pose of the mesh, and its ambiguity: other sizes of the mesh, other poses.
 
-Where another size of the mesh fits the image as well, it need not be the mesh of what is seen.
-
-The outline of a pose in the image: whether colors change where the mesh ends, and what it leaves over. Depth
-says little about the size of a thing whose outlines are smoothed or hidden; colors change at its outline all
-the same. As in region-based tracking, lines across the silhouette's rim are searched for that change
-(Tjaden et al., IJCV 2019; Stoiber et al., CVPR 2022).
+If another size of the mesh fits as well, it may be the wrong mesh. Depth says little about the size of a
+thing with smoothed or hidden outlines, but colors still change there. As in region-based tracking, they are
+searched for changes along lines across the silhouette (Tjaden et al., IJCV 2019; Stoiber et al., CVPR 2022).
 """
 
 from __future__ import annotations
@@ -31,28 +27,26 @@ from fungrasp.perception.object_pose.pose_error import add_s, rotation_error
 from fungrasp.perception.object_pose.scoring import PoseScorer
 from fungrasp.perception.scene.table import plane_tolerance
 
-SIZE_RAYS = 170  # About how many rays decide whether another size of the mesh fits as well.
-# Sizes that are tried of the whole mesh, and of each side alone.
+SIZE_RAYS = 170  # About how many rays meet a mask when other sizes of the mesh are compared.
+# Other sizes of the whole mesh, and of each side alone.
 WHOLE, SIDES = (0.67, 0.82, 1.22, 1.5), (0.75, 1.33)
-# Poses that are tried of each size, one after the other; standard deviations of their shift [m] and turn
-# [degrees].
-OWN = 8  # Ways in which the mesh's own size is moved, in place of one.
+OWN = 8  # Number of sets of random moves for the mesh's own size; other sizes have one.
+# Moves of each size in successive rounds: number, standard deviations of shift [m] and rotation [degrees].
 SETTLED = ((8, 0.004, 4.0), (5, 0.002, 2.0), (5, 0.001, 1.0))
-# A pose so far from another (ADD-S [m]), or turned by more than this [degrees], is a different answer,
-# however well it fits.
+# Distance (ADD-S [m]) and rotation [degrees] beyond which a pose is a different answer.
 RIVAL_DISTANCE, TURNED = 0.01, 30.0
-CLOSE = 0.1  # Poses whose score is lower by less than this fit almost as well.
-SAME = 0.001  # Poses whose surfaces are nearer than this on average [m] look the same: a symmetry.
+CLOSE = 0.1  # Difference in score within which a pose fits almost as well.
+SAME = 0.001  # Mean distance of surfaces within which poses look the same, by symmetry [m].
 
 
 def pose_evidence(
     view: ObjectView, scorer: PoseScorer, pose: np.ndarray, owner: int, rival: float, rng: np.random.Generator
 ) -> PoseEvidence:
-    """The record of one pose.
+    """Return the evidence for one pose.
 
     Args:
         pose: object in the camera frame, shape [7].
-        owner: the mask that it was fitted to.
+        owner: index of the mask that it was fitted to.
         rival: quality of the best different pose.
     """
     scores = scorer(pose[None], np.array([owner]))
@@ -80,19 +74,20 @@ def pose_evidence(
 def scale_ambiguity(
     scorer: PoseScorer, pose: np.ndarray, owner: int, anchor: np.ndarray, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """How well other sizes of the mesh explain the image. Each is moved in the same ways about the same pose;
-    the mesh's own size also in others, so that none of the many others gains by chance. The whole mesh grows
-    about what is seen of it, a side also about either of its ends: a mesh that is too short mostly lies at
-    one end of the thing.
+    """Return how well other sizes of the mesh explain the image.
+
+    All sizes are moved in the same ways about the same pose; the mesh's own size in more ways, so that none
+    of the many others gains by chance. The whole mesh is scaled about its visible part, a side also about
+    either end: a mesh that is too short usually lies at one end of the thing.
 
     Args:
         pose: object in the camera frame, shape [7].
-        owner: the mask that it was fitted to.
-        anchor: middle of what is seen of the object [m], camera frame, shape [3].
+        owner: index of the mask that it was fitted to.
+        anchor: center of the visible part [m], camera frame, shape [3].
 
     Returns:
-        Logarithms of the quality over the mesh's own, below 0 where it is worse: of the best other size of
-        all of it, and of the best other length of any side. Near 0 the image does not say which size it is.
+        Logarithms of quality relative to the mesh's own size, of the best other size and of the best other
+        length of a side; negative if worse. Near 0, the image does not determine the size.
     """
     samples = scorer.known.surface.samples
     low, high = samples.min(axis=0), samples.max(axis=0)
@@ -126,21 +121,19 @@ def scale_ambiguity(
 
 
 def best_rival(known: ObjectTemplate, poses: np.ndarray, quality: np.ndarray) -> float:
-    """Quality of the best answer that is another than the first, 0 where there is none.
+    """Return the quality of the best pose that differs from the first, 0 if there is none.
 
-    Args:
-        poses: shape [H, 7].
-        quality: shape [H].
+    poses: shape [H, 7]; quality: shape [H].
     """
     different = add_s(known.surface.samples[:300], poses, poses[0]) > RIVAL_DISTANCE
     return float(quality[different].max(initial=0.0))
 
 
 def ambiguity(model: ObjectModel, obj: ObjectEstimate) -> PerceptionWarning | None:
-    """A warning if a different pose fits almost as well as the answer.
+    """Return a warning if a different pose fits almost as well as the answer.
 
-    The score is that of the surface's place. Of a nearly symmetric object it may be certain although it is
-    not which way round the object is.
+    The score is about the position of the surface: it may be high although the orientation of a nearly
+    symmetric object is uncertain.
     """
     near = [pose for pose, score in obj.alternatives if score > obj.score - CLOSE]
     if not near:
@@ -152,7 +145,7 @@ def ambiguity(model: ObjectModel, obj: ObjectEstimate) -> PerceptionWarning | No
     others = np.flatnonzero(((turned > TURNED) & (apart > SAME)) | (apart > RIVAL_DISTANCE))
     if not len(others):
         return None
-    # They come in the order of their scores.
+    # Alternatives are sorted by score.
     distance_mm, turn_deg = 1000 * float(apart[others[0]]), float(turned[others[0]])
     if distance_mm > 1000 * RIVAL_DISTANCE:
         how = f"turned by {turn_deg:.0f} degrees" if turn_deg > TURNED else "elsewhere"
@@ -160,32 +153,31 @@ def ambiguity(model: ObjectModel, obj: ObjectEstimate) -> PerceptionWarning | No
     return PerceptionWarning.of("object_orientation", turn_deg=turn_deg, distance_mm=distance_mm)
 
 
-SILHOUETTE_RAYS = 40_000  # At most about so many rays draw the silhouette.
-# Lines across the rim end so far inside and outside [pixels]: the other side of a small thing is farther.
+SILHOUETTE_RAYS = 40_000  # About the largest number of rays that draw the silhouette.
+# Length of lines across the rim to each side [pixels]; the other side of a small thing is farther.
 REACH = 14
-# Standard deviation of where the color is expected to change from the rim [pixels]: of two changes of one
-# strength the nearer one counts.
+# Standard deviation of the expected distance of the color change from the rim [pixels]: of two equal changes,
+# the nearer one counts.
 NEAR = 6.0
-APART = 2  # Colors are compared so far to both sides of a place [pixels]: outlines are a pixel or two wide.
-LINES = 400  # At most about so many lines.
-FEWEST = 15  # Fewer lines do not tell.
-# Lines are not used where, so near the rim [pixels], something is in front of the object or the image ends on
-# more than this part of them.
+APART = 2  # Distance to each side at which colors are compared [pixels]: outlines are one or two pixels wide.
+LINES = 400  # About the largest number of lines.
+FEWEST = 15  # Smallest number of lines.
+# A line is dropped if, within the first number of pixels from the rim, more than the second fraction of it is
+# hidden or outside the image.
 CLEAR, BLOCKED = 8, 0.15
-# What is measured nearer than the mesh by more than this [m] and three standard deviations is in front of it.
+# Distance in front of the mesh [m], besides three standard deviations, from which depth shows other things.
 IN_FRONT = 0.004
-FAINT = 3.0  # Lines on which colors change by less [of 255] do not tell: the noise of a camera is more.
-STILL = 5.0  # So many lines that say the outline does not move are added: few lines move it little.
-# Parts of the outline, by the direction from its middle: too short a mesh is wrong at one end only.
-EIGHTHS = 8
-FEW = 6  # Fewer lines do not tell about such a part.
-# Percentile of the distances of the object's pixels from the silhouette: single pixels are wrong.
+FAINT = 3.0  # Smallest color change of a line [of 255], above the noise of cameras.
+STILL = 5.0  # Weight of the prior that the outline does not move, in lines.
+EIGHTHS = 8  # Parts of the outline, by direction: a mesh that is too short is wrong at one end only.
+FEW = 6  # Smallest number of lines in such a part.
+# Percentile of the distances of the object's pixels from the silhouette, as single pixels are wrong.
 LEFT_OVER = 99.5
-# Pixels of a mask so near to the silhouette are its rim, and so are pieces of which no pixel is farther away
-# than the second [pixels]: outlines are a pixel or two wide.
+# Distance from the silhouette within which pixels of a mask are its rim, and to which a piece must reach not
+# to be part of the rim [pixels].
 RIM = 2.5, 5.0
-# What is farther from the silhouette, or deeper than the object, by more than this part of the mesh's size is
-# another thing.
+# Distance from the silhouette, or behind the object, beyond which a thing is another one, as a fraction of
+# the mesh's size.
 ANOTHER = 0.5
 
 
@@ -194,7 +186,7 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> dict[str
 
     Args:
         pose: object in the camera frame, shape [7].
-        owner: the mask that it was fitted to.
+        owner: index of the mask that it was fitted to.
 
     Returns:
         ``larger``, ``off``, ``left_over`` and ``mask_piece`` of ``PoseEvidence``.
@@ -239,10 +231,10 @@ def silhouette_edges(view: ObjectView, pose: np.ndarray, owner: int) -> dict[str
 
 
 def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
-    """Pixels of the largest piece of an image, shape [H, W] bool, that is no rim."""
+    """Return the number of pixels in the largest piece of an image, shape [H, W] bool, that is not a rim."""
     if not shown.any():
         return 0.0
-    # What is a pixel wide is noise.
+    # Pieces one pixel wide are noise.
     opened: Any = ndimage.binary_opening(shown, np.ones((2, 2)))
     labeled: Any = ndimage.label(opened)
     labels, count = labeled
@@ -252,22 +244,22 @@ def _largest_piece(shown: np.ndarray, away: np.ndarray) -> float:
 
 
 def edge_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tuple[float, float]:
-    """Where the outline in an image is, beside that of a silhouette.
+    """Compare the outline in an image with that of a silhouette.
 
-    Each line across the rim tells how far away the color changes most; a shift, a stretch and a dilation are
-    fitted to that, lines with a strong change counting more.
+    On each line across the rim, the strongest color change is located. A shift, a stretch and a dilation are
+    fitted to these places, weighted by the strength of the change.
 
     Args:
         color: RGB, 0 to 255, shape [H, W, 3].
-        inside: the silhouette, shape [H, W] bool.
-        hidden: where something is in front of the object, shape [H, W] bool.
+        inside: silhouette, shape [H, W] bool.
+        hidden: pixels where something is in front of the object, shape [H, W] bool.
 
     Returns:
-        ``larger`` and ``off`` of ``PoseEvidence`` [pixels]; NaN where too little of the outline is seen.
+        ``larger`` and ``off`` of ``PoseEvidence`` [pixels]; NaN if too little of the outline is visible.
     """
     depth_in: Any = ndimage.distance_transform_edt(inside)
     depth_out: Any = ndimage.distance_transform_edt(~inside)
-    # From the rim between the pixels, positive inside.
+    # Distance from the rim between the pixels, positive inside.
     field = np.where(inside, depth_in - 0.5, 0.5 - depth_out)
     slope = np.array(np.gradient(ndimage.gaussian_filter(field, 1.5)))
     rim = inside & (field < 1.0)
@@ -285,7 +277,7 @@ def edge_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tu
         return np.nan, np.nan
     at, inward, places, blocked = at[:, used], inward[:, used], places[:, used], blocked[used]
     red, green, blue = np.moveaxis(color.astype(np.float32), -1, 0)
-    # Brightness and opponent colors: shadows change the first alone.
+    # Brightness and opponent colors: shadows change only the first.
     channels = (red + green + blue) / 3.0, red - green, 0.5 * (red + green) - blue
     lines = np.stack(
         [
@@ -306,7 +298,7 @@ def edge_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tu
     (y, x), (out_y, out_x) = (at - middle[:, None]) / radius, -inward
     moves = np.stack([out_y, out_x, out_y * y + out_x * x, out_y * y - out_x * x, out_y * x + out_x * y], 1)
     weighted = moves * weight[:, None]
-    # Lines tell how far inward the change is.
+    # Lines give the distance of the change inward.
     larger = float(np.linalg.solve(weighted.T @ moves + STILL * np.eye(5), weighted.T @ -found)[2])
     eighth = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * EIGHTHS).astype(int) % EIGHTHS
     count = np.bincount(eighth, minlength=EIGHTHS)
@@ -315,7 +307,7 @@ def edge_offset(color: np.ndarray, inside: np.ndarray, hidden: np.ndarray) -> tu
 
 
 def _peaks(height: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Where each row of heights, shape [N, M], is highest, between the M offsets by a parabola, shape [N]."""
+    """Return the position of the maximum of each row of heights, [N, M], by a parabola, [N]. offset: [M]."""
     row, best = np.arange(len(height)), np.clip(height.argmax(axis=1), 1, len(offset) - 2)
     before, top, after = (height[row, best + i] for i in (-1, 0, 1))
     bend = np.maximum(2.0 * top - before - after, 1e-6)

@@ -1,9 +1,8 @@
-"""Searching the pose of a known object: many starts, fitted to measured points and scored, coarse to fine.
+"""Search for the pose of a known object: many starts, fitted to measured points and scored, coarse to fine.
 
-The fit is point-to-plane ICP without correspondences: the signed-distance grid gives each point's distance
-from the surface and the surface's direction there (Fitzgibbon, 2003). Samples of the surface must also stay
-out of the space that the camera saw to be free, which is what fixes an object whose visible side is flat or
-round.
+The fit is point-to-plane ICP without correspondences: the signed distance grid gives each point's distance
+from the surface and its gradient (Fitzgibbon, 2003). Surface samples must also stay out of space that the
+camera saw to be free, which determines the pose of objects whose visible side is flat or round.
 """
 
 from __future__ import annotations
@@ -31,76 +30,76 @@ from fungrasp.perception.object_pose.object_template import (
 )
 from fungrasp.perception.object_pose.scoring import PoseScorer
 
-# A pixel shows something behind the object if it is deeper by this [m] than the object's nearest pixel.
-BEHIND = 0.01
-# Pixels whose color is the background's forbid the object so far behind what is seen of it [m].
+BEHIND = 0.01  # Distance beyond the object's nearest pixel from which a pixel shows things behind it [m].
+# Distance behind the object's nearest pixel up to which pixels of background color forbid the object [m].
 NOWHERE = 0.2
-# Intrusion of a surface sample into free space [m] at which its pull has fallen to a quarter.
+# Intrusion of a surface sample into free space at which its pull has fallen to a quarter [m].
 FREE_SCALE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """What the depth image and the table forbid to the object. ``free_space`` makes it."""
+    """Space that depth image and table forbid to the object, made by ``free_space``."""
 
     lens: np.ndarray
-    """Focal lengths, and the center in ``depth`` [pixels], shape [4]."""
+    """Focal lengths and center of ``depth`` [pixels], shape [4]."""
     depth: np.ndarray
-    """Depth behind which a surface may be [m], shape [H, W]; 0: anywhere."""
+    """Smallest allowed depth of a surface [m], shape [H, W]; 0: any."""
     refuge: np.ndarray
     """Nearest pixel (row, column) that does not show something behind the object, shape [2, H, W]."""
     table: np.ndarray
-    """Plane ``[nx ny nz d]`` with ``n . x + d`` the height above it [m], camera frame, shape [4]; without a
-    table one that nothing is below."""
+    """Plane ``[nx ny nz d]``: ``n . x + d`` is the height above it [m], camera frame, shape [4]; far below
+    everything without a table."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectEvidence:
-    """What the object must agree with; camera frame."""
+    """Evidence for a pose; camera frame."""
 
     points: np.ndarray
-    """Points measured on the object, in random order [m], shape [P, 3]."""
+    """Measured points of the object, in random order [m], shape [P, 3]."""
     free: FreeSpace
-    """Space that is known to be free of the object."""
+    """Space that the object cannot occupy."""
     spread: np.ndarray | None = None
-    """Standard deviation of each point's depth, in that of the sensor's noise, shape [P]; None: 1."""
+    """Standard deviation of each point's depth, as a factor of the sensor's noise, shape [P]; 1 if None."""
 
 
 @dataclass(frozen=True)
 class IcpSettings:
-    """One round of the coarse-to-fine fit."""
+    """Settings of one round of the fit."""
 
     iterations: int
     """Gauss-Newton steps."""
     points: int
-    """Number of measured points that are used."""
+    """Number of measured points."""
     samples: int
-    """Number of surface samples that are used."""
+    """Number of surface samples."""
     scale: float
-    """Distance [m] at which a point's pull has fallen to a quarter."""
+    """Distance at which a point's pull has fallen to a quarter [m]."""
 
 
 def fit_poses(
     surface: KnownSurface, evidence: ObjectEvidence, poses: np.ndarray, settings: IcpSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move each pose to a nearby minimum of
-    ``mean rho(distance(points)) + mean rho(intrusion(samples))`` by Gauss-Newton steps,
-    ``rho(r) = r^2 / (1 + (r / scale)^2)``, means over the points or samples used; the scale of intrusions is
+    """Fit poses to the evidence by Gauss-Newton steps.
+
+    The cost is ``mean rho(distance(points)) + mean rho(intrusion(samples))`` with
+    ``rho(r) = r^2 / (1 + (r / scale)^2)`` over the points and samples used; the scale of intrusions is
     ``FREE_SCALE``.
 
     Args:
         poses: starts, object in the camera frame, shape [H, 7].
 
     Returns:
-        poses, shape [H, 7]; the sum before the last step [m^2], shape [H].
+        poses, shape [H, 7]; cost before the last step [m^2], shape [H].
     """
     points = evidence.points[: settings.points]
-    # Points near smoothed steps in depth count less and reach farther.
+    # Points near smoothed steps in depth have a smaller weight and a larger scale.
     wide = np.ones(len(points)) if evidence.spread is None else evidence.spread[: settings.points]
     weight = wide**-1.0 / np.mean(wide**-1.0)
     samples = surface.samples[: settings.samples]
     cost = np.zeros(len(poses))
-    # Importing Numba takes half a second: not before something is fitted.
+    # Importing Numba takes half a second.
     from fungrasp.perception.compiled_loops import fit_terms
 
     free, count = evidence.free, len(poses)
@@ -130,7 +129,7 @@ def fit_poses(
 
 
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Poses after a turn and a shift, shape [H, 7]; a turn of at most 0.3 rad, a shift of at most 3 cm."""
+    """Rotate and shift poses, shape [H, 7], by at most 0.3 rad and 3 cm. step: shape [H, 6]."""
     turn, shift = step[:, :3], step[:, 3:]
     turn = turn * np.minimum(1.0, 0.3 / np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1e-9))
     shift = shift * np.minimum(1.0, 0.03 / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9))
@@ -150,16 +149,16 @@ def free_space(
     background: np.ndarray | None = None,
     corner: tuple[int, int] = (0, 0),
 ) -> FreeSpace:
-    """What a depth image forbids to an object.
+    """Return the space that a depth image forbids to an object.
 
     Args:
         depth: [m], shape [H, W]; 0: not measured.
-        shown: which pixels show the object, bool, shape [H, W].
-        table: its plane, see ``FreeSpace``, or None.
-        tolerance: how far a surface may be in front of the measurement, or below the table [m].
-        uncertain: by how much more at each pixel, where the depth is smoothed [m], shape [H, W].
+        shown: pixels that show the object, bool, shape [H, W].
+        table: plane, see ``FreeSpace``, or None.
+        tolerance: allowed distance of a surface in front of the measurement, or below the table [m].
+        uncertain: additional tolerance of each pixel, where the depth is smoothed [m], shape [H, W].
         background: pixels that show no object whatever their depth is, bool, shape [H, W].
-        corner: column and row of the whole image at which a part of it begins; all arrays are of that part.
+        corner: column and row in the whole image at which the arrays, parts of it, begin.
     """
     measured = depth > 0
     seen = shown & measured
@@ -169,7 +168,7 @@ def free_space(
     allowed = np.where(measured, depth - tolerance - (0.0 if uncertain is None else uncertain), 0.0)
     if background is not None:
         open_space |= background & ~shown
-        # Nothing is there but far behind: the way out is sideways.
+        # Only depths far behind are allowed there, so the way out is sideways.
         allowed = np.where(background & ~shown, np.maximum(allowed, level + NOWHERE), allowed)
     refuge: Any = ndimage.distance_transform_edt(open_space, return_distances=False, return_indices=True)
     lowered = np.array([0.0, 0.0, 0.0, np.inf] if table is None else [*table[:3], table[3] + tolerance])
@@ -178,30 +177,29 @@ def free_space(
     return FreeSpace(lens, allowed, refuge, lowered)
 
 
-ROTATIONS = 128  # Starting rotations for the first mask; the others have half as many.
-# Rounds from coarse to fine; the first three are for an object of ``TYPICAL_SIZE`` and grow with it.
+ROTATIONS = 128  # Starting rotations for the first mask; half as many for the others.
+# Rounds from coarse to fine; the scale of the first three grows with the object, from ``TYPICAL_SIZE``.
 COARSE = (IcpSettings(4, 40, 40, 0.045), IcpSettings(6, 60, 60, 0.045), IcpSettings(7, 120, 120, 0.012))
 FINE = (IcpSettings(8, 300, 300, 0.006), IcpSettings(8, 1000, 800, 0.004))
-# Poses that go on from each round but the last; of the first mask in the first two, the others have half as
-# many, and of all masks together in the other two.
+# Number of poses kept: first for the first mask (others: half as many), in the last two for all together.
 KEPT = (256, 80, 20, 6)
-TYPICAL_SIZE = 0.25  # Diagonal of the box round the object for which the settings are made [m].
-# Standard deviations of the random moves of a polished pose: shift [m] and turn [degrees].
+TYPICAL_SIZE = 0.25  # Diagonal of the object's box for which the settings are made [m].
+# Standard deviations of random moves of a polished pose: shift [m] and rotation [degrees].
 POLISH_STEPS = ((0.006, 12.0), (0.005, 8.0), (0.003, 6.0), (0.002, 4.0), (0.0012, 2.5))
 POLISH_TRIES = 40  # Random moves of each pose in each round.
 
 
 @dataclass(frozen=True, eq=False)
 class PoseHypotheses:
-    """Poses that are still considered."""
+    """H candidate poses."""
 
     poses: np.ndarray
     """Object in the camera frame, not sorted, shape [H, 7]."""
     owner: np.ndarray
-    """Row of the evidence that each pose was fitted to, shape [H] int."""
+    """Index of the evidence that each pose is fitted to, shape [H] int."""
 
     def joined(self, other: PoseHypotheses) -> PoseHypotheses:
-        """These and others."""
+        """Return these and other poses."""
         return PoseHypotheses(
             np.concatenate([self.poses, other.poses]), np.concatenate([self.owner, other.owner])
         )
@@ -213,7 +211,7 @@ def search_poses(
     scorers: tuple[PoseScorer, PoseScorer],
     rng: np.random.Generator,
 ) -> PoseHypotheses:
-    """Poses that explain the image. scorers: one with few rays, one with many."""
+    """Return poses that explain the image. scorers: one with few rays, one with many."""
     growth = float(np.clip(known.size / TYPICAL_SIZE, 0.5, 1.4))
     coarse = [replace(r, scale=growth * r.scale) for r in COARSE]
     pool, owners = [], []
@@ -237,7 +235,7 @@ def search_poses(
 def refine_poses(
     known: ObjectTemplate, evidence: Sequence[ObjectEvidence], found: PoseHypotheses, step: IcpSettings
 ) -> PoseHypotheses:
-    """Each pose fitted once more to its own evidence."""
+    """Fit each pose once more to its own evidence."""
     poses = found.poses.copy()
     for index in np.unique(found.owner):
         mine = found.owner == index
@@ -248,7 +246,7 @@ def refine_poses(
 def polish_poses(
     found: PoseHypotheses, known: ObjectTemplate, scorer: PoseScorer, rng: np.random.Generator
 ) -> PoseHypotheses:
-    """Each pose moved at random to where its quality is highest, in ever smaller steps.
+    """Move each pose at random to higher quality, in decreasing steps.
 
     Where depth is smoothed, the outline in the image says more than the fit to points can use.
     """
@@ -259,7 +257,7 @@ def polish_poses(
         steps = quaternion_from_rotation_vector(np.radians(turn) * moves[..., 3:])
         turned = quaternion_multiply(steps, poses[:, None, 3:])
         middles = transform_points(poses, np.broadcast_to(known.middle, (len(poses), 1, 3)))
-        # Turned about the object's middle, wherever its frame is.
+        # The rotation is about the object's center, wherever its frame is.
         arm = poses[:, None, :3] - middles
         moved = middles + rotate(steps, np.broadcast_to(arm, (*steps.shape[:2], 3))) + shift * moves[..., :3]
         tried = np.concatenate([moved, turned], axis=-1)
@@ -275,14 +273,14 @@ def polish_poses(
 def best_poses(
     found: PoseHypotheses, known: ObjectTemplate, scorer: PoseScorer, count: int
 ) -> PoseHypotheses:
-    """The poses of highest quality, at most ``count``, no two of them nearly the same."""
+    """Return at most ``count`` different poses of highest quality."""
     order = np.argsort(-scorer(found.poses, found.owner).quality)
     best = order[_distinct(found.poses[order], known, 0.004)[:count]]
     return PoseHypotheses(found.poses[best], found.owner[best])
 
 
 def _distinct(poses: np.ndarray, known: ObjectTemplate, apart: float) -> list[int]:
-    """Poses that differ from all chosen before them by more than ``apart`` [m] at the surface."""
+    """Return indices of poses whose surfaces differ from all chosen before by more than ``apart`` [m]."""
     corners = transform_points(poses, known.surface.samples[:20])
     chosen: list[int] = []
     for i in range(len(poses)):
@@ -292,7 +290,7 @@ def _distinct(poses: np.ndarray, known: ObjectTemplate, apart: float) -> list[in
 
 
 def with_symmetries(found: PoseHypotheses, known: ObjectTemplate) -> PoseHypotheses:
-    """The poses, and those that the object's near-symmetries make of them."""
+    """Return the poses and their near-symmetric variants."""
     turned = quaternion_multiply(found.poses[:, None, 3:], known.symmetries[:, 3:])
     moved = transform_points(found.poses, known.symmetries[:, :3])
     variants = np.concatenate([moved, turned], axis=-1).reshape(-1, 7)

@@ -1,7 +1,6 @@
-"""A box, a cylinder or a sphere fitted to what is seen in a hand: for objects of which there is no mesh.
+"""Fit of a box, cylinder or sphere to an object in a hand that has no mesh.
 
-What no image shows is a guess: the far side is where the fingertips are that hold it, or as deep as it is
-wide.
+The hidden side is a guess: it reaches to the fingertips, or as deep as the shape is wide.
 Camera frame: OpenCV [m].
 """
 
@@ -21,55 +20,56 @@ from fungrasp.perception.object_pose.object_view import LEAST_PIXELS, WIDEST, cl
 from fungrasp.perception.object_pose.scoring import PoseScorer, pose_scorer
 from fungrasp.perception.scene.segmentation import segment
 
-REACH = 0.13  # Parts of an object of unknown size are looked for so far from the fingertips [m].
-UNIT = 0.1  # Sides of the shapes that are stretched [m].
-# Which number of a shape's size each axis takes.
+REACH = 0.13  # Largest distance of an unknown object's parts from the fingertips [m].
+UNIT = 0.1  # Side of the unscaled shapes [m].
+# Index of the size that each axis of a shape has.
 SHAPES = {"box": (0, 1, 2), "cylinder": (0, 0, 1), "sphere": (0, 0, 0)}
-# Quality that a shape of fewer numbers may lack: a box with its many numbers fits all a little better.
+# Bonus for shapes with fewer sizes: a box with its three fits everything slightly better.
 SIMPLER = {"box": 0.0, "cylinder": 0.02, "sphere": 0.04}
 LIMITS = (0.012, 0.4)  # Smallest and largest side of a shape [m].
-RAYS = 400  # About how many rays a fit is scored by.
-# Standard deviations of the random moves: shift [m], turn [degrees], logarithm of a side.
+RAYS = 400  # About how many rays meet a mask.
+# Standard deviations of random moves in each round: shift [m], rotation [degrees], logarithm of a side.
 ROUNDS = ((0.010, 12.0, 0.35), (0.006, 8.0, 0.20), (0.004, 5.0, 0.12), (0.002, 3.0, 0.06), (0.001, 1.5, 0.03))
-# Fingertips so far from the surface [m] halve what a shape is worth: without a mesh nothing else tells what
-# is held from what lies beside the hand.
+# Distance of the fingertips from the surface at which the worth of a shape is halved [m]: without a mesh,
+# only contact distinguishes the held object from things beside the hand.
 TOUCHING = 0.015
 
 TOO_LITTLE = "too little of an object is seen in the hand: click at it (--point), or give a mesh"
 
-KEPT, TRIES = 4, 24  # So many of the best go on, and so many moves of each are tried in each round.
-FITS = 0.5  # A fit of lower quality explains too little of what is seen to be of use.
+KEPT, TRIES = 4, 24  # Number of best shapes kept per round, and of random moves of each.
+FITS = 0.5  # Smallest quality of a usable fit.
 
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
-    """A shape in the place of an object without a mesh."""
+    """A shape fitted to an object without a mesh."""
 
     name: str
-    """Of the shape, see ``plain_shape``: "box:60x28x30"."""
+    """Name of the shape, "box:60x28x30", see ``plain_shape``."""
     pose: np.ndarray
-    """In the camera frame, shape [7]."""
+    """Pose of the shape in the camera frame, shape [7]."""
     quality: float
-    """How well it explains the image, 0 to 1: see ``PoseScores``."""
+    """How well the shape explains the image, 0 to 1, see ``PoseScores``."""
 
     @property
     def fits(self) -> bool:
-        """Whether it explains enough of what is seen."""
+        """Whether the quality is sufficient."""
         return self.quality >= FITS
 
 
 def fit_shape(
     capture: Capture, joints: np.ndarray | None, table: np.ndarray | None, *, seed: int = 0
 ) -> FittedShape:
-    """The shape that explains best what is seen in the hand.
+    """Fit the shape that best explains the object in the hand.
 
     Args:
-        capture: color and depth; its mask, box or point says where the object is.
-        joints: of the hand [m], camera frame, shape [21, 3], if known.
-        table: plane ``[nx ny nz d]``, camera frame, shape [4], if there is one.
+        capture: image, maybe with a mask, box or point of the object.
+        joints: joints of the hand [m], camera frame, shape [21, 3]; None if unknown.
+        table: plane ``[nx ny nz d]``, camera frame, shape [4]; None if unknown.
+        seed: random seed.
 
     Raises:
-        FungraspError: too little of an object is seen.
+        FungraspError: too little of an object is visible.
     """
     capture, rng = capture.reduced(WIDEST), np.random.default_rng(seed)
     if capture.mask is not None and (capture.mask & capture.measured).any():
@@ -104,8 +104,8 @@ def fit_shape(
 def _starts(
     points: np.ndarray, numbers: tuple[int, ...], table: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Poses with axes along the points' principal ones and along the table's normal, each axis as the shape's
-    third, shape [H, 7]; sides [m], shape [H, 3]."""
+    """Return starts: poses along the points' principal axes and the table's normal, with each axis as the
+    shape's third, shape [H, 7]; sides [m], shape [H, 3]."""
     middle = np.median(points, axis=0)
     near = points[np.linalg.norm(points - middle, axis=1) < REACH]
     sight = middle / np.linalg.norm(middle)
@@ -123,7 +123,7 @@ def _starts(
             local = near @ axes.T
             low, high = np.percentile(local, [3, 97], axis=0)
             side = np.clip(high - low, *LIMITS)
-            # The far side is not seen: as deep as the shape is wide at least.
+            # The hidden side: at least as deep as the smaller visible side.
             facing = np.abs(axes @ sight)
             deep = int(facing.argmax())
             side[deep] = max(side[deep], float(np.delete(side, deep).min()))
@@ -146,7 +146,7 @@ def _climbed(
     owner: int,
     rng: np.random.Generator,
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """The highest worth that random moves reach, its pose [7] and sides [3]."""
+    """Return the highest worth found by random moves, its pose, shape [7], and its sides [m], shape [3]."""
 
     def scored(poses: np.ndarray, sides: np.ndarray) -> np.ndarray:
         scores = scorer(poses, np.full(len(poses), owner), sides / UNIT)
@@ -164,7 +164,7 @@ def _climbed(
         growth = np.exp(grow * moves[:, 6:][:, list(numbers)])
         before = np.repeat(sides, TRIES, axis=0)
         wider = np.clip(before * growth, *LIMITS)
-        # Half of them grow away from the camera, whose side is seen, the others about their middle.
+        # Half of them grow away from the camera, which sees the near side, the others about their center.
         towards = near[:, :3] / np.linalg.norm(near[:, :3], axis=1, keepdims=True)
         axes = Rotation.from_quat(turned, scalar_first=True).as_matrix()
         deeper = np.einsum("hik,hi->hk", axes, towards)
