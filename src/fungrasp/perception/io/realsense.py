@@ -1,7 +1,7 @@
-"""A capture from a RealSense camera, live or recorded, by pyrealsense2 (extra ``realsense``).
+"""Captures from a RealSense camera or its recording, with pyrealsense2 (extra ``realsense``).
 
-pyrealsense2 has wheels for Linux and Windows on x86-64, and for Linux on arm64 with Python 3.12; none for
-macOS. On Linux it needs the system's libusb-1.0.
+pyrealsense2 has wheels for Linux and Windows on x86-64, and for Linux on arm64 with Python 3.12, but none for
+macOS. On Linux, it needs the system's libusb-1.0.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from fungrasp.core.formats.checks import one_line
 from fungrasp.perception.io.capture import CameraFrame, Capture, Intrinsics
 from fungrasp.perception.io.image_files import check_depth_range
 
-RECORDINGS = (".bag", ".db3")  # Kinds of files in which a camera's images are recorded.
-WARM_UP = 30  # Images that are left out first: exposure and white balance settle in them.
-FIRST_WAIT = 5000  # Longest time that the first images may take [ms]: a camera has to start.
-WAIT = 2000  # Longest time that each further one may take [ms]; a recording that gives none is at its end.
-# Formats of color that are understood, and where red, green and blue are in them.
+RECORDINGS = (".bag", ".db3")  # File suffixes of recordings.
+WARM_UP = 30  # Images that are skipped first, until exposure and white balance have settled.
+FIRST_WAIT = 5000  # Longest wait for the first images [ms]: a camera has to start.
+WAIT = 2000  # Longest wait for further images [ms]; after it, a recording is at its end.
+# Supported color formats, and the positions of red, green and blue.
 CHANNELS = {"rgb8": [0, 1, 2], "bgr8": [2, 1, 0], "rgba8": [0, 1, 2], "bgra8": [2, 1, 0]}
-DISTORTION = 1e-6  # Coefficients below this are none.
+DISTORTION = 1e-6  # Largest distortion coefficient that is ignored.
 
 _log = logging.getLogger(__name__)
 
@@ -35,15 +35,14 @@ def capture_from_camera(recording: str | Path | None = None, *, image: int | Non
     """Take one capture: color, and depth aligned to it.
 
     Args:
-        recording: a recording (``.bag``, newer ``.db3``) to take it from; None takes the first camera that is
-            connected.
-        image: number of the image that is taken, the first is 0; None takes the one after ``WARM_UP`` others,
-            or a shorter recording's last.
+        recording: recording (``.bag``, newer ``.db3``); the first connected camera if None.
+        image: number of the image, from 0; None: the image after ``WARM_UP`` others, or the last one of a
+            shorter recording.
 
     Raises:
-        FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there or it gives no
-            images, the recording is missing, damaged, too short or without color or depth, or its depth
-            can't be right.
+        FungraspError: pyrealsense2 is not installed or can't be loaded; there is no camera or it gives no
+            images; the recording is missing, damaged, too short or without color or depth; or its depth is
+            implausible.
     """
     if image is not None and image < 0:
         raise FungraspError(f"images are numbered from 0; there is no image {image}")
@@ -53,28 +52,27 @@ def capture_from_camera(recording: str | Path | None = None, *, image: int | Non
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """What a connected camera is asked for."""
+    """Streams of a connected camera."""
 
     width: int = 640
-    """Of both images [pixels]."""
+    """Width of both images [pixels]."""
     height: int = 480
-    """Of both images [pixels]."""
+    """Height of both images [pixels]."""
     rate: int = 30
-    """Of frames [1/s]."""
+    """Frame rate [1/s]."""
 
 
 class RealSenseCamera:
-    """A RealSense camera that is connected, or a recording of one; see ``RgbdCamera``."""
+    """A connected RealSense camera or a recording; see ``RgbdCamera``."""
 
     def __init__(
         self, recording: str | Path | None = None, *, serial: str = "", stream: StreamSettings | None = None
     ):
         """
         Args:
-            recording: ``.bag`` or newer ``.db3``; it is played as fast as its frames are asked for. None: a
-                camera.
-            serial: number of the camera; "" for the first that is connected.
-            stream: size and rate of a camera's images; what the camera prefers if None.
+            recording: ``.bag`` or newer ``.db3``, played as fast as frames are read; a camera if None.
+            serial: serial number of the camera; "" for the first connected one.
+            stream: size and rate of a camera's images; its default if None.
         """
         self.name = f"RealSense camera {serial}" if serial else "the camera"
         if recording is not None:
@@ -86,10 +84,10 @@ class RealSenseCamera:
         self._checked = False
 
     def __enter__(self) -> Self:
-        """Start it.
+        """Start the streams.
 
         Raises:
-            FungraspError: pyrealsense2 is not installed or can't be loaded, no camera is there, or the
+            FungraspError: pyrealsense2 is not installed or can't be loaded, there is no camera, or the
                 recording is missing, damaged or without color or depth.
         """
         if self._recording is not None and not Path(self._recording).is_file():
@@ -106,7 +104,7 @@ class RealSenseCamera:
             if self._serial:
                 config.enable_device(self._serial)
         else:
-            # A recording has the formats that it has.
+            # A recording keeps its own formats.
             config.enable_device_from_file(str(self._recording), repeat_playback=False)
             config.enable_stream(rs.stream.depth)
             config.enable_stream(rs.stream.color)
@@ -126,17 +124,16 @@ class RealSenseCamera:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop it."""
+        """Stop the streams."""
         if self._pipeline is not None:
             self._pipeline.stop()
             self._pipeline = None
 
     def newest(self, timeout: float) -> CameraFrame | None:
-        """The newest frame that was not given yet; those that have queued before it are left out. None if
-        none comes in time.
+        """Return the newest frame not returned before, or None if none comes in time; older ones are dropped.
 
         Args:
-            timeout: to wait [s].
+            timeout: longest wait [s].
 
         Raises:
             FungraspError: the camera fails.
@@ -152,7 +149,7 @@ class RealSenseCamera:
             raise self._failed(error) from error
 
     def capture(self, image: int | None = None) -> Capture:
-        """One capture; arguments and errors as of ``capture_from_camera``."""
+        """Take one capture; arguments and errors as in ``capture_from_camera``."""
         frames = None
         try:
             for count in range(1 + (WARM_UP if image is None else image)):
@@ -176,7 +173,7 @@ class RealSenseCamera:
         return FungraspError(f"{self.name} failed: {one_line(error)}")
 
     def _aligned(self, frames: Any) -> CameraFrame:
-        """The frame with its depth aligned to its color."""
+        """Return the frame with depth aligned to color."""
         aligned = self._rs.align(self._rs.stream.color).process(frames)
         if not self._checked and _distorted(aligned):
             _log.warning("%s: the lens's distortion is not taken into account", self.name)
@@ -185,7 +182,7 @@ class RealSenseCamera:
 
 
 def _module() -> Any:
-    """pyrealsense2. Raises: FungraspError: it is not installed or can't be loaded."""
+    """Import pyrealsense2. Raises: FungraspError: it is not installed or can't be loaded."""
     try:
         return importlib.import_module("pyrealsense2")
     except ModuleNotFoundError as error:
@@ -230,7 +227,7 @@ def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:
         )
     lens = profile.get_intrinsics()
     return CameraFrame(
-        # A copy: the library's buffer is used again.
+        # A copy, because the library reuses its buffer.
         np.array(np.asarray(color.get_data())[..., order], dtype=np.uint8),
         np.asarray(depth.get_data()).astype(np.float32) * np.float32(unit),
         Intrinsics(lens.width, lens.height, lens.fx, lens.fy, lens.ppx, lens.ppy),
@@ -239,7 +236,7 @@ def _frame(rs: Any, frames: Any, unit: float, where: str) -> CameraFrame:
 
 
 def _distorted(frames: Any) -> bool:
-    """Whether the color image has a distortion worth mentioning."""
+    """Return whether the color image has distortion."""
     color = frames.get_color_frame()
     if not color:
         return False
@@ -248,8 +245,8 @@ def _distorted(frames: Any) -> bool:
 
 
 def _taken(rs: Any, depth: Any) -> float:
-    """When a depth image was taken, ``time.monotonic`` [s]: by its time stamp, however old that is, if it is
-    of this computer's clock, else now."""
+    """Return when a depth image was taken, ``time.monotonic`` [s]: by its time stamp if that is of this
+    computer's clock, otherwise now."""
     now = time.monotonic()
     domain = depth.get_frame_timestamp_domain()
     if domain not in (rs.timestamp_domain.global_time, rs.timestamp_domain.system_time):

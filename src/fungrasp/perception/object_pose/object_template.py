@@ -1,4 +1,4 @@
-"""A known mesh made ready for finding it in depth images; and its depth images in many poses.
+"""A known mesh prepared for pose estimation, and its depth images.
 
 Camera frame: OpenCV (x right, y down, z forward) [m].
 """
@@ -32,12 +32,12 @@ from fungrasp.objects.disk_cache import cached_on_disk
 if TYPE_CHECKING:
     import trimesh
 
-# Rays that meet nothing end so far away [m]; what is farther than the second was not met.
+# Distance of rays that miss everything [m], and the distance beyond which a ray counts as a miss.
 NOWHERE, BEYOND = 1e6, 1e3
 
 
 class MeshRays:
-    """A triangle mesh that can be looked at in many poses."""
+    """A triangle mesh for ray casting in many poses."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
         """
@@ -52,18 +52,18 @@ class MeshRays:
     def hits(
         self, poses: np.ndarray, directions: np.ndarray, stretch: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which rays meet the mesh in several poses, and where.
+        """Return the rays that meet the mesh in several poses.
 
         Args:
             poses: mesh in the camera frame, shape [H, 7].
-            directions: of the rays from the camera's center, with z = 1, shape [R, 3].
-            stretch: factors along the mesh's axes by which it is larger, about its origin, shape [H, 3].
+            directions: rays from the camera's center, with z = 1, shape [R, 3].
+            stretch: scale factors along the mesh's axes, about its origin, shape [H, 3].
 
         Returns:
-            pose, ray and depth along the optical axis [m] of each hit, poses ascending, shape [N] each; depth
-            in single precision, as rays are.
+            pose, ray and depth along the optical axis [m] of each hit, shape [N] each; poses ascending, depth
+            float32.
         """
-        # Importing Numba takes a fifth of a second: not before a ray is cast.
+        # Importing Numba takes a fifth of a second.
         from fungrasp.geometry.compiling import plain
         from fungrasp.perception.compiled_loops import count_rays, local_rays
 
@@ -71,9 +71,9 @@ class MeshRays:
         slopes = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
         middles = poses[:, :3] + rotate(poses[:, 3:], factors * self._middle)
         radius = self._radius * factors.max(axis=1)
-        # Along a ray that passes the sphere round the mesh, its middle is at least so far away.
+        # Smallest distance of the sphere's center along a ray that passes it.
         least = np.sqrt(np.maximum(np.square(middles).sum(axis=1) - np.square(radius), 0.0))
-        # The rays as the mesh of usual size sees them: lengths along them change, depths do not.
+        # Rays in the frame of the unscaled mesh: lengths along them change, depths do not.
         axes = rotation_matrix(poses[:, 3:]) / factors[:, None, :]
         counts = np.empty(len(poses), np.int64)
         count_rays(slopes, middles, least, counts)
@@ -87,64 +87,62 @@ class MeshRays:
         return pose[met], ray[met], depth[met]
 
     def cast(self, poses: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Depth images of the mesh in several poses: ``hits`` as depth [m], infinite where the mesh is
-        missed, shape [H, R], float32."""
+        """Return depth images of the mesh in several poses [m], infinite at misses, shape [H, R], float32."""
         depth = np.full((len(poses), len(directions)), np.inf, np.float32)
         pose, ray, seen = self.hits(poses, directions)
         depth[pose, ray] = seen
         return depth
 
 
-SAMPLES = 1000  # Surface samples of a known object.
-KNOWN_FORMAT = 1  # Goes up when the same mesh should give other samples or symmetries.
-# Channels that differ by less (0 to 1) are gray. A mesh of one gray is likelier without color, as programs
-# write it, than a gray thing.
+SAMPLES = 1000  # Number of surface samples.
+KNOWN_FORMAT = 1  # Increases if the same mesh should give other samples or symmetries.
+# Difference between channels, 0 to 1, below which colors are gray. A mesh with one gray is probably
+# uncolored, as some programs write it.
 GRAY = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class KnownSurface:
-    """The known object, ready to be fitted; object frame."""
+    """Signed distance and surface samples of a known object; object frame."""
 
     distance: SignedDistanceBank
-    """Signed distance grid of the mesh, the only one of the bank."""
+    """Bank with the signed distance grid of the mesh."""
     samples: np.ndarray
-    """Points of the surface, each far from those before it [m], shape [M, 3]: any leading part is evenly
-    spread too."""
+    """Surface points, each far from those before: leading parts are evenly spread too [m], shape [M, 3]."""
 
     def distances(self, points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Distances of points from the surface at a pose [7] [m], shape [P]. points: camera frame, shape [P,
-        3]."""
+        """Return distances of points from the surface [m], shape [P]. points: camera frame, shape [P, 3];
+        pose: object in the camera frame, shape [7]."""
         local = inverse_transform_points(pose, points)
         return np.abs(self.distance.query(np.zeros(1, dtype=int), local[None])[0][0])
 
     def median_distance(self, points: np.ndarray, pose: np.ndarray) -> float:
-        """Median of ``distances`` [m]."""
+        """Return the median of ``distances`` [m]."""
         return float(np.median(self.distances(points, pose)))
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectTemplate:
-    """What the search needs to know of a mesh. ``object_template`` makes it."""
+    """A known mesh, prepared by ``object_template``."""
 
     surface: KnownSurface
-    """Signed distance and surface samples, for the fit."""
+    """Signed distance and surface samples."""
     normals: np.ndarray
-    """Outward unit normals at the surface's samples, shape [M, 3]."""
+    """Outward unit normals at the samples, shape [M, 3]."""
     rays: MeshRays
-    """The mesh for casting rays, for the score."""
+    """Mesh for ray casting."""
     size: float
-    """Diagonal of the box round the mesh, sides along its axes [m]."""
+    """Diagonal of the mesh's axis-aligned bounding box [m]."""
     middle: np.ndarray
-    """Middle of that box, object frame [m], shape [3]."""
+    """Center of this box [m], object frame, shape [3]."""
     symmetries: np.ndarray
     """Poses, not the identity, that map the surface nearly onto itself, shape [S, 7]."""
     colors: np.ndarray | None
-    """RGB of the surface's samples, 0 to 1, shape [M, 3], if the mesh has colors other than one gray."""
+    """RGB at the samples, 0 to 1, shape [M, 3]; None if the mesh has no colors, or one gray."""
 
 
 def object_template(mesh: ObjectModel | trimesh.Trimesh) -> ObjectTemplate:
-    """Prepare a mesh [m]; the result is kept for the next image.
+    """Prepare a mesh [m]; results are cached.
 
     Raises:
         FungraspError: the mesh has no faces.
@@ -198,11 +196,11 @@ def _read_surface(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _near_symmetries(points: np.ndarray) -> np.ndarray:
-    """Turns by multiples of 30 degrees about axes along the principal ones that move the surface by less than
-    4 % of its size. points: shape [M, 3]. Returns shape [S, 7].
+    """Return rotations by multiples of 30 degrees about axes parallel to the principal axes that move the
+    surface by less than 4 % of its size, shape [S, 7]. points: shape [M, 3].
 
-    An axis goes where most of the surface comes to itself: that of a mug's body is not in the middle of the
-    mug, as the handle is on one side.
+    Axes are moved to where most of the surface maps onto itself: the axis of a mug's body is not at the
+    center of the mug, because the handle is on one side.
     """
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     tree = KDTree(points)
@@ -219,7 +217,7 @@ def _near_symmetries(points: np.ndarray) -> np.ndarray:
 
 
 def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
-    """RGB at surface points, 0 to 1, shape [P, 3]; None where the mesh has no colors, or one gray."""
+    """Return RGB at surface points, 0 to 1, shape [P, 3]; None if the mesh has no colors, or one gray."""
     import trimesh
 
     visual: Any = mesh.visual
@@ -241,7 +239,7 @@ def _colors(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray | None:
 
 
 def _even_samples(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points on the surface and its normals there, each point far from all before it."""
+    """Return surface points, each far from all before it, and normals, shape [count, 3] each."""
     gap = float(np.sqrt(mesh.area / (6 * count)))
     points, owners = points_on_triangles(np.asarray(mesh.triangles), gap)
     rng = np.random.default_rng(0)
@@ -259,11 +257,8 @@ def _even_samples(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.nda
 
 
 def even_rotations(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Rotations spread evenly over all there are (super-Fibonacci spirals, Alexa, 2022), turned at random.
-
-    Returns:
-        wxyz, shape [count, 4].
-    """
+    """Return evenly spread rotations (super-Fibonacci spirals, Alexa, 2022), rotated at random, as
+    quaternions wxyz, shape [count, 4]."""
     s = np.arange(count) + 0.5
     inner, outer = np.sqrt(s / count), np.sqrt(1.0 - s / count)
     a, b = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204
@@ -273,16 +268,15 @@ def even_rotations(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def starting_poses(known: ObjectTemplate, points: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
-    """For each rotation five positions: the middle of the side that the camera would see in the middle of the
-    measured points, and, as a part of the object may be hidden, each corner of the one's box in the view at
-    the same corner of the other's, nearest point at nearest point.
+    """Return five poses per rotation, object in the camera frame, shape [5 H, 7].
+
+    One position puts the center of the side that the camera would see at the center of the measured points.
+    As a part of the object may be hidden, four others align a corner of the object's box in the view with
+    that of the points, and the nearest depths.
 
     Args:
-        points: measured on it [m], camera frame, shape [P, 3].
+        points: measured points of the object [m], camera frame, shape [P, 3].
         quaternions: wxyz, shape [H, 4].
-
-    Returns:
-        object in the camera frame, shape [5 H, 7].
     """
     middle = points.mean(axis=0)
     axes = _view_axes(middle)
@@ -290,7 +284,7 @@ def starting_poses(known: ObjectTemplate, points: np.ndarray, quaternions: np.nd
     samples = known.surface.samples[:300]
     seen = np.maximum(-(rotation @ known.normals[:300].T)[:, 0], 0.0)
     turned = samples @ rotation.swapaxes(-1, -2)
-    # Mean of the samples that face the camera, weighted by how squarely they do, shape [H, 3].
+    # Mean of the samples that face the camera, weighted by the cosine of the angle, shape [H, 3].
     side = np.einsum("hm,hmi->hi", seen, turned) / np.maximum(seen.sum(axis=1), 1e-9)[:, None]
     measured = points @ axes.T
     target = measured.mean(axis=0)
@@ -307,7 +301,7 @@ def starting_poses(known: ObjectTemplate, points: np.ndarray, quaternions: np.nd
 
 
 def _view_axes(point: np.ndarray) -> np.ndarray:
-    """Unit vectors towards a point in front of the camera, to the right and down, as rows, shape [3, 3]."""
+    """Return unit vectors towards a point in front of the camera, right and down, as rows, shape [3, 3]."""
     forward = point / np.linalg.norm(point)
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)

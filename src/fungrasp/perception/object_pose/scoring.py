@@ -1,4 +1,4 @@
-"""How well poses of a known object explain a depth image: ray casting against the measurement."""
+"""Scores of a known object's poses in a depth image, by ray casting."""
 
 from __future__ import annotations
 
@@ -14,53 +14,52 @@ from fungrasp.perception.object_pose.object_template import ObjectTemplate
 from fungrasp.perception.scene.pixel_classes import SHARP
 from fungrasp.perception.scene.segmentation import TIPS, Segmentation
 
-UNSEEN = 0.1  # Weight of a pixel of the mesh's silhouette that is hidden, in that of an explained one.
-# Weight of a pixel that shows a thing within reach but is neither in the mask nor explained, in that of one
-# of the mask's: else a part of the object, or a gap between fingers, would do as well as all of it.
+UNSEEN = 0.1  # Weight of an unexplained pixel of the mesh's silhouette, relative to an explained one.
+# Weight of an unexplained pixel of a thing within reach outside the mask, relative to one in the mask.
+# Without it, a part of the object, or a gap between fingers, would fit as well as all of the object.
 LEFT_OUT = 0.2
-# Confidence that what seems to be a thing in front of the object is no unrecognized part of the arm.
+# Confidence that a thing in front of the object is not an unrecognized part of the arm.
 OCCLUDER = 0.25
-# A hand may be so much farther from the camera than it was found [m]: its depth is off by 18 mm on real
-# images.
+# Shifts of the hand along the viewing ray [m]: its depth is off by 18 mm in real images.
 HAND_SHIFTS = (-0.03, -0.015, 0.0, 0.015, 0.03)
-SHIFT_COST = 0.2  # What such a shift costs, in the same distance of the fingertips.
-LEAST_SAMPLES = 30  # Fewer samples of the surface don't tell its colors.
-CONTACT = 0.05  # Fingertips as far from the surface as this [m] halve the quality.
+SHIFT_COST = 0.2  # Cost of such a shift, as a fraction of an equal distance of the fingertips.
+LEAST_SAMPLES = 30  # Smallest number of surface samples whose colors are compared.
+CONTACT = 0.05  # Distance of the fingertips from the surface that halves the quality [m].
 
 
 @dataclass(frozen=True, eq=False)
 class PoseScores:
-    """How well each of H poses explains the image."""
+    """Scores of H poses."""
 
     quality: np.ndarray
-    """What ranks them, 0 to 1, shape [H]: pixels explained / (those, and those of the mask that are not, and
-    those contradicted, and ``UNSEEN`` of the mesh's silhouette that is hidden); less where the fingertips are
-    far."""
+    """Value by which poses are ranked, 0 to 1, shape [H]: explained pixels / (explained pixels + unexplained
+    pixels of the mask + contradicted pixels + ``UNSEEN`` of the silhouette's other pixels + ``LEFT_OUT`` of
+    other things); less if the fingertips are far."""
     explained: np.ndarray
-    """Part of the mask's pixels that the pose explains, shape [H]."""
+    """Fraction of the mask's pixels that the pose explains, shape [H]."""
     visible: np.ndarray
-    """Part of the mesh's silhouette beside skin that agrees with the measurement, shape [H]."""
+    """Fraction of the mesh's silhouette, without skin, that agrees with the measurement, shape [H]."""
     contact: np.ndarray
     """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H]; 0 without a
     hand."""
     pixels: np.ndarray
-    """Measured pixels of the image that the pose explains, shape [H]."""
+    """Measured pixels that the pose explains, shape [H]."""
     hidden: np.ndarray
-    """Part of the mesh's silhouette that skin hides, shape [H]."""
+    """Fraction of the mesh's silhouette hidden by skin, shape [H]."""
 
     def chosen(self, rows: np.ndarray) -> PoseScores:
-        """The scores of some of the poses."""
+        """Select some of the poses."""
         return PoseScores(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class PoseScorer:
-    """Rays through the image, to score poses with. ``pose_scorer`` makes it."""
+    """R rays through the image that score poses, made by ``pose_scorer``."""
 
     known: ObjectTemplate
-    """The object whose poses are scored."""
+    """Known object."""
     directions: np.ndarray
-    """Directions of the rays, scaled to z = 1, camera frame, shape [R, 3]."""
+    """Directions of the rays with z = 1, camera frame, shape [R, 3]."""
     pixels: np.ndarray
     """Row and column of each ray, shape [R, 2]."""
     depth: np.ndarray
@@ -68,25 +67,30 @@ class PoseScorer:
     spread: np.ndarray
     """Standard deviation of that depth [m], shape [R]."""
     support: np.ndarray
-    """Confidence that the ray's pixel shows a thing, not skin, table or room, 0 to 1, shape [R]."""
+    """Probability that the pixel shows the object or another thing within reach, 0 to 1, shape [R]."""
     skin: np.ndarray
-    """Confidence that it shows skin, which may hide the object, 0 to 1, shape [R]."""
+    """Probability that it shows skin, which may hide the object, 0 to 1, shape [R]."""
     background: np.ndarray
-    """Confidence that its color is that of table or room, where depth is smoothed, 0 to 1, shape [R]."""
+    """Probability that it shows background, shape [R]; 0 if depth is sharp."""
     masks: np.ndarray
-    """Confidence that the ray's pixel shows the object if a mask is right, 0 to 1, shape [N, R]."""
+    """Probability that it shows the object if a mask is right, 0 to 1, shape [N, R]."""
     opaque: np.ndarray
-    """Confidence that the object is not behind what the pixel shows, shape [R]: 1 for the table, ``OCCLUDER``
-    for things, 0 for skin."""
+    """Confidence that the object is not behind the thing at the pixel, shape [R]: 1 for the table,
+    ``OCCLUDER`` times ``support`` for others."""
     joints: np.ndarray | None
-    """Joints of the hand [m], camera frame, shape [21, 3]; None if not known."""
+    """Joints of the hand [m], camera frame, shape [21, 3]; None if unknown."""
     step: int
     """Distance between the rays' rows and columns [pixels]."""
 
     def __call__(self, poses: np.ndarray, owner: np.ndarray, stretch: np.ndarray | None = None) -> PoseScores:
-        """Score poses of the object in the camera frame, shape [H, 7], each by the mask it was fitted to,
-        shape [H] int; the mesh may be stretched along its axes, see ``MeshRays.cast``."""
-        # Only rays that meet the mesh say anything: all sums are over these.
+        """Score poses.
+
+        Args:
+            poses: object in the camera frame, shape [H, 7].
+            owner: index of the mask that each pose was fitted to, shape [H] int.
+            stretch: factors along the mesh's axes, shape [H, 3], see ``MeshRays.hits``.
+        """
+        # Only rays that meet the mesh matter: all sums are over these.
         pose, ray, seen = self.known.rays.hits(poses, self.directions, stretch)
 
         def summed(values: np.ndarray) -> np.ndarray:
@@ -105,10 +109,10 @@ class PoseScorer:
         contradicted = summed(against_open * (1.0 - mine)) / total
         hit = np.maximum(np.bincount(pose, minlength=len(poses)), 1)
         hidden = summed(skin)
-        # Of the silhouette that no skin hides.
+        # Only the part of the silhouette that no skin hides.
         visible = summed(likeness * (1.0 - skin)) / np.maximum(hit - hidden, 1.0)
         against = (1.0 - explained + contradicted) * total + UNSEEN * (hit - summed(likeness))
-        # Things near the hand that neither the mask nor the pose has: the object is one of them.
+        # Other things near the hand: the object is one of them.
         others = ((1.0 - self.masks) @ self.support)[owner]
         left_out = others - summed(likeness * (1.0 - mine) * support)
         quality = everywhere / (everywhere + against + LEFT_OUT * left_out)
@@ -119,9 +123,8 @@ class PoseScorer:
         return PoseScores(quality, explained, visible, contact, everywhere * self.step**2, hidden / hit)
 
     def _contact(self, poses: np.ndarray, stretch: np.ndarray | None) -> np.ndarray:
-        """Mean distance of the three nearest fingertips' skin from the surface [m], shape [H], with the hand
-        at
-        the distance from the camera at which it is smallest: landmarks say least about that."""
+        """Return the mean distance of the three nearest fingertips' skin from the surface [m], shape [H], at
+        the best shift of the hand along the viewing ray: landmarks say least about its depth."""
         assert self.joints is not None
         tips = self.joints[list(TIPS)]
         nearest = np.full(len(poses), np.inf)
@@ -146,13 +149,13 @@ def pose_scorer(
     joints: np.ndarray | None,
     rays: int,
 ) -> PoseScorer:
-    """Rays through the part of the image in which the object may be.
+    """Create rays through the part of the image in which the object may be.
 
     Args:
-        view: what each pixel shows, and how certain its depth is.
+        view: segmentation, with the standard deviation of the depth.
         masks: proposals for the object's pixels, bool, shape [H, W] each.
         table: plane ``[nx ny nz d]``, camera frame, or None.
-        joints: of the hand [m], camera frame, shape [21, 3], or None.
+        joints: joints of the hand [m], camera frame, shape [21, 3], or None.
         rays: about how many meet a mask.
     """
     k = capture.intrinsics
@@ -170,14 +173,14 @@ def pose_scorer(
     shown, spread = view.support[v, u], view.spread[v, u]
     skin, background = view.classes.skin[v, u], view.classes.background[v, u]
     if view.edge_width <= SHARP:
-        # The depth says it better.
+        # Sharp depth is better evidence.
         background = np.zeros(len(u))
     opaque = OCCLUDER * shown
     if table is not None:
         height = (directions * depth[:, None]) @ table[:3] + table[3]
         opaque = np.where(np.abs(height) < 3 * depth_noise(depth), 1.0, opaque)
     mine = np.stack([np.where(mask[v, u], shown, 0.0) for mask in masks])
-    # In single precision, as rays are: the arrays are large.
+    # Single precision, because the arrays are large.
     depth, spread, shown, skin, background, mine, opaque = (
         array.astype(np.float32) for array in (depth, spread, shown, skin, background, mine, opaque)
     )
@@ -190,15 +193,15 @@ def pose_scorer(
 def color_agreement(
     known: ObjectTemplate, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> np.ndarray:
-    """Correlation of the mesh's colors with those of the image, over the visible surface samples and the
-    three channels together: it does not depend on the brightness and the tint of the light.
+    """Return the correlation of the mesh's colors with those of the image, -1 to 1, shape [H]; 0 if the mesh
+    has no colors or too little of it is visible.
+
+    The correlation is over visible surface samples and the three channels together, so it does not depend on
+    brightness and tint of the light.
 
     Args:
         poses: object in the camera frame, shape [H, 7].
         allowed: pixels that may show the object, shape [H, W] bool.
-
-    Returns:
-        -1 to 1, shape [H]; 0 where the mesh has no colors or too little of it is seen.
     """
     result = np.zeros(len(poses))
     for i, (model, image) in enumerate(_seen_colors(known, capture, poses, allowed)):
@@ -214,13 +217,13 @@ def color_agreement(
 def _seen_colors(
     known: ObjectTemplate, capture: Capture, poses: np.ndarray, allowed: np.ndarray
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Of each pose the mesh's colors and the image's at the samples that are seen, RGB 0 to 1, shape [S, 3]
-    each; empty ones where fewer than ``LEAST_SAMPLES`` are seen; nothing for meshes without colors."""
+    """Yield the mesh's and the image's colors at each pose's visible samples, RGB 0 to 1, shape [S, 3] each;
+    empty for fewer than ``LEAST_SAMPLES``. Nothing for meshes without colors."""
     if known.colors is None:
         return
     points = transform_points(poses, known.surface.samples)
     normals = known.normals @ rotation_matrix(poses[:, 3:]).swapaxes(-1, -2)
-    # Samples seen at less than 73 degrees from their normal: the camera is at the origin.
+    # Samples seen at less than 73 degrees from their normal; the camera is at the origin.
     facing = -np.einsum("hmi,hmi->hm", normals, points) > 0.3 * np.linalg.norm(points, axis=-1)
     with np.errstate(invalid="ignore"):
         pixels = np.rint(np.nan_to_num(capture.intrinsics.project(points), nan=-1.0)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Fit of a box, cylinder or sphere to an object in a hand that has no mesh.
+"""Fit of a box, cylinder or sphere to a held object without a mesh.
 
 The hidden side is a guess: it reaches to the fingertips, or as deep as the shape is wide.
 Camera frame: OpenCV [m].

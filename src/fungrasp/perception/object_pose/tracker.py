@@ -1,8 +1,7 @@
-"""Following a known object from image to image: each pose is fitted from the one before.
+"""Tracking of a known object: each pose is fitted from the previous one.
 
-A fit from near the answer needs a hundredth of the search's work, so that it keeps up with a camera. Only
-the part
-of the image around the object is looked at. What the object's colors are is learned at its first pose.
+A fit from a near start takes a hundredth of the search's work, so it keeps up with a camera. Only the part of
+the image around the object is used. The object's colors are learned at its first pose.
 """
 
 from __future__ import annotations
@@ -27,47 +26,48 @@ from fungrasp.perception.object_pose.search import IcpSettings, ObjectEvidence, 
 from fungrasp.perception.scene.pixel_classes import color_cells, table_of_colors
 
 RAYS = 900  # About how many rays meet the object.
-POINTS = 300  # Measured points, and surface samples, that a pose is fitted to.
-STARTS = 6  # Poses that the fit begins from: the last, the one that its motion leads to, and others near it.
-# Standard deviation of the other starts: shift [m] and turn [degrees]. A hand moves an object by 1 m/s and 6
-# rad/s at most, at 15 images a second 7 cm and 23 degrees, most of which the motion before tells.
+POINTS = 300  # Number of measured points, and of surface samples, in a fit.
+STARTS = 6  # Starts of the fit: the predicted pose, the last one, and random ones near the prediction.
+# Standard deviations of the random starts: shift [m] and rotation [degrees]. A hand moves an object by at
+# most 1 m/s and 6 rad/s: 7 cm and 23 degrees at 15 images per second, most of which is predicted.
 SPREAD = (0.012, 12.0)
-NEAR = 0.03  # What is measured so near to the predicted surface [m] may be the object.
-MARGIN = 0.05  # So much around the predicted object is looked at [m]: two images' motion.
+NEAR = 0.03  # Difference in depth from the predicted surface within which a pixel may show the object [m].
+MARGIN = 0.05  # Margin around the predicted object [m]: the motion between two images.
 # Coarse fit of all starts, fine fit of the best two.
 ROUNDS = (IcpSettings(5, 120, 120, 0.02), IcpSettings(6, POINTS, POINTS, 0.006))
-LEAST_POINTS = 25  # With fewer measured points the object is not seen.
-# Part of the object's colors that each image of a sure pose renews: light changes as it turns.
+LEAST_POINTS = 25  # Smallest number of measured points from which the object is tracked.
+# Fraction of the learned colors that each image renews: light changes as the object turns.
 LEARNING = 0.05
-# Poses of a lower score are not learned from, and the motion is forgotten: the object may be lost.
+# Smallest score of a pose whose colors and motion are used; below, the object may be lost.
 FOLLOWED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectTrack:
-    """Where the object is in one image."""
+    """Pose of the object in one image."""
 
     pose: np.ndarray
-    """Object in the camera frame, shape [7]; the last one if it was not seen."""
+    """Pose in the camera frame, shape [7]; the last one if the object was not found."""
     score: float
-    """Part of the object's outline, less what hides it, in which the depth agrees, 0 to 1: below ``FOLLOWED``
-    the object is probably lost, and a new search is needed."""
+    """Fraction of the visible silhouette in which depth and color agree, 0 to 1. Below ``FOLLOWED``, the
+    object is probably lost and must be searched again."""
 
 
 class ObjectTracker:
-    """Follows a known object."""
+    """Tracks a known object."""
 
     def __init__(
         self, mesh: ObjectModel | trimesh.Trimesh, intrinsics: Intrinsics, pose: np.ndarray, *, seed: int = 0
     ):
         """
         Args:
-            pose: where the object is in the first image, camera frame, shape [7]: of
-            ``estimate_object_pose``.
-            seed: the same seed and images give the same poses.
+            mesh: object [m].
+            intrinsics: intrinsics of the images.
+            pose: pose in the first image, camera frame, shape [7], from ``estimate_object_pose``.
+            seed: random seed.
 
         Raises:
-            FungraspError: the mesh has no faces, or the pose is no pose.
+            FungraspError: the mesh has no faces, or the pose is not 7 finite numbers.
         """
         self.pose = np.array(pose, dtype=float)
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():
@@ -78,14 +78,14 @@ class ObjectTracker:
         self._colors: tuple[np.ndarray, np.ndarray] | None = None
 
     def update(self, color: np.ndarray, depth: np.ndarray) -> ObjectTrack:
-        """The object's pose in the next image.
+        """Track the object in the next image.
 
         Args:
             color: RGB, uint8, shape [H, W, 3].
             depth: [m], shape [H, W]; 0: not measured.
 
         Raises:
-            FungraspError: an image is not of the intrinsics' size.
+            FungraspError: an image does not have the size of the intrinsics.
         """
         k = self._intrinsics
         if depth.shape != (k.height, k.width) or color.shape != (k.height, k.width, 3):
@@ -113,7 +113,7 @@ class ObjectTracker:
         return ObjectTrack(poses[best] if score >= FOLLOWED else self.pose, score)
 
     def _starts(self) -> np.ndarray:
-        """Poses to begin from, the likeliest first, shape [S, 7]."""
+        """Return the starts of the fit, the most probable first, shape [S, 7]."""
         ahead = self.pose if self._motion is None else compose(self._motion, self.pose)
         moves = self._rng.normal(size=(STARTS - 2, 6))
         turned = quaternion_multiply(
@@ -125,9 +125,8 @@ class ObjectTracker:
     def _view(
         self, pose: np.ndarray, color: np.ndarray, depth: np.ndarray
     ) -> tuple[ObjectEvidence, np.ndarray, np.ndarray] | None:
-        """What the image says near a pose: evidence for the fit; rays' pixels [u v], shape [R, 2]; cells of
-        their
-        colors, shape [R]. None where too little is measured."""
+        """Return the evidence near a pose: evidence for the fit; pixels ``[u v]`` of the rays, shape [R, 2];
+        their color cells, shape [R]. None if too little is measured."""
         k = self._intrinsics
         corners = transform_points(pose, self._known.surface.samples[:200])
         if corners[:, 2].min() < 0.05:
@@ -144,7 +143,7 @@ class ObjectTracker:
         pixels = np.stack([u, v], axis=1)
         rays = k.deproject(pixels, np.ones(len(pixels)))
         predicted = self._known.rays.cast(pose[None], rays)[0]
-        # At each measured pixel the predicted depth of the nearest ray.
+        # Predicted depth of each pixel: that of the nearest ray.
         grid = predicted.reshape(-(-(high[1] - low[1]) // step), -(-(high[0] - low[0]) // step))
         whole = grid.repeat(step, axis=0).repeat(step, axis=1)[: seen_depth.shape[0], : seen_depth.shape[1]]
         shown = (seen_depth > 0) & (np.abs(seen_depth - whole) < NEAR)
@@ -169,7 +168,7 @@ class ObjectTracker:
     def _scores(
         self, poses: np.ndarray, depth: np.ndarray, pixels: np.ndarray, cells: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Score of each pose, shape [H], and which rays show the object, shape [H, R] bool."""
+        """Return the score of each pose, shape [H], and the rays that show the object, shape [H, R] bool."""
         rays = self._intrinsics.deproject(pixels, np.ones(len(pixels)))
         seen = self._known.rays.cast(poses, rays)
         measured = depth[pixels[:, 1], pixels[:, 0]].astype(float)
@@ -177,7 +176,7 @@ class ObjectTracker:
         hit = np.isfinite(seen) & (measured > 0)
         error = np.where(hit, seen - measured, 0.0)
         agrees = hit & (np.abs(error) < noise)
-        # What is in front of the object hides it, and says neither yes nor no.
+        # Things in front hide the object: these pixels say little.
         hidden = hit & (error > noise)
         if self._colors is not None:
             agrees &= (self._colors[0] > 0.2 * self._colors[1])[cells]
@@ -185,7 +184,7 @@ class ObjectTracker:
         return agrees.sum(axis=1) / counted, agrees
 
     def _learn(self, cells: np.ndarray, shown: np.ndarray) -> None:
-        """Take over the colors of the object, and of what is around it."""
+        """Update the colors of the object and of its surroundings."""
         if shown.sum() < LEAST_POINTS or (~shown).sum() < LEAST_POINTS:
             return
         new = table_of_colors(cells[shown]), table_of_colors(cells[~shown])
