@@ -1,5 +1,4 @@
-"""A robot from its cell file. Drivers have names: this package's own, and those that other installed packages
-bring by entry points."""
+"""Robots from cell files. Drivers have names; other packages can add drivers by entry points."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.sim2real.joint_dynamics import HandDynamics, JointDynamics, load_dynamics
 
 OWN = "fungrasp"
-"""Name of the distribution that this package's own drivers come from."""
+"""Distribution of the built-in drivers."""
 
 
 @dataclass(frozen=True)
@@ -31,18 +30,18 @@ class DriverRegistry:
     """Drivers of one kind of device. A driver is a callable that makes a device from a cell."""
 
     what: str
-    """The device, as in a cell's file: "arm", "hand_device" or "tracker"."""
+    """Kind of device, as in cell files: "arm", "hand_device" or "tracker"."""
     group: str
     """Group of the entry points."""
     own: Mapping[str, Callable[[RobotCell], Any]]
-    """This package's, by name."""
+    """Built-in drivers by name."""
     twin: str
-    """Name that stands for a device of a twin, which nobody else's may have."""
+    """Name of twins' devices, reserved."""
     protocol: type
-    """What a driver makes: ``JointDriver`` or ``PoseSource``."""
+    """Interface of the devices: ``JointDriver`` or ``PoseSource``."""
 
     def known(self) -> dict[str, str]:
-        """Distribution of each driver by name; several, with commas, where their names clash."""
+        """Return the distribution of each driver by name; several, with commas, if names clash."""
         found = dict.fromkeys((*self.own, self.twin), OWN)
         for entry in entry_points(group=self.group):
             origin = _distribution(entry)
@@ -50,8 +49,8 @@ class DriverRegistry:
         return dict(sorted(found.items()))
 
     def make(self, name: str, cell: RobotCell) -> Any:
-        """The device of a cell. Raises: FungraspError: no driver has this name, several have, or it can't be
-        loaded or used; the message names the distribution."""
+        """Make the device of a cell. Raises: FungraspError: no driver or several drivers of this name, or one
+        that can't be loaded or used; the message names the distribution."""
         entries = [entry for entry in entry_points(group=self.group) if entry.name == name]
         if len(entries) + (name in (*self.own, self.twin)) > 1:
             raise FungraspError(
@@ -71,7 +70,7 @@ class DriverRegistry:
         try:
             driver = entry.load()
         except Exception as error:
-            # Whatever a module of others does when it is imported.
+            # The import of a third-party module may raise anything.
             raise FungraspError(f"{origin} can't be loaded: {_line(error)}") from error
         try:
             device = driver(cell)
@@ -99,15 +98,14 @@ def _line(error: Exception) -> str:
 
 
 TWIN = "twin"
-"""Driver of a device of a twin in the same process."""
+"""Driver of a twin's device, in the same process."""
 
 CAMERA = "realsense"
-"""Driver of a tracker: our own, on the images of a RealSense camera."""
+"""Driver of the built-in tracker with a RealSense camera."""
 
 
 def is_twin(cell: RobotCell) -> bool:
-    """Whether a cell is a twin in the same process. Raises: FungraspError: some of its devices are, others
-    are not."""
+    """Return whether a cell is a twin. Raises: FungraspError: only some of its devices are."""
     drivers = {"arm": cell.arm.driver, "hand_device": cell.hand_device.driver, "tracker": cell.tracker.driver}
     twins = [name for name, driver in drivers.items() if driver == TWIN]
     if twins and len(twins) < len(drivers):
@@ -119,8 +117,8 @@ def is_twin(cell: RobotCell) -> bool:
 
 
 def arm_driver(cell: RobotCell) -> JointDriver:
-    """The driver of a cell's arm, without a guard: to look at. What moves is ``wired_robot``'s. Raises:
-    FungraspError: no such driver, or bad options."""
+    """Make the driver of a cell's arm without a safety filter, for reading only. Raises: FungraspError: no
+    such driver, bad options, or a wrong number of joints."""
     driver = ARM_DRIVERS.make(cell.arm.driver, cell)
     joints = len(driver.limits.lower)
     if joints != len(cell.arm.home):
@@ -132,8 +130,8 @@ def arm_driver(cell: RobotCell) -> JointDriver:
 
 
 def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
-    """The driver of a cell's hand, without a guard: to look at. What moves is ``wired_robot``'s or
-    ``guarded_driver``'s. Raises: FungraspError: no such driver, bad options, or a driver of another hand."""
+    """Make the driver of a cell's hand without a safety filter, for reading only. Raises: FungraspError: no
+    such driver, bad options, or a driver of another hand."""
     driver = HAND_DRIVERS.make(cell.hand_device.driver, cell)
     joints = len(driver.limits.lower)
     if joints != len(hand.actuators):
@@ -145,28 +143,27 @@ def hand_driver(cell: RobotCell, hand: Hand) -> JointDriver:
 
 
 def pose_source(cell: RobotCell) -> PoseSource:
-    """The source of a cell's object poses. Raises: FungraspError: no such driver, or bad options."""
+    """Make the source of a cell's object poses. Raises: FungraspError: no such driver, or bad options."""
     return TRACKERS.make(cell.tracker.driver, cell)
 
 
 def driver_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
-    """Largest torques that a cell's driver asks of its hand's servos [N m], shape [U]; infinite where it
-    leaves that to the hand. Nothing is connected. Raises: FungraspError: the cell's driver of the hand, or
-    its options, can't be."""
+    """Return the largest torques that a cell's driver requests from the hand's servos [N m], shape [U];
+    infinite if only the hand limits them. Nothing is connected. Raises what ``hand_driver`` raises."""
     if cell.hand_device.driver == TWIN:
         return twin_torque_limits(cell, hand)
     return hand_driver(cell, hand).limits.torque
 
 
 def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = None) -> Hand:
-    """The hand as a planner has to know it: no servo makes more torque than its model says, or the file of
-    identified dynamics where that says it, nor more than the cell's driver sends.
+    """Return the hand for planners, with the torque limits of the model or of the identified dynamics, and at
+    most those of the cell's driver.
 
     Args:
-        dynamics: identified; their torque limits replace the model's, where they have some.
+        dynamics: identified dynamics, whose torque limits replace the model's where they are known.
 
     Raises:
-        FungraspError: as ``driver_torque_limits``, or no torque is left to a servo.
+        FungraspError: as ``driver_torque_limits``, or a servo has no torque left.
     """
     limits = driver_torque_limits(cell, hand)
     servos = {}
@@ -187,10 +184,9 @@ def limited_hand(cell: RobotCell, hand: Hand, dynamics: JointDynamics | None = N
 def identified_dynamics(
     cell: RobotCell, hand: Hand, file: str | Path = ""
 ) -> tuple[Hand, HandDynamics | None]:
-    """What a cell says of its hand beyond the model: for planner, policy and gravity compensation. file: of
-    identified dynamics, in place of the cell's. Returns: the hand for planners, whose servos make no more
-    torque than the robot's; and what was identified, None where nothing was. Raises: FungraspError: the file
-    can't be read, or the cell's driver of the hand can't be."""
+    """Return the hand of a cell for planners (``limited_hand``), and its identified dynamics, None without.
+    file: file of identified dynamics instead of the cell's. Raises: FungraspError: the file can't be read, or
+    as ``limited_hand``."""
     path = file or cell.hand_dynamics
     if not path:
         return limited_hand(cell, hand), None
@@ -199,19 +195,19 @@ def identified_dynamics(
 
 
 def wired_robot(cell: RobotCell, hand: Hand, **options: Any) -> Robot:
-    """The robot of a cell that is no twin, not connected. options: of ``Robot``. Raises: FungraspError: an
-    unknown driver, bad options of a device, or another hand."""
+    """Make the robot of a cell that is no twin, not connected. options: of ``Robot``. Raises: FungraspError:
+    an unknown driver, bad options of a device, or another hand."""
     devices = arm_driver(cell), hand_driver(cell, hand), pose_source(cell)
     return Robot(cell, hand, *devices, WallClock(), **options)
 
 
 def _own(module: str, name: str, part: str, address: str = "address") -> Callable[..., Any]:
-    """A driver of this package, whose module is imported when it is made.
+    """Return a function that makes a built-in driver, and imports its module only then.
 
     Args:
-        module: of ``fungrasp.robots``, with the classes ``nameSettings`` and ``nameLoop``.
-        part: of the cell, which has address and options: "arm" or "hand_device".
-        address: what the settings call the address.
+        module: module in ``fungrasp.robots`` with the classes ``<name>Settings`` and ``<name>Loop``.
+        part: part of the cell with address and options: "arm" or "hand_device".
+        address: name of the address in the settings.
     """
 
     def make(cell: RobotCell) -> LoopDriver:
@@ -234,7 +230,7 @@ class _CameraOptions:
 
 
 def _camera(cell: RobotCell) -> PoseSource:
-    """Our own tracker on a RealSense camera."""
+    """Make the built-in tracker with a RealSense camera."""
     from fungrasp.objects import load_object
     from fungrasp.perception.io.realsense import RealSenseCamera, StreamSettings
     from fungrasp.robots.pose.camera import CameraTracker
@@ -257,7 +253,7 @@ class _StreamOptions:
 
 
 def _stream(cell: RobotCell) -> PoseSource:
-    """Poses of another process."""
+    """Make a stream of poses from another process."""
     from fungrasp.robots.pose.stream import PoseStream
 
     asked: _StreamOptions = _options(_StreamOptions, cell.tracker)
@@ -269,11 +265,11 @@ def _stream(cell: RobotCell) -> PoseSource:
 
 
 def _options(kind: type, device: DeviceSettings, given: Mapping[str, Any] | None = None) -> Any:
-    """Settings of a driver from the options of a cell.
+    """Make the settings of a driver from the options of a cell.
 
     Args:
-        kind: a dataclass.
-        given: what the cell says elsewhere, unless it is empty; options may say another one.
+        kind: dataclass of the settings.
+        given: values from elsewhere in the cell; empty ones are left out, and options override them.
     """
     known = {name: value for name, value in (given or {}).items() if value != ""}
     return record_from_json(kind, {**known, **device.options}, f"options of the driver {device.driver}")

@@ -1,4 +1,4 @@
-"""A robot cell: one typed TOML file with its devices, where they stand, and the limits of their motion."""
+"""Robot cells: a TOML file with the devices, their poses, and the limits of their motion."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ from fungrasp.hands.arm import Mount, arm_spec
 Vector = tuple[float, ...]
 Point = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-"""Numbers as a TOML file gives them."""
+"""Rotation, wxyz."""
 
 SHIPPED = Path(__file__).parent / "cells"
-"""Folder of the cells that come with the package."""
-
+"""Folder of the built-in cells."""
 
 NEW_CELL = SHIPPED / "new.template"
-"""What ``write_new_cell`` fills in."""
+"""Template of ``write_new_cell``."""
 
 PLANNED = ("palm_speed", "palm_rotation_speed", "arm_speed", "hand_speed")
 PLANNED += ("palm_acceleration", "palm_rotation_acceleration")
-"""Limits that decide how fast a plan is carried out."""
+"""Limits that determine the speed of plans."""
 
 LARGEST = {
     "limits.palm_speed": (0.25, "m/s"),
@@ -52,14 +51,13 @@ LARGEST = {
     "watchdog.arm_silence watchdog.hand_silence watchdog.pose_stale watchdog.overrun": (5.0, "s"),
     "watchdog.pose_turn": (np.pi, "rad"),
 }
-"""Largest numbers of a cell, and their units. Limits are those of the paper and the data sheets; the others
-are by our judgment, as a UR5 reaches 0.95 m: what is larger is in another unit, in which a limit would be
-none."""
+"""Largest numbers of a cell, and their units. Limits are from the paper and the data sheets, the others are
+our estimates. A larger number must be in another unit, in which a limit would have no effect."""
 
 UPRIGHT: Vector = (1.0, 0.0, 0.0, 0.0)
 
 LARGEST_RESIDUAL = 0.005
-"""A camera's calibration that misses by more is refused [m]."""
+"""Residual beyond which the calibration of a camera is refused [m]."""
 
 REAL_ARM_OPTIONS = {
     "velocity": (3.14, "rad/s"),
@@ -67,18 +65,18 @@ REAL_ARM_OPTIONS = {
     "jerk": (200.0, "rad/s^3"),
     "payload": (20.0, "kg"),
 }
-"""Most that a real arm's driver is told, and the units: the velocity is of the data sheet, the others are of
-our judgment, four times the driver's defaults. Emulators keep up with more."""
+"""Largest options of a real arm's driver, and their units. The velocity is from the data sheet; acceleration
+and jerk are four times the driver's defaults. Emulators may have more."""
 
 
 @dataclass(frozen=True)
 class DeviceSettings:
-    """How a device is reached."""
+    """Driver and address of a device."""
 
     driver: str = "twin"
     """Name of the driver (``fungrasp.robots.assembly.DRIVERS``)."""
     address: str = ""
-    """Host name, CAN channel or serial port; what the driver calls its address."""
+    """Host name, CAN channel or serial port, depending on the driver."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Further arguments of the driver."""
 
@@ -88,13 +86,12 @@ class ArmSettings(DeviceSettings):
     """The arm."""
 
     model: str = "ur5e"
-    """Name of the arm's model, or an MJCF file, relative to the cell's."""
+    """Name of the arm's model, or an MJCF file, relative to the cell's file."""
     pose_world_base: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    """Pose of the arm's base in the world: meters and a quaternion wxyz; the table top is z = 0. The base is
-    ROS's ``base_link``: z up, x and y opposite to those of the frame "Base" on a UR's pendant, which is
-    turned by 180 degrees about z."""
+    """Pose of the arm's base, world frame [m], wxyz; the table top is z = 0. The base is ROS's ``base_link``:
+    z up, turned by 180 degrees about z from the frame "Base" on a UR's pendant."""
     home: Vector = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
-    """Joints where the arm waits [rad]."""
+    """Joints of the home posture [rad]."""
 
 
 @dataclass(frozen=True)
@@ -102,27 +99,26 @@ class TrackerSettings(DeviceSettings):
     """The tracker of the object's pose."""
 
     pose_world_camera: Vector = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    """Pose of the camera in the world, from calibration."""
+    """Pose of the camera, world frame, from calibration."""
     calibration_residual: float = -1.0
-    """Residual of that calibration [m]; negative: there was none."""
+    """Residual of the calibration [m]; negative without calibration."""
     calibration: str = ""
-    """File of ``fungrasp robots calibrate``, relative to the cell's file, that says both; "" for none."""
+    """File of ``fungrasp robots calibrate``, relative to the cell's file, that gives both; "" for none."""
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where the palm may be."""
+    """Box for the palm, and distances from the table."""
 
     lower: Point = (-0.5, -0.5, 0.0)
-    """Lowest corner of the box, world frame [m]."""
+    """Lower corner of the box, world frame [m]."""
     upper: Point = (0.5, 0.5, 0.9)
-    """Highest corner of the box, world frame [m]."""
+    """Upper corner of the box, world frame [m]."""
     table_clearance: float = 0.005
-    """Least distance of the arm from the table [m]."""
+    """Smallest distance of the arm from the table [m]."""
     hand_depth: float = -0.005
-    """How far the hand may reach below the table top [m]; negative: how far it stays above, as in first runs.
-    Cells of twins and emulators say 0.012: hands touch the table where objects are thin, and their servos
-    yield."""
+    """Depth to which the hand may reach below the table top [m]; negative to stay above, as in first runs.
+    Twins and emulators have 0.012: for thin objects, hands touch the table, and their servos yield."""
 
 
 @dataclass(frozen=True)
@@ -130,65 +126,64 @@ class Obstacle:
     """A box that the robot keeps clear of: a pedestal, a wall, a camera's post."""
 
     center: Point
-    """World frame [m]."""
+    """Center, world frame [m]."""
     size: Point
-    """Whole edges along its axes [m]."""
+    """Full edge lengths [m]."""
     rotation: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """Of its axes in the world, quaternion wxyz."""
+    """Rotation, world frame, wxyz."""
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of every motion; what is commanded is within them."""
+    """Limits of all commanded motions."""
 
     palm_speed: float = 0.25
     """Largest speed of the palm [m/s] (section V.A of the paper)."""
     palm_acceleration: float = 0.3
     """Largest acceleration of the palm [m/s^2]."""
     palm_rotation_speed: float = 1.0
-    """Largest rotation speed of the palm [rad/s]."""
+    """Largest angular speed of the palm [rad/s]."""
     palm_rotation_acceleration: float = 2.0
-    """Its largest acceleration [rad/s^2]: joints of the wrist turn up to 1.3 times as fast as the palm, and
-    an arm's driver has 2.5 rad/s^2 for them."""
+    """Largest angular acceleration of the palm [rad/s^2]: wrist joints turn up to 1.3 times as fast, and the
+    driver of the arm allows 2.5 rad/s^2."""
     arm_speed: float = 2.0
     """Largest speed of an arm joint [rad/s]."""
     arm_acceleration: float = 2.0
-    """Largest acceleration of an arm joint on its way from posture to posture [rad/s^2]."""
+    """Largest acceleration of an arm joint between postures [rad/s^2]."""
     setpoint_acceleration: float = 400.0
-    """A setpoint of an arm joint that asks for more is refused [rad/s^2]. Turns of the palm begin and end
-    without a ramp; the driver smooths them within the arm's own limits."""
+    """Acceleration of an arm joint beyond which a setpoint is refused [rad/s^2]. The driver smooths setpoints
+    within the arm's own limits."""
     hand_speed: float = 6.0
     """Largest speed of a hand joint's setpoint [rad/s]."""
     hand_torque: float = 3.0
     """Largest measured torque of a hand joint [N m]."""
     goal_distance: float = 0.3
-    """Largest distance of a policy's wrist goal from the palm [m]: the nearest ends of an approach are a few
-    centimeters ahead."""
+    """Largest distance of a policy's palm goal from the measured palm [m]."""
     setpoint_lead: float = 0.35
     """Largest difference between an arm's setpoint and its measured joints [rad]."""
 
 
 @dataclass(frozen=True)
 class Watchdog:
-    """When a robot is no longer trusted, each with its reaction (``fungrasp.robots.safety``)."""
+    """Thresholds at which the robot stops (``fungrasp.robots.safety``). Tracked poses are checked until the
+    fingers close."""
 
     arm_silence: float = 0.04
-    """The arm stops where its time stamp has not advanced for so long [s]."""
+    """Longest time without a new time stamp from the arm [s]."""
     hand_silence: float = 0.1
-    """The arm stops where the hand has been silent for so long [s]."""
+    """Longest time without a new time stamp from the hand [s]."""
     pose_stale: float = 0.5
-    """Before planning and until the fingers close, the arm stops where the tracked pose is older than this
-    [s]."""
+    """Largest age of the tracked pose [s]."""
     pose_jump: float = 0.02
-    """The same where the tracked object jumps farther than this [m]."""
+    """Largest displacement of the tracked object since planning [m]."""
     pose_turn: float = 0.52
-    """The same where it turns farther than this [rad]: trackers flip what looks alike from two sides."""
+    """Largest turn of the tracked object since planning [rad]: trackers may flip symmetric objects."""
     pose_score: float = 0.1
-    """The same where the tracker's confidence is below this, 0 to 1."""
+    """Smallest confidence of the tracker, 0 to 1."""
     late_tick: float = 0.02
-    """A tick that is later than this is counted [s]."""
+    """Delay beyond which a tick counts as late and is not made up for [s]; the robot does not stop."""
     overrun: float = 0.25
-    """The arm stops where a control period took this long [s]."""
+    """Largest delay of a setpoint [s]."""
 
 
 @dataclass(frozen=True)
@@ -202,36 +197,36 @@ class RobotCell:
     arm: ArmSettings = field(default_factory=ArmSettings)
     """The arm."""
     mount: Mount = field(default_factory=Mount)
-    """How the hand is fixed to the flange; a cell of real devices must say it."""
+    """Mount of the hand on the flange; required for real devices."""
     hand_device: DeviceSettings = field(default_factory=DeviceSettings)
     """The hand's device."""
     tracker: TrackerSettings = field(default_factory=TrackerSettings)
     """The tracker."""
     workspace: Workspace = field(default_factory=Workspace)
-    """Where the palm may be."""
+    """Box for the palm."""
     limits: MotionLimits = field(default_factory=MotionLimits)
-    """Limits of every motion."""
+    """Limits of motion."""
     watchdog: Watchdog = field(default_factory=Watchdog)
-    """When the robot is no longer trusted."""
+    """Thresholds at which the robot stops."""
     obstacles: tuple[Obstacle, ...] = ()
-    """What else stands there, ``[[obstacles]]`` each: arm and hand keep ``workspace.table_clearance`` from
-    it; the arm's base and shoulder may touch it."""
+    """Boxes from which arm and hand keep ``workspace.table_clearance``; the arm's base and shoulder may touch
+    them."""
     hand_dynamics: str = ""
-    """File of the hand's identified dynamics (``fungrasp identify fit``), relative to the cell's file; "" for
-    none."""
+    """File with identified dynamics of the hand (``fungrasp identify fit``), relative to the cell's file; ""
+    for none."""
     stop_file: str = ""
-    """The robot stops as soon as this file exists, which is relative to the cell's file; "" for none."""
+    """File, relative to the cell's file, that stops the robot as soon as it exists; "" for none."""
 
 
 def cell_files() -> dict[str, Path]:
-    """The cells that come with the package, by name."""
+    """Return the files of the built-in cells, by name."""
     return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
 
 
 @guarded("cell file")
 def load_cell(name: str | Path) -> RobotCell:
-    """Read a cell and check it. name: of a cell that comes with the package, or a TOML file. Raises:
-    FungraspError: no such cell, or one that can't be: the message says what and what is allowed."""
+    """Read and check a cell. name: a built-in cell, or a TOML file. Raises: FungraspError: no such cell, or
+    an invalid one."""
     path = Path(name)
     if path.suffix != ".toml":
         if str(name) not in cell_files():
@@ -239,7 +234,7 @@ def load_cell(name: str | Path) -> RobotCell:
         path = cell_files()[str(name)]
     values = read_toml(path, "cell file")
     if values.get("guard") == "on":
-        # Cells written before the safety filter could not be switched off say that it is on.
+        # Old cells have this entry.
         del values["guard"]
     cell = record_from_json(RobotCell, values, str(path))
     if cell.tracker.calibration:
@@ -251,7 +246,7 @@ def load_cell(name: str | Path) -> RobotCell:
     for fault in cell_faults(cell):
         raise FungraspError(f"{path}: {fault}")
     if cell.stop_file:
-        # Whoever makes it is in another terminal, in another folder perhaps.
+        # A person makes this file from another terminal, perhaps in another folder.
         cell = replace(cell, stop_file=str((path.parent / cell.stop_file).absolute()))
     if cell.hand_dynamics:
         dynamics = path.parent / cell.hand_dynamics
@@ -262,11 +257,11 @@ def load_cell(name: str | Path) -> RobotCell:
 
 
 def write_new_cell(path: str | Path, hand: str) -> None:
-    """Write a slow cell for a real robot to begin with: what has to be measured is empty, and refused. path:
-    TOML file, which must not exist. Raises: FungraspError: the file exists, is no TOML file, or no device is
-    known for the hand."""
+    """Write a slow cell for a new robot. Values that must be measured are left empty, and are refused until
+    they are set. path: TOML file, which must not exist. Raises: FungraspError: the file exists or is no TOML
+    file, or the hand has no driver."""
     path = Path(path)
-    # "#: name" begins the lines of a hand, "#: end" the rest.
+    # Lines of a hand follow "#: name"; the rest follows "#: end".
     head, *parts = re.split(r"^#: (\w+)\n", NEW_CELL.read_text(encoding="utf-8"), flags=re.MULTILINE)
     devices = dict(zip(parts[::2], parts[1::2], strict=True))
     rest = devices.pop("end")
@@ -282,7 +277,7 @@ def write_new_cell(path: str | Path, hand: str) -> None:
 
 
 def check_calibrated(cell: RobotCell) -> None:
-    """Raises: FungraspError: it is not known where the cell's camera stands."""
+    """Raises: FungraspError: the camera of the cell is not calibrated."""
     if cell.tracker.calibration_residual < 0:
         raise FungraspError(
             f"cell '{cell.name}': no calibration of the camera: run 'fungrasp robots calibrate' and name its "
@@ -291,14 +286,13 @@ def check_calibrated(cell: RobotCell) -> None:
 
 
 def plan_speed(limits: MotionLimits) -> float:
-    """Share of their own speed at which plans are carried out within a cell's limits. Plans are made at the
-    speeds of the default limits: where a cell has lower ones, the same motion takes longer. Speeds go down
-    with that share, accelerations with its square."""
+    """Return the largest speed of plans within a cell's limits, as a share of their own speed, which is that
+    of the default limits. Speeds are proportional to this share, accelerations to its square."""
     return min(1.0, *(_planned_share(limits, name) for name in PLANNED))
 
 
 def slowest_limit(limits: MotionLimits) -> str:
-    """The limit that ``plan_speed`` follows from, as a phrase: "limits.palm_speed = 0.05"."""
+    """Return the limit that determines ``plan_speed``, as a phrase: "limits.palm_speed = 0.05"."""
     lowest = min(PLANNED, key=lambda name: _planned_share(limits, name))
     return f"limits.{lowest} = {getattr(limits, lowest):g}"
 
@@ -309,12 +303,12 @@ def _planned_share(limits: MotionLimits, name: str) -> float:
 
 
 def is_wired(cell: RobotCell) -> bool:
-    """Whether a cell's arm is a real one: neither a twin nor an emulator, which is on the loopback."""
+    """Return whether a cell's arm is real: neither a twin nor an emulator, which has a loopback address."""
     return cell.arm.driver != "twin" and not cell.arm.address.startswith("127.")
 
 
 def cell_faults(cell: RobotCell) -> list[str]:
-    """What can't be in a cell, one phrase each."""
+    """Return the faults of a cell, one phrase each."""
     faults = _limit_faults(cell)
     box, mount, residual = cell.workspace, cell.mount, cell.tracker.calibration_residual
     if not all(a < b for a, b in zip(box.lower, box.upper, strict=True)):
@@ -364,7 +358,7 @@ def _limit_faults(cell: RobotCell) -> list[str]:
             part = getattr(cell, section)
             for one in part if isinstance(part, tuple) else (part,):
                 values = np.atleast_1d(np.array(getattr(one, key), dtype=float))
-                # Of poses the position.
+                # Only the position of a pose is limited.
                 values = np.abs(values[:3] if key.startswith("pose_") else values)
                 faults += _too_large(name, values.max(initial=0.0), most, unit)
     return faults
@@ -377,7 +371,7 @@ def _too_large(name: str, value: float, most: float, unit: str) -> list[str]:
 
 
 def _wired_faults(cell: RobotCell) -> list[str]:
-    """What can't be in a cell of real devices."""
+    """Return the faults of a cell of real devices."""
     faults = []
     if not cell.arm.address:
         faults.append("'arm.address' is missing: where the arm's controller is")
@@ -398,7 +392,7 @@ def _unit(quaternion: Vector) -> bool:
 
 
 def _calibration(path: Path) -> dict[str, Any]:
-    """Pose and residual in a file of calibration."""
+    """Read pose and residual of a calibration."""
     tree = read_toml(path, "calibration of a camera")
     names = "pose_world_camera", "calibration_residual"
     missing = [name for name in names if name not in tree]

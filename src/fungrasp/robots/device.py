@@ -1,8 +1,8 @@
-"""What every driver of an arm, a hand or an object tracker offers.
+"""Interfaces of drivers for arms, hands and object trackers.
 
-Positions are radians and meters, torques newton meters; a driver's codec translates to the units of the wire.
-Host times are of ``time.monotonic`` [s]. A driver never judges a connection by the return values of a client
-library: a state is as old as the device's own time stamp says.
+Positions are in radians and meters, torques in newton meters; drivers convert the units of their devices.
+Host times are those of ``time.monotonic`` [s]. Drivers judge a connection by the time stamps of the device,
+never by the return values of a client library.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from fungrasp.core.errors import FungraspError
 
 
 class RobotError(FungraspError):
-    """A device can't be reached, refuses a command or has stopped. Says in one line what to do."""
+    """A device can't be reached, refuses a command or has stopped. The message says what to do."""
 
 
 class DeviceStatus(StrEnum):
-    """What a device is able to do now."""
+    """State of a device."""
 
     DISCONNECTED = "disconnected"
     """No connection, or its time stamps no longer advance."""
     READY = "ready"
     """Follows commands."""
     STOPPED = "stopped"
-    """Was told to stop; follows commands again after ``connect``."""
+    """The driver has stopped it; it follows commands again after ``connect``."""
     PROTECTIVE_STOP = "protective stop"
     """The device has stopped by itself; a person must acknowledge it at the device."""
     EMERGENCY_STOP = "emergency stop"
@@ -48,33 +48,33 @@ class StopKind(StrEnum):
     OPEN = "open"
     """Hands only: open slowly and stay open; an arm holds."""
     POWER_OFF = "power off"
-    """Servos without torque."""
+    """Switch the servos' torque off."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Joints of an arm (six) or of a hand (its U independent joints, in the order of the hand's model)."""
+    """Joints of an arm or a hand: U independent joints in the order of its model."""
 
     positions: np.ndarray
     """Measured positions [rad], shape [U]."""
     velocities: np.ndarray
     """Measured or differentiated velocities [rad/s], shape [U]."""
     torques: np.ndarray | None
-    """Measured or estimated torques [N m], shape [U]; None where the device measures none."""
+    """Measured or estimated torques [N m], shape [U]; None if the device measures none."""
     device_time: float
-    """The device's own clock [s], of any origin. Where a device has none: the host time of the last complete
-    frame."""
+    """Time stamp by the device's clock, of any origin [s]; for a device without a clock, the host time of the
+    last complete frame."""
     received: float
     """Host time at which the state was received [s]."""
     status: DeviceStatus
-    """What the device is able to do."""
+    """State of the device."""
     message: str = ""
-    """What the device says of a fault, in words; of a ready one, what is worth a look."""
+    """Description of a fault; for a ready device, remarks."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
-    """What a driver accepts; a command beyond is clipped, and what was sent is returned."""
+    """Limits to which a driver clips commands."""
 
     lower: np.ndarray
     """Lowest positions [rad], shape [U]."""
@@ -83,8 +83,7 @@ class JointLimits:
     velocity: np.ndarray
     """Highest speeds [rad/s], shape [U]."""
     torque: np.ndarray
-    """Highest torques that the driver asks for [N m], shape [U]; infinite where it leaves that to the
-    device."""
+    """Highest torques that the driver requests [N m], shape [U]; infinite if only the device limits them."""
 
 
 class JointDriver(Protocol):
@@ -93,39 +92,37 @@ class JointDriver(Protocol):
     name: str
     """Type and address of the device, for messages and logs."""
     limits: JointLimits
-    """What the driver accepts."""
+    """Limits to which commands are clipped."""
     takes_feedforward: bool
     """Whether ``command`` uses feed-forward torques; a driver of position servos ignores them."""
     lets_go: str
-    """When a hand lets go of what it holds though nobody said so, as a phrase that begins with "when"; "" for
-    arms, and where only a lack of power does so."""
+    """When the hand lets go of an object on its own, as a phrase that begins with "when"; "" for arms, and
+    for hands that do so only without power."""
 
     def connect(self) -> None:
-        """Open the connection and verify type, generation and side of the device, which stays as it is:
-        torque, settings, errors and a program that runs on it. Raises: RobotError: nobody answers, or another
-        device than the one configured does."""
+        """Open the connection and verify type, generation and side of the device. Its torque, settings,
+        errors and running program stay unchanged. Raises: RobotError: no answer, or not the configured
+        device."""
         ...
 
     def take_control(self) -> None:
-        """Make the device ready to follow; a program that runs on it ends. Nothing moves. ``command`` does
-        so, too, where nobody did, which may take seconds. Raises: RobotError: the device can't be controlled
-        now."""
+        """Make the device ready to follow; a program that runs on it ends. Nothing moves. ``command`` calls
+        this if needed; it may take seconds. Raises: RobotError: the device can't be controlled now."""
         ...
 
     def read(self) -> JointState:
-        """The latest state, without waiting. Errors of the device are in its status, not raised."""
+        """Return the latest state without waiting. Errors of the device are in its status, not raised."""
         ...
 
     def command(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> np.ndarray:
-        """Set the goal that the device moves to at its own rate, within the limits.
+        """Set the goal, to which the device moves at its own rate within the limits.
 
         Args:
             positions: goal [rad], shape [U].
-            feedforward: torques that hold the device's own weight [N m], shape [U]; devices that take
-                positions only ignore them.
+            feedforward: torques that compensate the device's own weight [N m], shape [U]; zero if None.
 
         Returns:
-            the goal that was really sent [rad], shape [U].
+            the goal as sent, within the limits [rad], shape [U].
 
         Raises:
             RobotError: the device is not ready, or a value is not finite.
@@ -133,11 +130,11 @@ class JointDriver(Protocol):
         ...
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """End motion. Never raises: it is called when something is wrong already."""
+        """End motion. Never raises."""
         ...
 
     def close(self) -> None:
-        """Stop and end the connection; a hand keeps its hold, but for what ``lets_go`` says. May be called
+        """Stop and end the connection; a hand keeps its grip, except as ``lets_go`` says. May be called
         twice."""
         ...
 
@@ -151,7 +148,7 @@ class JointDriver(Protocol):
 
 
 class TrackingStatus(StrEnum):
-    """What a tracker knows of the object."""
+    """State of a tracker."""
 
     TRACKING = "tracking"
     LOST = "lost"
@@ -160,7 +157,7 @@ class TrackingStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class TrackedPose:
-    """One answer of an object tracker."""
+    """One pose from an object tracker."""
 
     pose_world_object: np.ndarray
     """Pose of the object in the robot's world frame, shape [7]."""
@@ -169,7 +166,7 @@ class TrackedPose:
     score: float
     """Confidence, 0 to 1."""
     status: TrackingStatus
-    """Whether the pose may be used."""
+    """State of the tracker; other poses than those of TRACKING are not used."""
 
 
 class PoseSource(Protocol):
@@ -179,11 +176,11 @@ class PoseSource(Protocol):
     """Type and address of the source, for messages and logs."""
 
     def connect(self) -> None:
-        """Open the source. Raises: RobotError: nobody answers."""
+        """Open the source. Raises: RobotError: no answer."""
         ...
 
     def read(self) -> TrackedPose | None:
-        """The newest pose, without waiting; None before the first."""
+        """Return the newest pose without waiting; None before the first."""
         ...
 
     def close(self) -> None:
@@ -200,16 +197,16 @@ class PoseSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """What all devices said last."""
+    """Latest states of all devices."""
 
     time: float
-    """Time of the robot's clock [s]."""
+    """Time on the robot's clock [s]."""
     arm: JointState
-    """Of the arm."""
+    """State of the arm."""
     hand: JointState
-    """Of the hand."""
+    """State of the hand."""
     tracked: TrackedPose | None
-    """Of the tracker; None before its first pose."""
+    """Last pose with status TRACKING; None before the first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,18 +216,18 @@ class RobotCommand:
     arm: np.ndarray
     """Joints of the arm [rad], shape [A]."""
     hand: np.ndarray
-    """Independent joints of the hand [rad], shape [U]; without any offset against gravity."""
+    """Independent joints of the hand, without gravity compensation [rad], shape [U]."""
     feedforward: np.ndarray
-    """Torques that carry the hand's weight [N m], shape [U]."""
+    """Torques for gravity compensation [N m], shape [U]."""
     palm: np.ndarray
-    """Pose of the palm that the arm's joints stand for, world frame, shape [7]."""
+    """Palm pose at these arm joints, world frame, shape [7]."""
 
 
 class SafetyStop(RobotError):
-    """The robot was stopped by its guard."""
+    """The robot was stopped by the safety filter, the stop switch or a person."""
 
     def __init__(self, reason: str, kind: StopKind = StopKind.HOLD):
-        """reason: what was wrong, as a phrase."""
+        """reason: a phrase."""
         super().__init__(f"the robot was stopped ({kind}): {reason}")
         self.reason, self.kind = reason, kind
 
@@ -239,11 +236,11 @@ class Clock(Protocol):
     """Tells the time and waits."""
 
     def now(self) -> float:
-        """Time [s], of an origin of its own; it never goes back."""
+        """Return the time, which never goes back, since some origin [s]."""
         ...
 
     def sleep_until(self, when: float) -> None:
-        """Return at a time [s], at once if it has passed."""
+        """Wait until a time [s]; return at once if it has passed."""
         ...
 
 
@@ -260,8 +257,8 @@ class WallClock(Clock):
 
 
 def import_client(module: str, extra: str, device: str) -> ModuleType:
-    """Import a client library. extra: the extra of this package that installs it; device: what needs it, for
-    the message. Raises: RobotError: it is not installed."""
+    """Import a client library. extra: optional dependency that installs it; device: description of its user,
+    for the message. Raises: RobotError: it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -271,8 +268,8 @@ def import_client(module: str, extra: str, device: str) -> ModuleType:
 
 
 def import_emulators(module: str) -> ModuleType:
-    """Import a module of the emulated devices, a package of its own beside this one (``emulators/``). module:
-    of the package ``fungrasp_emulators``. Raises: RobotError: it is not installed."""
+    """Import a module of ``fungrasp_emulators``, a separate package in ``emulators/``. Raises: RobotError: it
+    is not installed."""
     try:
         return importlib.import_module(f"fungrasp_emulators.{module}")
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""A robot made of an arm, a hand and an object tracker, as a policy meets it."""
+"""A robot made of an arm, a hand and an object tracker, with the interface of policies."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from fungrasp.task.setpoints import SetpointGenerator, more_setpoints
 _log = logging.getLogger(__name__)
 
 LEAST_SPEED = 0.02
-"""A robot is not slowed down further, as a share of the plan's speed: a grasp would take half an hour."""
+"""Smallest speed, as a share of the plan's: below, a grasp would take half an hour."""
 
 
 class Robot:
     """Arm, hand and tracker behind the interface of a policy: observations in, actions out.
 
-    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. All calls come from one
-    thread. No setpoint reaches a device past the stop switch and the guard; either stops the robot.
+    Setpoints advance as in simulation (``fungrasp.task.setpoints``), every 20 ms. The stop switch and the
+    safety filter check each setpoint, and either stops the robot. Call all methods from one thread.
     """
 
     def __init__(
@@ -64,19 +64,19 @@ class Robot:
         """
         Args:
             stiffness: identified stiffness of the hand's servos [N m/rad], shape [U]; the model's if None.
-            compensate: whether the hand's own weight is carried.
-            switch: stops the robot; that of the cell's stop file if None.
+            compensate: whether to compensate the weight of the hand's links.
+            switch: stop switch; None: one that watches the cell's stop file.
         """
         self.cell, self.hand, self.clock = cell, hand, clock
         self.arm, self.hand_driver, self.tracker = arm, hand_driver, tracker
         self.compensate = compensate
         self.kinematics = ArmKinematics(cell, hand)
         self.protocol = _protocol(cell.limits)
-        """Limits of the palm's motion, and the numbers of the task."""
+        """Limits of the palm's motion, and parameters of the task."""
         self._servo_limits = np.stack([hand_driver.limits.lower, hand_driver.limits.upper], axis=1)
         self.setpoints = SetpointGenerator(self._servo_limits, 1, self.protocol)
         self.switch = StopSwitch(cell.stop_file) if switch is None else switch
-        """Stops the robot."""
+        """Stop switch."""
         self.guard = SafetyGuard(
             cell,
             {"arm": arm.limits, "hand": hand_driver.limits},
@@ -84,11 +84,11 @@ class Robot:
             self.setpoints.period,
             palm=self.kinematics.palm_pose,
         )
-        """Sees every command before it is sent."""
+        """Safety filter of all commands."""
         self.watch: Callable[[RobotState, RobotCommand], None] = lambda state, command: None
-        """Called after each command that was sent, to record."""
+        """Called after each command that was sent, to record it."""
         self.due: Callable[[float], object] = lambda planned: None
-        """Called when a setpoint's turn has come, with the time at which it should have come."""
+        """Called when a setpoint is due, with its planned time on the robot's clock [s]."""
         self._follower: PalmFollower | None = None
         self._gravity = GravityCompensation(hand)
         servos = np.array([servo.kp for servo in hand.actuators.values()])
@@ -98,16 +98,15 @@ class Robot:
         self._next, self._planned = -np.inf, np.inf
         self._count = self.setpoints.number
         self.leg_speed = 1.0
-        """Share of the cell's limits at which the arm goes from posture to posture."""
+        """Speed of the arm from posture to posture, as a share of the cell's limits."""
         self.lift_time = np.inf
-        """When the lift began, on the plan's clock [s]; infinite before."""
+        """Start of the lift, on the plan's clock [s]; infinite before."""
         self.lift_height = 0.0
-        """How much higher than asked the palm goes once the lift has begun [m]."""
+        """Rise of the palm's goals once the lift has begun [m]."""
 
     def connect(self) -> None:
-        """Connect to all devices. Nothing moves. A hand that may let go though nobody said so is warned of.
-        Raises: RobotError: one of them is not there or not the one configured; the others are closed again.
-        """
+        """Connect to all devices, and warn if the hand may let go on its own. Nothing moves. Raises:
+        RobotError: a device is missing or not the configured one; the others are closed again."""
         if self.hand_driver.lets_go:
             _log.warning("%s lets go of an object %s", self.hand_driver.name, self.hand_driver.lets_go)
         opened: list[JointDriver | PoseSource] = []
@@ -121,13 +120,13 @@ class Robot:
             raise
 
     def take_control(self) -> None:
-        """Make arm and hand ready to follow, before a motion begins: it may take seconds. Raises: RobotError:
-        one of them can't be controlled now."""
+        """Make arm and hand ready to follow, which may take seconds. Raises: RobotError: one of them can't be
+        controlled now."""
         self.arm.take_control()
         self.hand_driver.take_control()
 
     def close(self) -> None:
-        """Stop and end all connections, though one of them fails to. May be called twice."""
+        """Stop and end all connections, even if one of them fails. May be called twice."""
         with ExitStack() as last_first:
             for device in (self.tracker, self.hand_driver, self.arm):
                 last_first.callback(device.close)
@@ -140,36 +139,35 @@ class Robot:
         self.close()
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
-        """End motion: the arm brakes and holds, the hand does as asked. Never raises."""
+        """End motion: the arm brakes and holds, the hand stops as given. Never raises."""
         for device, how in ((self.arm, StopKind.HOLD), (self.hand_driver, kind)):
             try:
                 device.stop(how)
             except Exception:
-                # A driver of others: the other device is stopped all the same, and the hold begins.
+                # Drivers of other packages may raise: stop the other device all the same.
                 _log.exception("%s does not stop", device.name)
 
     def state(self) -> RobotState:
-        """What all devices say now, without waiting."""
+        """Return the latest states of all devices, without waiting."""
         seen = self.tracker.read()
         if seen is not None and seen.status is TrackingStatus.TRACKING:
             self._seen = seen
         return RobotState(self.clock.now(), self.arm.read(), self.hand_driver.read(), self._seen)
 
     def now(self) -> float:
-        """Time of the motion: that of the robot's clock, which stands still while the computer is held up
-        [s]."""
+        """Return the time of the motion [s]: the robot's clock without delays that are not made up for."""
         return self.clock.now() - self._paused
 
     def begin(self, state: RobotState, lift_height: float = 0.0) -> float:
-        """Begin a plan where the robot stands: its clock is zero from now on. lift_height: by how much the
-        palm's goal rises once an action lifts [m]. Returns: time of the motion at which it begins [s]."""
+        """Begin a plan: its clock starts at zero. lift_height: rise of the palm's goals once an action lifts
+        [m]. Returns: start of the plan, time of the motion [s]."""
         self._began = state.time - self._paused
         self.lift_time, self.lift_height = np.inf, lift_height
         return self._began
 
     def place_setpoints(self, arm: np.ndarray, fingers: np.ndarray) -> None:
-        """Setpoints are at rest here, as after a motion of joints. arm: joints of the arm [rad], shape [A];
-        fingers: independent joints of the hand [rad], shape [U]."""
+        """Set the setpoints to a posture at rest, after a motion in joint space. arm: joints of the arm
+        [rad], shape [A]; fingers: independent joints of the hand [rad], shape [U]."""
         if self._follower is None:
             self._follower = PalmFollower(self.kinematics, self.cell.limits.arm_speed)
         self._follower.begin(arm)
@@ -179,56 +177,55 @@ class Robot:
 
     @property
     def palm_follower_joints(self) -> np.ndarray:
-        """Last setpoint of the arm's joints while it follows the palm [rad], shape [A]."""
+        """Last setpoint of the arm's joints for the palm [rad], shape [A]."""
         assert self._follower is not None, "place_setpoints() comes first"
         return self._follower.joints
 
     def slow_down(self, speed: float) -> None:
-        """Carry plans out more slowly from now on, as slowly as the cell's limits ask at least: their time is
-        stretched by adding setpoints between theirs, at the same rate. What watches the devices, their
-        silence and the age of poses, stays on the robot's clock.
+        """Slow plans down from now on, at least as far as the cell's limits require, by more setpoints at the
+        same rate. The silence of devices and the age of poses stay on the robot's clock.
 
         Args:
-            speed: share of the plans' speed, above 0 and at most 1. A control period becomes whole setpoint
-                periods, so that it is as fast as that or a little slower.
+            speed: share of the plans' speed, ``LEAST_SPEED`` to 1. It may become a little smaller, as a
+                control period is rounded up to whole setpoint periods.
 
         Raises:
-            FungraspError: another speed.
+            FungraspError: the speed is out of range.
         """
         if not LEAST_SPEED <= speed <= 1.0:
             raise FungraspError(f"the speed is a share of the plan's, {LEAST_SPEED:g} to 1, not {speed:g}")
         allowed = plan_speed(self.cell.limits)
         self.leg_speed = min(1.0, speed / allowed)
-        # What is stretched is the plan's own motion.
+        # Setpoints have the speed of the plan, and are stretched afterwards.
         self.protocol = _protocol(MotionLimits())
         self.setpoints = SetpointGenerator(self._servo_limits, 1, self.protocol)
         self._count = int(np.ceil(self.setpoints.number / min(speed, allowed) - 1e-9))
 
     @property
     def speed(self) -> float:
-        """Time of the plan in a time of the robot's clock, 1 unless it is slowed down."""
+        """Speed of the plan's clock relative to the robot's clock, 1 unless it is slowed down."""
         return self.setpoints.number / self._count
 
     @property
     def control_period(self) -> float:
-        """Between two actions, on the robot's clock [s]."""
+        """Time between two actions, on the robot's clock [s]."""
         return self._count * self.setpoints.period
 
     def plan_time(self, time: float) -> float:
-        """Time since the plan began, on the plan's clock [s]. time: of the robot's clock [s]."""
+        """Return the time since the plan began, on the plan's clock [s]. time: on the robot's clock [s]."""
         return (time - self._paused - self._began) * self.speed
 
     def stand_still(self, seconds: float) -> None:
-        """Take a time in which the robot stood still out of the plan's clock. seconds: [s]."""
+        """Stop the plan's clock for a time in which the robot stood still [s]."""
         self._began += seconds
 
     def get_observation(self) -> Observation:
-        """What the robot's sensors say now, as a policy sees it: one row. Raises: RobotError: the tracker has
-        not seen the object yet."""
+        """Read the sensors and return the observation for a policy, one row. Raises: RobotError: the tracker
+        has not seen the object yet."""
         return self.observation(self.state())
 
     def observation(self, state: RobotState) -> Observation:
-        """What a policy sees of a state: one row."""
+        """Return the observation of a state. See ``get_observation``."""
         if state.tracked is None:
             raise RobotError(f"{self.tracker.name} has not seen the object yet: look where the camera points")
         time = self.plan_time(state.time)
@@ -244,20 +241,19 @@ class Robot:
         )
 
     def send_action(self, action: Action, start: float | None = None) -> Action:
-        """Do what a policy asks: five setpoints, 20 ms apart, or more of them if the robot is slowed down.
-        Returns when the last one is sent, 80 ms after the first at full speed.
+        """Carry out an action: five setpoints, 20 ms apart, or more if the robot is slowed down. Returns
+        after the last one, 80 ms after the first at full speed.
 
         Args:
-            start: time of the motion at which the control period begins [s]; if None now, or a setpoint's
-                period after the last one.
+            start: start of the control period, time of the motion [s]; if None, now or a setpoint period
+                after the last setpoint.
 
         Returns:
-            what was really sent: the palm's last setpoint, the fingers' last setpoint, and whether the lift
-            has begun.
+            action as sent: last setpoints of palm and fingers, and whether the lift has begun.
 
         Raises:
-            SafetyStop: the guard stopped the robot.
-            RobotError: a device follows no more, or a value is not finite.
+            SafetyStop: the safety filter or the switch stopped the robot.
+            RobotError: a device no longer follows, or a value is not finite.
         """
         if not all(np.isfinite(v).all() for v in (action.palm_goal_world, action.finger_targets)):
             raise RobotError("the policy's action is not finite: its file may be damaged")
@@ -289,12 +285,12 @@ class Robot:
         )
 
     def sleep_until(self, when: float) -> None:
-        """Return at a time of the motion [s], at once if it has passed."""
+        """Wait until a time of the motion [s]; return at once if it has passed."""
         self.clock.sleep_until(when + self._paused)
 
     def wait(self, when: float) -> None:
-        """Wait for a setpoint's turn. One that is sent later than ``watchdog.late_tick`` is not caught up:
-        all that follows is as much later. when: time of the motion [s]. Raises: SafetyStop: it is later than
+        """Wait until a setpoint is due. A delay beyond ``watchdog.late_tick`` is not made up for: later
+        setpoints shift by it. when: time of the motion [s]. Raises: SafetyStop: the delay is beyond
         ``watchdog.overrun``; the robot was stopped."""
         dog = self.cell.watchdog
         self.sleep_until(when)
@@ -313,11 +309,11 @@ class Robot:
             fingers: independent joints of the hand [rad], shape [U].
 
         Returns:
-            what was really sent.
+            the command as sent.
 
         Raises:
-            SafetyStop: the guard or the switch stopped the robot.
-            RobotError: a device follows no more; the other one was stopped.
+            SafetyStop: the safety filter or the switch stopped the robot.
+            RobotError: a device no longer follows; the robot was stopped.
         """
         try:
             return self._send(arm, fingers)

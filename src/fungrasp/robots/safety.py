@@ -1,11 +1,10 @@
-"""The safety filter, which sees every setpoint before it is sent.
+"""The safety filter, which checks every setpoint before it is sent.
 
-It protects against mistakes of software. It is no safety function in the sense of a standard: that is the
-robot's own controller, with its limits set, and an emergency stop within reach.
+It protects against software errors. It is not a safety function as defined by standards: that is the robot's
+own controller, with its limits set, and an emergency stop within reach.
 
-What is checked, and how the robot reacts, is the table under "Safety filter" of docs/deploy.md.
-"Hold": the arm brakes and keeps its position, the hand keeps its targets. "Open": the arm holds and the hand
-opens. After either the robot is in the state of fault until a person starts anew.
+docs/deploy.md, "Safety filter", lists the checks and reactions. "Hold": the arm brakes and keeps its
+position, the hand keeps its targets. "Open": the arm holds and the hand opens.
 """
 
 from __future__ import annotations
@@ -32,33 +31,30 @@ from fungrasp.task import Action
 from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 TOLERANCE = 1.02
-"""Commanded speeds may exceed their limits by this factor, for rounding."""
+"""Factor by which commanded speeds may exceed their limits, for rounding."""
 
 UNPUNCTUAL = 0.005
-"""A setpoint may come so much too early, for what clocks and waiting are worth [s]."""
+"""Time by which a setpoint may come too early, for errors of clocks and waiting [s]."""
 
 AHEAD = 0.02
-"""A pose that was captured so far in the future [s] has a time stamp of another clock."""
+"""Time in the future beyond which a tracked pose was stamped by another clock [s]."""
 
 LONGEST_STEP = 0.1
-"""A goal of a device alone is as far from the one before as the joints get within this time, however long ago
-that was [s]."""
+"""Longest time between two goals of a single device that counts for its speed limit [s]."""
 
 
 def check_posture(palm: np.ndarray, clearance: Clearance, box: Workspace) -> str:
-    """What is wrong with where a robot would be, as a phrase; "" for nothing. palm: world frame, shape
-    [7]."""
+    """Return what is wrong with a posture, as a phrase; "" if nothing. palm: world frame, shape [7]."""
     return outside(palm, box) or clearance.fault(box)
 
 
 def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, cell: RobotCell) -> str:
-    """What is wrong with a tracked pose, from before planning until the fingers close, as a phrase; "" for
-    nothing.
+    """Return what is wrong with a tracked pose before the fingers close, as a phrase; "" if nothing.
 
     Args:
-        tracked: the last pose; None where there was none.
-        reference: where the object is taken to be, world frame, shape [7].
-        time: of the robot's clock [s].
+        tracked: the latest pose; None if there is none.
+        reference: expected pose of the object, world frame, shape [7].
+        time: time on the robot's clock [s].
     """
     if tracked is None:
         return "the tracker has not seen the object"
@@ -81,8 +77,8 @@ def check_pose(tracked: TrackedPose | None, reference: np.ndarray, time: float, 
 
 
 def action_problem(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
-    """What is wrong with what a policy wants, as a phrase; "" if nothing is. What is not finite is found by
-    the guard. palm: where it is measured, world frame, shape [7]."""
+    """Return what is wrong with an action of a policy, as a phrase; "" if nothing. ``Robot.send_action``
+    refuses values that are not finite. palm: measured palm pose, world frame, shape [7]."""
     far = float(np.linalg.norm(action.palm_goal_world[0, :3] - palm[:3]))
     if far > cell.limits.goal_distance:
         return f"the palm would move by {far:.2f} m at once"
@@ -90,8 +86,7 @@ def action_problem(action: Action, palm: np.ndarray, cell: RobotCell) -> str:
 
 
 class SafetyGuard:
-    """Sees every command before it is sent, and remembers what it needs to know of those before. One device
-    alone, as one that is tried before anything is grasped, is checked by ``joints``."""
+    """Checks every command of a robot before it is sent, or with ``joints`` those of a single device."""
 
     def __init__(
         self,
@@ -103,31 +98,30 @@ class SafetyGuard:
     ):
         """
         Args:
-            limits: what the drivers of "arm" and "hand" accept, or that of one alone.
-            clearance: of a posture: joints of the arm [A] and of the hand [U].
+            limits: limits of the drivers of "arm" and "hand", or of a single one.
+            clearance: returns the clearance at joints of arm and hand [rad], shapes [A] and [U].
             period: time between setpoints [s].
-            palm: where it is with joints of the arm [A], world frame, shape [7]; if None, where commands say.
+            palm: returns the palm pose at joints of the arm; if None, the pose in the command is used.
         """
         self._cell, self._limits, self._clearance, self._palm = cell, limits, clearance, palm
         self._period = period
         self.longest_silence = dict.fromkeys(limits, 0.0)
-        """Longest time that a device's time stamp has stood still between setpoints [s]."""
+        """Longest time between setpoints without a new time stamp of the device, by device [s]."""
         self.reset()
 
     def reset(self) -> None:
-        """Forget the setpoints before: the robot stands still."""
+        """Forget the previous setpoints, as the robot stands still."""
         self._previous: RobotCommand | None = None
         self._before: RobotCommand | None = None
         self._stamps: dict[str, tuple[float, float]] = {}
         self._last: tuple[np.ndarray, float] | None = None
         self._when, self._saved = -np.inf, 0.0
         self.lost = 0.0
-        """Time that has passed before the last setpoint and may not be made up for [s]: what follows has to
-        be as much later."""
+        """Delay of the last setpoint that is not made up for [s]: later setpoints shift by it."""
 
     def __call__(self, state: RobotState, command: RobotCommand) -> RobotCommand:
-        """What may be sent of a command: within the limits of position and speed. Raises: SafetyStop: nothing
-        may be sent."""
+        """Return the command, clipped to the limits of position and speed. Raises: SafetyStop: it must not be
+        sent."""
         for values in (command.arm, command.hand, command.feedforward, command.palm):
             if not np.isfinite(values).all():
                 raise SafetyStop("a setpoint is not finite")
@@ -142,7 +136,7 @@ class SafetyGuard:
         lead = max(float(np.abs(q - state.arm.positions).max()) for q in (command.arm, allowed.arm))
         if lead > self._cell.limits.setpoint_lead:
             raise SafetyStop("the arm's setpoint is far from where the arm is")
-        # Targets of squeezing fingers lie inside what they touch: where the fingers are is what counts.
+        # Targets of squeezing fingers lie inside the object, so the measured fingers are checked.
         gap = self._clearance(allowed.arm, state.hand.positions)
         problem = check_posture(allowed.palm, gap, self._cell.workspace) or self._too_fast(allowed)
         if problem:
@@ -151,9 +145,9 @@ class SafetyGuard:
         return allowed
 
     def _check_reading(self, part: str, state: JointState, silence: float) -> None:
-        """Refuse what a device says of itself. silence: for how long its time stamp has stood still [s].
-        Raises: SafetyStop: a value is not finite or beyond its limit, or the device is silent."""
-        # Comparisons with limits don't notice what is not finite.
+        """Check the readings of a device. silence: time since its last new time stamp [s]. Raises:
+        SafetyStop: a value is not finite or beyond its limit, or the device is silent."""
+        # Comparisons with limits do not notice NaN.
         values = state.positions, state.velocities, state.device_time, state.torques
         if not all(np.isfinite(v).all() for v in values if v is not None):
             raise SafetyStop(f"what the {part} says is not finite")
@@ -165,14 +159,14 @@ class SafetyGuard:
             raise SafetyStop("the torque of a hand joint is beyond its limit", StopKind.OPEN)
 
     def _within_speed(self, part: str, goal: np.ndarray, last: np.ndarray, elapsed: float) -> np.ndarray:
-        """A goal that is no farther from the last one than the joints get meanwhile [rad], shape [U].
-        elapsed: since the last one [s]."""
+        """Return the goal, clipped to what the joints can reach from the last one [rad], shape [U]. elapsed:
+        time since the last one [s]."""
         own = self._cell.limits.arm_speed if part == "arm" else self._cell.limits.hand_speed
         reach = TOLERANCE * np.minimum(self._limits[part].velocity, own) * elapsed
         return np.clip(goal, last - reach, last + reach)
 
     def _within_limits(self, command: RobotCommand) -> RobotCommand:
-        """A setpoint within the limits of joint positions and speeds, the palm where it is then."""
+        """Return the setpoint within the limits of joint positions and speeds, with its palm pose."""
         parts = {}
         for part, limits in self._limits.items():
             given = getattr(command, part)
@@ -183,12 +177,12 @@ class SafetyGuard:
             if np.abs(allowed - given).max(initial=0.0) > 1e-9:
                 parts[part] = allowed
         if "arm" in parts and self._palm is not None:
-            # What is checked is what will be sent.
+            # Check the pose that will be sent.
             parts["palm"] = self._palm(parts["arm"])
         return replace(command, **parts)
 
     def _too_fast(self, command: RobotCommand) -> str:
-        """What of a setpoint is too fast to be clipped, as a phrase."""
+        """Return which part of a setpoint is too fast, as a phrase; these parts are not clipped."""
         limits, period = self._cell.limits, self._period
         if self._previous is None:
             return ""
@@ -202,31 +196,32 @@ class SafetyGuard:
         return ""
 
     def _keep_time(self, now: float) -> None:
-        """Limits of speed are those of a step only where steps are not made up for in a burst. now: time of
-        the robot's clock [s]. Raises: SafetyStop: setpoints come too fast."""
+        """Refuse bursts of setpoints, in which limits per step would not limit the speed. now: time on the
+        robot's clock [s]. Raises: SafetyStop: setpoints come too fast."""
         saved = self._saved + now - self._when - self._period
         self._when = now
-        # What is so late that it may not be made up for begins anew.
+        # A delay beyond ``late_tick`` is not made up for.
         self.lost = saved if saved > self._cell.watchdog.late_tick else 0.0
         self._saved = 0.0 if self.lost else saved
         if self._saved < -UNPUNCTUAL:
             raise SafetyStop(f"setpoints come in less than {1e3 * self._period:.0f} ms")
 
     def joints(self, part: str, state: JointState, goal: np.ndarray, now: float) -> np.ndarray:
-        """What may be sent of the goal of one device alone, whenever it comes [rad], shape [U].
+        """Return the goal of a single device, clipped to the limits [rad], shape [U]. Goals may come at any
+        time.
 
         Args:
             part: "arm" or "hand".
-            goal: finite [rad], shape [U].
-            now: time of the robot's clock [s].
+            goal: finite values [rad], shape [U].
+            now: time on the robot's clock [s].
 
         Raises:
-            SafetyStop: nothing may.
+            SafetyStop: the goal must not be sent.
         """
         silence = self._silence(part, state, now)
         last, when = self._last or (state.positions, -np.inf)
         dog = self._cell.watchdog
-        # Between goals nothing is read, so that an old stamp says nothing.
+        # Between goals nothing is read, so an old time stamp does not mean silence.
         recent = now - when < (dog.arm_silence if part == "arm" else dog.hand_silence)
         self._check_reading(part, state, silence if recent else 0.0)
         limits, elapsed = self._limits[part], min(now - when, LONGEST_STEP)
@@ -236,7 +231,7 @@ class SafetyGuard:
         return allowed
 
     def _silence(self, part: str, state: JointState, now: float) -> float:
-        """How long a device's time stamp has stood still [s]. now: time of the robot's clock [s]."""
+        """Return the time since a device's last new time stamp [s]. now: time on the robot's clock [s]."""
         stamp, since = self._stamps.get(part, (np.nan, now))
         if stamp != state.device_time:
             stamp, since = self._stamps[part] = state.device_time, now

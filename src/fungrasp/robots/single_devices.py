@@ -1,5 +1,4 @@
-"""Devices of a cell one by one, before anything is grasped: whether each answers, what it measures, whether
-it holds where it is, whether a joint moves as asked; an excitation of a hand for identification."""
+"""Tests of single devices: connect, read, hold, move a joint, and record the excitation of a hand."""
 
 from __future__ import annotations
 
@@ -35,45 +34,45 @@ PARTS = ("arm", "hand")
 """Devices of a cell that move."""
 
 READ_PERIOD = 0.5
-"""Between two states that are shown [s]."""
+"""Time between two readings [s]."""
 
 AT_REST = 0.002
-"""An arm whose joints move by less within a second stands still [rad]: 2 mm at its full reach."""
+"""Largest motion of a resting arm's joints within a second [rad]: 2 mm at full reach."""
 
 SLOW, LONGEST_REST = 0.02, 1.0
-"""After a stop a joint slower than this is at rest [rad/s]; a device is within this time [s]."""
+"""Largest speed of a joint at rest [rad/s], and longest time to come to rest after a stop [s]."""
 
 STAYS = "it stays stopped"
-"""Said of a device that takes no command after a stop."""
+"""Phrase for a device that takes no command after a stop."""
 
 GOAL_PERIOD = 0.02
-"""Between goals [s]."""
+"""Time between two goals [s]."""
 
 JOG_SPEED = 0.1
-"""Of a joint that is jogged [rad/s]."""
+"""Speed of a jogged joint [rad/s]."""
 
 LARGEST_JOG = 0.2
-"""It moves no farther at once [rad]."""
+"""Largest motion of a jogged joint [rad]."""
 
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """What a device says when it is connected to."""
+    """State of a device after connecting."""
 
     words: str
-    """In a line, its part first."""
+    """Description in one line, beginning with the part."""
     well: bool
-    """Whether it can be used."""
+    """Whether the device can be used."""
 
 
 def bare_driver(part: str, cell: RobotCell, hand: Hand) -> JointDriver:
-    """The driver of an arm or a hand without a guard, to look at. part: one of ``PARTS``."""
+    """Make the driver of an arm or a hand without safety filter, for reading. part: one of ``PARTS``."""
     return arm_driver(cell) if part == "arm" else hand_driver(cell, hand)
 
 
 class GuardedDriver(JointDriver):
-    """Around the driver of an arm or a hand, to move it alone: what it is told passes the stop
-    switch and the guard. Whatever is wrong stops the device."""
+    """Driver of an arm or a hand that moves alone, with stop switch and safety filter. Any error stops the
+    device."""
 
     def __init__(
         self,
@@ -88,14 +87,14 @@ class GuardedDriver(JointDriver):
         """
         Args:
             part: one of ``PARTS``.
-            clearance: what is wrong with a posture [rad], shape [U], as a phrase; "" for nothing.
-            clock: of the device; that of the wall if None.
-            switch: stops the device; that of the cell's stop file if None.
+            clearance: returns what is wrong with a posture [rad], shape [U], as a phrase; "" if nothing.
+            clock: clock of the device; ``WallClock`` if None.
+            switch: stop switch; None: one that watches the cell's stop file.
         """
         self.name, self.limits, self.takes_feedforward = driver.name, driver.limits, driver.takes_feedforward
         self.lets_go = driver.lets_go
         self.switch = StopSwitch(cell.stop_file) if switch is None else switch
-        """Stops the device."""
+        """Stop switch."""
         self._driver, self._part, self._clear = driver, part, clearance
         self._clock = clock or WallClock()
         self._guard = SafetyGuard(cell, {part: driver.limits})
@@ -114,8 +113,8 @@ class GuardedDriver(JointDriver):
         """See ``JointDriver.command``.
 
         Raises:
-            SafetyStop: the guard or the switch stopped the device.
-            RobotError: the device follows no more, or a value is not finite.
+            SafetyStop: the safety filter or the switch stopped the device.
+            RobotError: the device no longer follows, or a value is not finite.
         """
         goal = np.asarray(positions, dtype=float)
         try:
@@ -146,15 +145,14 @@ def guarded_driver(
     torque_limit: float = 1.0,
     clock: Clock | None = None,
 ) -> GuardedDriver:
-    """The driver of an arm or a hand of a cell behind guard and switch, not connected; the other one may be
-    off, and the hand on an arm counts as open.
+    """Make a guarded driver, not connected. The other device may be off; the arm takes the hand to be open.
 
     Args:
         part: one of ``PARTS``.
         cell: the robot; no twin.
-        switch: stops the device; that of the cell's stop file if None.
-        torque_limit: a hand is told to make no more than this share of the torque that the cell says.
-        clock: of the device; that of the wall if None.
+        switch: stop switch; None: one that watches the cell's stop file.
+        torque_limit: largest torque of a hand, as a share of its torque in the cell.
+        clock: clock of the device; ``WallClock`` if None.
 
     Raises:
         FungraspError: an unknown driver, bad options, or another hand.
@@ -174,7 +172,7 @@ def guarded_driver(
 
 
 def joint_names(part: str, cell: RobotCell, hand: Hand) -> list[str]:
-    """Joints of an arm or a hand in the order of its driver. part: one of ``PARTS``."""
+    """Return the joints of an arm or a hand in the order of its driver. part: one of ``PARTS``."""
     if part == "hand":
         return list(hand.actuators)
     return [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
@@ -202,7 +200,7 @@ def examine_devices(cell: RobotCell, hand: Hand) -> Iterator[DeviceReport]:
 
 
 def read_joints(driver: JointDriver, seconds: float) -> Iterator[JointState]:
-    """States of a connected device, twice a second. seconds: for so long; one state at least [s]."""
+    """Yield states of a connected device twice a second for a time [s], at least one state."""
     end = time.monotonic() + seconds
     while True:
         yield driver.read()
@@ -212,8 +210,8 @@ def read_joints(driver: JointDriver, seconds: float) -> Iterator[JointState]:
 
 
 def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
-    """Joints of a cell's arm, which is looked at until it is known to stand still [rad], shape [A]. cell: the
-    robot; no twin. Raises: FungraspError: no arm answers, or it moves."""
+    """Read the joints of a cell's arm for a second, and return their mean [rad], shape [A]. cell: the robot;
+    no twin. Raises: FungraspError: no arm answers, or it moves."""
     with arm_driver(cell) as driver:
         rows = np.array([state.positions for state in read_joints(driver, 2 * READ_PERIOD)])
     if np.ptp(rows, axis=0).max() > AT_REST:
@@ -222,8 +220,8 @@ def arm_at_rest(cell: RobotCell, hand: Hand) -> np.ndarray:
 
 
 def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
-    """Hold a connected device where it is for some time [s]; by how much a joint has moved at the end, the
-    largest [rad]. Raises what ``follow`` raises."""
+    """Hold a connected device for a time [s], and return the largest displacement of a joint at the end
+    [rad]. Raises what ``follow`` raises."""
     rest = driver.read().positions
     state = follow(driver, np.tile(rest, (max(1, int(seconds / GOAL_PERIOD)), 1)))
     return float(np.abs(state.positions - rest).max())
@@ -232,9 +230,9 @@ def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
 def jog(
     driver: GuardedDriver, joint: int, by: float, clock: Clock | None = None
 ) -> tuple[JointState, JointState]:
-    """Move one joint of a connected device slowly by an angle [rad], then back; the others hold where they
-    are. clock: of the device; that of the wall if None. Returns: the state at the far end, and at the end.
-    Raises: RobotError: the angle is too large or beyond the joint's limits, and what ``follow`` raises."""
+    """Move one joint of a connected device slowly by an angle [rad] and back, while the others hold. clock:
+    clock of the device; ``WallClock`` if None. Returns: states at the far end and at the end. Raises:
+    RobotError: the angle is zero, too large or beyond the joint's limits, and what ``follow`` raises."""
     if not 0 < abs(by) <= LARGEST_JOG:
         raise RobotError(f"a joint is moved by {LARGEST_JOG:g} rad at most, and not by nothing: {by:g}")
     rest = driver.read().positions
@@ -244,14 +242,14 @@ def jog(
         raise RobotError(f"{far[joint]:.2f} rad are beyond the limits of the joint")
     count = int(np.ceil(abs(by) / (JOG_SPEED * GOAL_PERIOD)))
     share = np.linspace(0.0, 1.0, count + 1)[1:, None]
-    # A fifth more, to arrive.
+    # A fifth more time, to arrive.
     there = np.concatenate([rest + share * (far - rest), np.tile(far, (count // 5 + 10, 1))])
     middle = follow(driver, there, clock)
     return middle, follow(driver, rest + far - there, clock)
 
 
 def after_stop(driver: GuardedDriver) -> str:
-    """Whether a device that was stopped comes to rest and stays so, in words."""
+    """Return in words whether a stopped device comes to rest and refuses commands."""
     begun, place = time.monotonic(), driver.read().positions.copy()
     while np.abs((state := driver.read()).velocities).max() > SLOW:
         if time.monotonic() > begun + LONGEST_REST:
@@ -266,8 +264,8 @@ def after_stop(driver: GuardedDriver) -> str:
 
 
 def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None) -> JointState:
-    """Command goals [rad], shape [T, U], ``GOAL_PERIOD`` apart; the state after the last. Raises: RobotError:
-    the device follows no more, or its guard or its switch stopped it (``SafetyStop``)."""
+    """Command goals [rad], shape [T, U], ``GOAL_PERIOD`` apart, and return the last state. Raises:
+    RobotError: the device no longer follows, or the safety filter or the switch stopped it."""
     *_, (_, _, state) = _commanded(driver, goals, GOAL_PERIOD, clock or WallClock())
     return state
 
@@ -275,8 +273,8 @@ def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None)
 def _commanded(
     driver: JointDriver, goals: np.ndarray, period: float, clock: Clock
 ) -> Iterator[tuple[float, np.ndarray, JointState]]:
-    """Command goals [rad], shape [T, U], a period [s] apart: when since the first [s], what was
-    sent, and the state then. Raises: RobotError: the device, its guard or its switch stopped it."""
+    """Command goals [rad], shape [T, U], a period [s] apart. Yield the time since the first [s], the goal as
+    sent, and the state. Raises what ``follow`` raises."""
     began = clock.now()
     for row, goal in enumerate(goals):
         clock.sleep_until(began + row * period)
@@ -298,17 +296,17 @@ def record_motion(
     weight: float = 0.0,
     keep: Callable[[MotionHeader, MotionSample], None] = lambda header, sample: None,
 ) -> MotionLog:
-    """Command goals at a rate and record what was sent and measured at each; stop when anything is wrong. In
-    the end, however it comes, the device is told to hold.
+    """Command goals at a rate, and record goals as sent and measurements. At the end and after errors, the
+    device holds.
 
     Args:
         driver: connected.
         joints: names of its joints, length U.
-        rate: [Hz].
-        gravity: in the palm's frame [m/s^2], shape [3].
-        clock: of the device; that of the wall if None.
-        weight: mass that is fixed to each fingertip [kg].
-        keep: called with each row at once.
+        rate: goals per second [Hz].
+        gravity: gravity in the palm frame [m/s^2], shape [3].
+        clock: clock of the device; ``WallClock`` if None.
+        weight: mass fixed to each fingertip [kg].
+        keep: called with each sample at once.
 
     Raises:
         RobotError: the device stopped.
@@ -316,7 +314,7 @@ def record_motion(
     clock = clock or WallClock()
     header, samples = MotionHeader(joints, gravity, weight, driver.limits.velocity), []
     try:
-        # A device that must be made ready first is not waited for while it moves.
+        # Taking control may take seconds, which must not delay the first goals.
         driver.take_control()
         origin = clock.now()
         rows = _commanded(driver, motion.commands, 1.0 / rate, clock)

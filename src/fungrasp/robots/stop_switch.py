@@ -1,4 +1,4 @@
-"""The stop switch of software: a key, a file, or a call. It does not replace the robot's emergency stop."""
+"""A stop switch in software: a key, a file, or a call. It does not replace the robot's emergency stop."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from typing import Self
 
 
 class StopSwitch:
-    """Once pressed it stays pressed. A context manager, which listens to the keyboard meanwhile."""
+    """Stays pressed once it is pressed. As a context manager, it listens to the keyboard."""
 
     def __init__(self, file: str | Path = "", keyboard: bool = False):
         """
         Args:
-            file: pressed as soon as it exists; "" for none.
-            keyboard: whether Enter presses it, where there is a terminal.
+            file: file that presses it as soon as it exists; "" for none.
+            keyboard: whether Enter in a terminal presses it.
         """
         self._file = Path(file) if file else None
         self.keyboard = keyboard and sys.stdin is not None and sys.stdin.isatty()
-        """Whether there is a keyboard to listen to."""
+        """Whether it listens to a keyboard."""
         self._reason, self._asking = "", False
         self._answers: queue.Queue[str] = queue.Queue()
 
     def press(self, reason: str) -> None:
-        """Press it. reason: a phrase."""
+        """Press the switch. reason: a phrase."""
         self._reason = self._reason or reason
 
     @property
     def reason(self) -> str:
-        """Why it is pressed, as a phrase; "" while it is not."""
+        """Reason for which it was pressed, as a phrase; "" while it is not pressed."""
         if not self._reason and self._file is not None and self._file.exists():
             self._reason = f"the stop file {self._file} exists"
         return self._reason
 
     @property
     def ways(self) -> str:
-        """How a person presses it, as a phrase; "" if there is no way."""
+        """Ways to press it, as a phrase; "" if there are none."""
         ways = ["press Enter"] * self.keyboard
         if self._file is not None:
             ways.append(f"make the file {self._file}")
         return " or ".join(ways)
 
     def ask(self, question: str, meanwhile: Callable[[], None] | None = None) -> str:
-        """Ask the person at the keyboard; the next line is the answer, and stops nothing. meanwhile: called
-        again and again until there is an answer; what it raises ends the question. Raises: EOFError: there is
-        no keyboard."""
+        """Ask a question at the keyboard and return the next line, which does not press the switch.
+        meanwhile: called repeatedly while waiting; its exceptions end the question. Raises: EOFError: there
+        is no keyboard."""
         if not self.keyboard:
             raise EOFError("no terminal")
         self._asking = True
@@ -77,7 +77,7 @@ class StopSwitch:
             try:
                 line = readline()
             except OSError:
-                # Of a terminal that was hung up.
+                # The terminal has closed.
                 line = ""
             if self._asking or not line:
                 self._answers.put(line)

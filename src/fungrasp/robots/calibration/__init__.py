@@ -1,2 +1,1 @@
-"""Where a fixed camera stands in the world of the cell: from a board on the hand; and whether
-base and mount are as the cell says, from touched points."""
+"""Calibration of a fixed camera from a board on the hand; check of base and mount by touched points."""

@@ -1,10 +1,9 @@
-"""Where a fixed camera stands in the world of a cell: from a flat board that the hand holds in front of it in
-several poses of the arm.
+"""Calibration of a fixed camera, from a flat board that the hand holds in front of it in several poses.
 
-With P_i the pose of the palm in the world by forward kinematics, B that of the board on the palm, X that of
-the camera in the world, and C_i that of the board in the camera, P_i B = X C_i. Between two views palm and
-board turn by the same angle, about axes that B leads into each other (Park and Martin, 1994): a start. Then X
-and B minimize the distances of all corners in the images,
+Let P_i be the palm poses in the world, by forward kinematics, B the board pose on the palm, X the camera
+pose in the world, and C_i the board poses in the camera: P_i B = X C_i. Between two views, palm and board
+turn by the same angle about axes that B maps onto each other (Park and Martin, 1994), which gives initial
+values. Then X and B minimize the distances of all corners in the images,
 
     sum_ik rho(| project(X^-1 P_i B b_k) - u_ik |^2).
 """
@@ -33,16 +32,16 @@ from fungrasp.perception import Intrinsics
 from fungrasp.robots.device import import_client
 
 LEAST_VIEWS = 5
-"""Three would determine the answer; with fewer than five nothing would tell a bad one."""
+"""Smallest number of views: three determine the camera, but fewer than five do not reveal bad results."""
 
 LEAST_CORNERS = 6
-"""An image with fewer corners is left out: its board pose is hardly determined."""
+"""Smallest number of corners in a view; fewer hardly determine the board pose."""
 
 OUTLIER = 1.0
-"""Distance in the image from which a corner counts less [pixels]: found corners are a tenth of that off."""
+"""Distance in the image beyond which a corner has less weight [pixels]: detections are off by 0.1 pixels."""
 
 LARGEST_UNCERTAINTY = 0.01
-"""A calibration whose camera position is less certain says nothing of use [m]."""
+"""Standard deviation of the camera position beyond which a calibration is refused [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Board:
     marker: float = 0.022
     """Side of a marker, measured on the print [m]."""
     dictionary: str = "DICT_4X4_50"
-    """Of the markers (OpenCV's name)."""
+    """Dictionary of the markers (OpenCV's name)."""
 
     def __post_init__(self) -> None:
         if min(self.columns, self.rows) < 3 or not 0 < self.marker < self.square:
@@ -69,39 +68,38 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """The board in one image."""
+    """The board in one image, with K detected corners."""
 
     palm: np.ndarray
-    """Pose of the palm as the image was taken, world frame, shape [7]."""
+    """Palm pose at the time of the image, world frame, shape [7]."""
     points: np.ndarray
-    """Corners that were found, board frame, z = 0 [m], shape [K, 3]."""
+    """Corners, board frame, z = 0 [m], shape [K, 3]."""
     pixels: np.ndarray
-    """Where they are in the image [pixels], shape [K, 2]."""
+    """Corners in the image [pixels], shape [K, 2]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """Where a camera is."""
+    """Estimated pose of a camera."""
 
     pose_world_camera: np.ndarray
-    """Camera (OpenCV: x right, y down, z forward) in the world, shape [7]."""
+    """Pose of the camera (OpenCV: x right, y down, z forward), world frame, shape [7]."""
     residual: float
-    """RMS distance of the corners that were seen from where the answer has them [m]."""
+    """RMS distance between detected and predicted corners [m]."""
     position_deviation: float
-    """Standard deviation of the camera's position, as far as the data tell [m]."""
+    """Standard deviation of the camera's position, estimated from the data [m]."""
     rotation_deviation: float
-    """Standard deviation of its rotation, likewise [rad]."""
+    """Standard deviation of the camera's rotation, estimated from the data [rad]."""
 
 
 def find_corners(color: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarray]:
-    """Inner corners of the board in an image, with OpenCV (extra ``calibration``).
+    """Detect the inner corners of the board in an image, with OpenCV (extra ``calibration``).
 
     Args:
         color: RGB, uint8, shape [H, W, 3].
 
     Returns:
-        corners, board frame [m], shape [K, 3], and where they are [pixels], shape [K, 2]; K = 0 where the
-        board was not found.
+        corners, board frame [m], shape [K, 3], and image [pixels], shape [K, 2]; K = 0 without a board.
 
     Raises:
         RobotError: OpenCV is not installed.
@@ -122,11 +120,11 @@ def find_corners(color: np.ndarray, board: Board) -> tuple[np.ndarray, np.ndarra
 
 
 def calibrate_from_board(views: Sequence[BoardView], intrinsics: Intrinsics) -> CameraCalibration:
-    """Find the camera.
+    """Estimate the pose of the camera.
 
     Args:
-        views: five or more, the palm turned about different axes.
-        intrinsics: of the camera; its images without distortion.
+        views: five or more, with the palm turned about different axes.
+        intrinsics: of the camera, for images without distortion.
 
     Raises:
         FungraspError: too few views, or views that do not determine the camera.
@@ -140,7 +138,7 @@ def calibrate_from_board(views: Sequence[BoardView], intrinsics: Intrinsics) -> 
     boards = np.stack([board_pose(view, intrinsics) for view in views])
     start = _start(np.stack([view.palm for view in views]), boards)
     best, missed = _refined(start, views, intrinsics)
-    # Jackknife. What the arm's errors do to an image is common to its corners: whole views are left out.
+    # Jackknife over whole views, as an error of the arm shifts all corners of an image together.
     few = np.stack(
         [_refined(start, [*views[:i], *views[i + 1 :]], intrinsics, best)[0] for i in range(len(views))]
     )
@@ -157,7 +155,7 @@ def calibrate_from_board(views: Sequence[BoardView], intrinsics: Intrinsics) -> 
 
 
 def board_pose(view: BoardView, intrinsics: Intrinsics) -> np.ndarray:
-    """Pose of the board in the camera by the homography of its plane, shape [7]. Exact without noise."""
+    """Return the board pose in the camera by the homography of its plane, shape [7]; exact without noise."""
     rays = intrinsics.deproject(view.pixels, np.ones(len(view.pixels)))[:, :2]
     scale = np.abs(view.points[:, :2]).max()
     rows = []
@@ -165,14 +163,13 @@ def board_pose(view: BoardView, intrinsics: Intrinsics) -> np.ndarray:
         rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y, -u], [0, 0, 0, x, y, 1, -v * x, -v * y, -v]]
     h = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3) / [scale, scale, 1.0]
     h *= np.copysign(1.0, h[2, 2]) / np.sqrt(np.linalg.norm(h[:, 0]) * np.linalg.norm(h[:, 1]))
-    # Of a matrix that is no rotation the nearest one is taken.
+    # SciPy takes the rotation nearest to a matrix.
     turn = Rotation.from_matrix(np.stack([h[:, 0], h[:, 1], np.cross(h[:, 0], h[:, 1])], axis=1))
     return np.concatenate([h[:, 2], turn.as_quat(scalar_first=True)])
 
 
 def save_calibration(path: str | Path, found: CameraCalibration, source: str) -> None:
-    """Write a calibration as TOML, which a cell names as ``tracker.calibration``. source: how it was found,
-    for people."""
+    """Write a calibration as TOML, for ``tracker.calibration`` of a cell. source: origin, for people."""
     pose = ", ".join(f"{value:.7g}" for value in found.pose_world_camera)
     lines = [
         f"# Camera of a cell, from {source}. Name this file as 'calibration' under [tracker] of the cell.",
@@ -186,18 +183,18 @@ def save_calibration(path: str | Path, found: CameraCalibration, source: str) ->
 
 
 def _start(palms: np.ndarray, boards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Camera in the world and board on the palm, each of shape [7], from V palm poses in the world and board
-    poses in the camera."""
+    """Return initial poses of the camera in the world and of the board on the palm, shape [7] each. palms: in
+    the world, shape [V, 7]; boards: in the camera, shape [V, 7]."""
     pairs = list(combinations(range(len(palms)), 2))
     of_palm, of_board = (
         np.array([rotation_vector(compose(invert(poses[i]), poses[j])[3:]) for i, j in pairs])
         for poses in (palms, boards)
     )
     with warnings.catch_warnings():
-        # Turns about one axis determine no start: the uncertainty of the answer says so.
+        # Turns about a single axis cause a warning here; the uncertainty of the result reveals them.
         warnings.simplefilter("ignore")
         board = Rotation.align_vectors(of_palm, of_board)[0].as_quat(scalar_first=True)
-    # X = P_i B C_i^-1 for each view: of rotations the mean, of positions t_X - P_i t_B = t_P - X t_C.
+    # X = P_i B C_i^-1 for each view: mean of the rotations, then t_X - P_i t_B = t_P - X t_C for positions.
     left = Rotation.from_quat(palms[:, 3:], scalar_first=True)
     turned = Rotation.from_quat(boards[:, 3:], scalar_first=True)
     camera = (left * Rotation.from_quat(board, scalar_first=True) * turned.inv()).mean()
@@ -214,8 +211,8 @@ def _refined(
     intrinsics: Intrinsics,
     changes: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of camera and board that fit the corners best, shape [12], and by how much they miss them
-    [pixels]. start: poses of both. changes: to begin with."""
+    """Return the changes of camera and board that fit the corners best, shape [12], and the errors [pixels].
+    start: initial poses of both; changes: initial changes."""
     focal, middle = [intrinsics.fx, intrinsics.fy], [intrinsics.cx, intrinsics.cy]
 
     def missed(parameters: np.ndarray) -> np.ndarray:
@@ -223,13 +220,13 @@ def _refined(
         parts = []
         for view in views:
             seen = transform_points(compose(compose(invert(x), view.palm), b), view.points)
-            # Behind the camera nothing is seen: a large error that leads back.
+            # Points behind the camera get a large error that leads back.
             depth = np.maximum(seen[:, 2:], 0.01)
             parts.append((seen[:, :2] / depth * focal + middle - view.pixels).ravel())
         return np.concatenate(parts)
 
     begin = np.zeros(12) if changes is None else changes
-    # A centimeter and a hundredth of a radian move corners about as far.
+    # A centimeter and a hundredth of a radian move corners about equally far.
     from scipy.optimize import least_squares
 
     found = least_squares(missed, begin, loss="soft_l1", f_scale=OUTLIER, x_scale=0.01)
@@ -237,7 +234,7 @@ def _refined(
 
 
 def _moved(pose: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """A pose displaced by [m] and turned by a rotation vector [rad], world frame. change: shape [6]."""
+    """Move a pose. change: translation [m] and rotation vector [rad], world frame, shape [6]."""
     turn = np.concatenate([np.zeros(3), quaternion_from_rotation_vector(change[3:])])
     turned = compose(turn, np.concatenate([np.zeros(3), pose[3:]]))
     return np.concatenate([pose[:3] + change[:3], turned[3:]])

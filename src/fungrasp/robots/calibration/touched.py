@@ -1,5 +1,4 @@
-"""Whether an arm stands where its cell says, and its hand is on the flange as it says: by points that the
-robot has touched, which a file of JSON holds (``TouchedPoints``)."""
+"""Check of base and mount of a cell by touched points, which a JSON file lists (``TouchedPoints``)."""
 
 from __future__ import annotations
 
@@ -21,57 +20,59 @@ from fungrasp.robots.cell import RobotCell
 from fungrasp.robots.kinematics.arm_model import ArmKinematics
 
 LARGEST_MISS = 0.005
-"""A point that is farther from a touched one than this means another base, or another mount [m]."""
+"""Error of a touched point beyond which base or mount are wrong [m]."""
 
 LEAST_POINTS = 3
-"""Two tell the turn of a base; a third tells a slip."""
+"""Smallest number of points for the base: two determine its turn, a third reveals a mistake."""
 
 LEAST_HAND_POINTS = 2
-"""In postures that turn the hand differently, or an error of the mount along one axis hides."""
+"""Smallest number of points for the mount. The hand must be turned differently, or an error along one axis
+stays hidden."""
 
 LEAST_SPREAD = 0.1
-"""Points nearer to their middle than this say little of the turn [m]."""
+"""Smallest distance of the farthest point from the mean of the points [m]: closer points hardly determine the
+turn."""
 
 Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class TouchedPoint:
-    """A marked point that the robot has touched."""
+    """A marked point that the robot touched."""
 
     joints: tuple[float, ...]
-    """Of the arm [rad]."""
+    """Joints of the arm [rad]."""
     point: Point
-    """World frame [m]."""
+    """Marked point, world frame [m]."""
     hand_point: Point | None = None
-    """What touched it: a point in the frame that ``mount.pose_flange_hand`` is the pose of [m]; None for the
-    middle of the flange."""
+    """Point of the hand that touched it, in the frame of ``mount.pose_flange_hand`` [m]; None for the center
+    of the flange."""
 
 
 @dataclass(frozen=True)
 class TouchedPoints:
-    """What the file holds."""
+    """Content of the file."""
 
     touched: tuple[TouchedPoint, ...] = ()
-    """In the order of touching."""
+    """Points in the order of touching."""
 
 
 @dataclass(frozen=True)
 class TouchCheck:
-    """How far what touched points is from where it was."""
+    """Distances between touched points and the cell's predictions."""
 
     miss: float
-    """Farthest [m]."""
+    """Largest distance [m]."""
     count: int
     """Number of points."""
     fault: str
-    """What is wrong, as a phrase; "" for nothing."""
+    """What is wrong, as a phrase; "" if nothing."""
 
 
 def check_touched(path: str | Path, cell: RobotCell, hand: Hand) -> dict[str, TouchCheck]:
-    """Compare what touched the points of a file with where the cell has it: the "base", by what the flange
-    touched, and the "mount", if the hand touched something. Raises: FungraspError: the file can't be read, or
-    has too few points, or too near to one another."""
+    """Compare the points of a file with the cell: the "base" by points that the flange touched, the "mount"
+    by points that the hand touched, if there are any. Raises: FungraspError: the file can't be read, or it
+    has too few points, or points too close to each other."""
     known = load_touched(path, len(cell.arm.home))
     found = {"base": _check_base([t for t in known if t.hand_point is None], cell, hand)}
     by_hand = [t for t in known if t.hand_point is not None]
@@ -108,28 +109,27 @@ def _check_mount(known: Sequence[TouchedPoint], cell: RobotCell, hand: Hand) -> 
 
 
 def _check(apart: np.ndarray, fault: str) -> TouchCheck:
-    """apart: of each point [m], shape [K, 3]; fault: what is said of too much, with places for {miss} and
-    {mean}."""
+    """apart: error of each point [m], shape [K, 3]; fault: message with the fields {miss} and {mean}."""
     miss = float(np.linalg.norm(apart, axis=1).max())
-    # Without a sign before zero.
+    # Adding zero avoids "-0".
     x, y, z = np.round(1e3 * apart.mean(axis=0)) + 0.0
     said = fault.format(miss=f"{1e3 * miss:.0f}", mean=f"({x:.0f}, {y:.0f}, {z:.0f})")
     return TouchCheck(miss, len(apart), said if miss > LARGEST_MISS else "")
 
 
 def touched_place(touched: TouchedPoint, cell: RobotCell, hand: Hand) -> np.ndarray:
-    """Where the cell has what touches a point, world frame [m], shape [3]."""
+    """Return where the cell predicts the touched point, world frame [m], shape [3]."""
     return transform_points(_flange([touched], cell, hand)[0], _on_flange(touched, cell)[None])[0]
 
 
 def _flange(known: Sequence[TouchedPoint], cell: RobotCell, hand: Hand) -> np.ndarray:
-    """Poses of the flange, world frame, shape [K, 7]."""
+    """Return flange poses at K points, world frame, shape [K, 7]."""
     kinematics, on_palm = ArmKinematics(cell, hand), invert(mounting_pose(hand, cell.mount))
     return compose(np.array([kinematics.palm_pose(np.array(t.joints)) for t in known]), on_palm)
 
 
 def _on_flange(touched: TouchedPoint, cell: RobotCell) -> np.ndarray:
-    """What touches, in the frame of the flange [m], shape [3]."""
+    """Return the touching point, flange frame [m], shape [3]."""
     if touched.hand_point is None:
         return np.zeros(3)
     given = np.array(cell.mount.pose_flange_hand or (0.0, 0.0, MOUNTING_GAP, 1.0, 0.0, 0.0, 0.0))
@@ -137,7 +137,7 @@ def _on_flange(touched: TouchedPoint, cell: RobotCell) -> np.ndarray:
 
 
 def load_touched(path: str | Path, count: int) -> tuple[TouchedPoint, ...]:
-    """Points of a file. count: joints of the arm. Raises: FungraspError: the file is none of these."""
+    """Read the points of a file. count: joints of the arm. Raises: FungraspError: an invalid file."""
     known = record_from_json(TouchedPoints, read_json(path, "touched points"), str(path)).touched
     if any(len(touched.joints) != count for touched in known):
         raise FungraspError(f"{path}: 'joints' needs a posture of {count} joints for each point")
@@ -145,8 +145,8 @@ def load_touched(path: str | Path, count: int) -> tuple[TouchedPoint, ...]:
 
 
 def add_touched(path: str | Path, touched: TouchedPoint) -> int:
-    """Add a point to the file, or begin one; how many it has then of the flange, or of the hand. Raises:
-    FungraspError: the file is none of these, or can't be written."""
+    """Add a point to a file, which is created if missing. Return the number of its points of the same kind
+    (flange or hand). Raises: FungraspError: the file is invalid or can't be written."""
     known = load_touched(path, len(touched.joints)) if Path(path).exists() else ()
     known = (*known, touched)
     with atomic_path(path) as temporary:

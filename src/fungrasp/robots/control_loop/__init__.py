@@ -1,1 +1,1 @@
-"""Runs a device at its own rate in a process of its own, and makes a driver of it."""
+"""Drivers that run the control loop of a device in a separate process, at the device's own rate."""

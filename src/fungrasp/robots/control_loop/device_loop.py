@@ -1,5 +1,5 @@
-"""What a device does at its own rate: the part of a driver that runs in a process of its own. Writes that a
-limit or a stop rests on are repeated until the device shows that it has them."""
+"""The control loop of a device, which runs in a separate process at the device's own rate. Writes on which
+limits or stops depend are repeated until the device confirms them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from fungrasp.robots.device import JointLimits, JointState, RobotError
 
 
 class LoopMode(IntEnum):
-    """What a device is to do."""
+    """Modes of a loop."""
 
     IDLE = 0
-    """Connected: looked at, and left as it is."""
+    """Connected: read the device, but leave it unchanged."""
     FOLLOW = 1
     """Move to the goal within the limits."""
     HOLD = 2
@@ -30,17 +30,17 @@ class LoopMode(IntEnum):
     CLOSE = 5
     """End the loop."""
     STAND_BY = 6
-    """Under our control, nothing commanded yet: no motion."""
+    """Under control, before the first goal: no motion."""
     ABANDON = 7
-    """End the loop at once: another one takes its place."""
+    """End the loop at once: another one replaces it."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopGoal:
-    """What the driver was last told."""
+    """Goal of a loop."""
 
     mode: LoopMode
-    """What to do."""
+    """Mode of the loop."""
     positions: np.ndarray
     """Goal of ``FOLLOW`` [rad], shape [U]."""
     feedforward: np.ndarray
@@ -48,107 +48,102 @@ class LoopGoal:
 
 
 class DeviceLoop(Protocol):
-    """One device. Made, pickled and sent to the process that runs it before it is opened.
+    """Control loop of one device. It is pickled and sent to its process before it is opened.
 
-    ``step`` is called again and again and sets the pace: it waits for the device's next state or for the
-    next period.
+    ``step`` is called repeatedly and sets the pace: it waits for the device's next state or the next period.
     """
 
     name: str
     """Type and address of the device."""
     limits: JointLimits
-    """What is accepted."""
+    """Limits of commands."""
     takes_feedforward: bool = False
     """Whether feed-forward torques have an effect."""
     lets_go: str = ""
     """See ``JointDriver.lets_go``."""
     stale_after: float
-    """A state older than this is no state: the device counts as disconnected [s]."""
+    """Age of a state beyond which the device counts as disconnected [s]."""
 
     def open(self) -> None:
-        """Connect and verify the device, which stays as it is. Raises: RobotError."""
+        """Connect and verify the device, which stays unchanged. Raises: RobotError."""
         ...
 
     def take_control(self) -> None:
-        """Make the device ready to follow; called before the first goal, and again after an acknowledged
-        stop. Nothing moves. Raises: RobotError."""
+        """Make the device ready to follow: before the first goal, and again after an acknowledged stop.
+        Nothing moves. Raises: RobotError."""
         ...
 
     def step(self, goal: LoopGoal) -> JointState:
-        """Read the device, send what follows from the goal, return the state.
+        """Read the device, send commands for the goal, and return the state. Without news, goal and state are
+        the same objects as before.
 
-        Where nothing is new, both the goal that is passed and the state that is returned are the same
-        objects as before.
-
-        A state whose status is not ``READY`` is latched: from then on ``step`` is called with ``HOLD``, or
-        how else the driver says that motion ends, until somebody connects anew. A faulted device obeys these.
+        A state that is not ``READY`` is latched: ``step`` then gets ``HOLD``, or another mode in which the
+        driver stops, until the driver connects again. A faulted device must obey these modes, too.
 
         Raises:
-            RobotError: the connection is of no use any more.
+            RobotError: the connection has failed.
         """
         ...
 
     def halt(self) -> bool | None:
-        """End motion, on exit and on errors; a hand that holds without us keeps its hold, another one loses
-        its torque. Never raises. False: the device has not shown that it obeyed, and is told again."""
+        """End motion, on exit and on errors. A hand that can hold on its own keeps its grip, any other loses
+        its torque. Never raises. False: the device has not confirmed, and has to be halted again."""
         ...
 
     def close(self) -> None:
         """End the connection. Never raises."""
         ...
 
-    # A loop with the two methods below keeps its device through faults; others end, and their driver starts
-    # another one on connecting.
+    # Optional methods. Without them the loop ends, and its driver starts another one when it connects.
 
-    # def recover(self) -> None: Reach a device again that ``step`` has lost; it may have been off meanwhile.
+    # def recover(self) -> None: Reconnect to a device that ``step`` has lost; it may have been switched off.
     # Raises: RobotError: it is still lost.
 
-    # def resume(self, positions: np.ndarray) -> None: After ``open``, in the place of ``take_control``: the
-    # process that led the device has died, and told it last to go to these positions [rad], shape [U].
+    # def resume(self, positions: np.ndarray) -> None: After ``open``, instead of ``take_control``, if the
+    # process that controlled the device has died. positions: its last goal [rad], shape [U].
 
 
 PATIENCE = 1.0
-"""A device that does not show a value within this time does not take it [s]."""
+"""Time after which an unconfirmed value counts as refused [s]."""
 INTERVAL = 0.02
-"""Between two attempts at the same value [s]."""
+"""Time between two writes of the same value [s]."""
 
 
 class ConfirmedWrites:
-    """What a device must have been told. A lost write, a refused one and one that only some of its motors
-    heard look alike: the value is not shown, and is written again."""
+    """Repeats writes until the device confirms them. Writes may be lost, refused, or received by only some of
+    the motors."""
 
     def __init__(self, write: Callable[[str, Any], bool]):
-        """write: writes a value once and says whether the device shows it, by an acknowledgment or by what is
-        read back; takes the name and the value."""
+        """write: writes a value (name, value) once and returns whether the device confirms it, by an
+        acknowledgment or by the value read back."""
         self._write = write
         self._shown: dict[str, Any] = {}
         self._open: dict[str, tuple[Any, float, float]] = {}
 
     def put(self, name: str, value: Any, anew: bool = False) -> None:
-        """Want a value from now on; the newest counts. name: of what is written, for messages; anew: write it
-        though it was shown before."""
+        """Request a value; the newest one counts. name: for messages; anew: write it even if it is confirmed
+        already."""
         if anew or self.wanted(name) != value:
             since = self._open[name][1] if name in self._open else time.monotonic()
             self._open[name] = (value, since, 0.0)
 
     def forget(self, *names: str) -> None:
-        """The device may have been switched off: what it has been told of some names is told again."""
+        """Write the values of some names again, as the device may have been switched off."""
         for name in names:
             if name in self._shown:
                 self._open.setdefault(name, (self._shown.pop(name), time.monotonic(), 0.0))
 
     def wanted(self, name: str) -> Any:
-        """The newest value of a name; None where there is none."""
+        """Return the newest value of a name; None if there is none."""
         return self._open[name][0] if name in self._open else self._shown.get(name)
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names of what is not shown yet."""
+        """Names of unconfirmed values."""
         return tuple(self._open)
 
     def work(self) -> str:
-        """Write once what is not shown yet. Returns: what the device does not take, as a phrase; "" for
-        nothing."""
+        """Write unconfirmed values once. Returns: the values that the device refuses, as a phrase, or ""."""
         for name, (value, since, tried) in list(self._open.items()):
             if time.monotonic() - tried < INTERVAL:
                 continue
@@ -161,8 +156,8 @@ class ConfirmedWrites:
         return f"it does not take what it is told: {', '.join(late)}" if late else ""
 
     def finish(self, device: str) -> None:
-        """Write until all is shown. device: type and address, for messages. Raises: RobotError: the device
-        does not take it."""
+        """Write until all values are confirmed. device: type and address, for messages. Raises: RobotError:
+        the device refuses a value."""
         while self._open:
             late = self.work()
             if late:

@@ -1,4 +1,4 @@
-"""A driver made of a device's loop, which runs in a process beside it: it tells goals and reads states."""
+"""A driver that sends goals to the control loop of a device in a separate process, and reads its states."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _log = logging.getLogger(__name__)
 
 
 class LoopProcess:
-    """A device's loop in a process of its own, which ends when this one does."""
+    """A separate process with the loop of a device; it ends with this process."""
 
     def __init__(self, task: LoopTask, goal: GoalMessage):
-        """goal: the first."""
+        """goal: the first goal."""
         descriptor, memory = shared_memory()
         self.goals, self.reports = mailboxes(memory)
         self.goals.write(goal)
@@ -48,27 +48,27 @@ class LoopProcess:
         self._reader.start()
         data = pickle.dumps((task, descriptor))
         assert self._child.stdin is not None
-        # Where it has ended already, who waits for its first state will see so.
+        # If the process has ended already, the driver notices while it waits for the first state.
         with contextlib.suppress(BrokenPipeError):
             self._child.stdin.write(LENGTH.pack(len(data)) + data)
             self._child.stdin.flush()
 
     @property
     def process_id(self) -> int:
-        """Of the system."""
+        """Process ID."""
         return self._child.pid
 
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Return whether the process runs."""
         return self._child.poll() is None
 
     def last_words(self) -> str:
-        """The last line that the process wrote to standard error."""
+        """Return the last line that the process wrote to standard error, after a colon."""
         self._reader.join(0.2)
         return f": {self._errors[-1]}" if self._errors else ""
 
     def end(self, patience: float) -> bool:
-        """Wait for its end, after it was told to. patience: for so long [s]. Returns: whether it ended."""
+        """Wait until the process ends. patience: longest wait [s]. Returns: whether it ended."""
         assert self._child.stdin is not None
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._child.wait(patience)
@@ -77,7 +77,7 @@ class LoopProcess:
         return not self.alive()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         self._child.kill()
         self._child.wait()
 
@@ -90,26 +90,24 @@ class LoopProcess:
 
 
 CONNECT_TIMEOUT = 15.0
-"""A device that needs longer to connect is not there [s]; a UR controller starts a program in seconds."""
+"""Longest wait for a device to connect [s]; a UR controller starts a program in seconds."""
 CLOSE_TIMEOUT = 3.0
-"""A loop that doesn't end within this time is not waited for [s]: its device does not show that it obeys."""
+"""Longest wait for a loop to end [s]; a loop that takes longer waits for its device to confirm the halt."""
 LOST_TIMEOUT = 0.5
-"""The same, where the device is lost already [s]."""
+"""Longest wait for the loop of a lost device to end [s]."""
 FROZEN = 2.0
-"""A process of a device that says nothing for so long does nothing any more [s]."""
+"""Time without reports after which a loop's process hangs [s]."""
 
 
 class LoopDriver(JointDriver):
-    """``JointDriver`` of a ``DeviceLoop`` in a process of its own, which halts the device when this one dies,
-    however it dies. Where the process dies or hangs itself, another one takes its place if the loop knows how
-    to (``resume``), and the device holds.
-    """
+    """``JointDriver`` of a ``DeviceLoop`` in a separate process, which halts the device if this process dies.
+    A loop with ``resume`` moves to a new process if its own dies or hangs, and the device holds."""
 
     def __init__(self, loop: DeviceLoop, host: Callable[[LoopTask, GoalMessage], Any] = LoopProcess):
         """
         Args:
-            loop: the device, not opened.
-            host: runs it: a class like ``LoopProcess``.
+            loop: loop of the device, not opened.
+            host: class that runs the loop, with the interface of ``LoopProcess``.
         """
         self.name = loop.name
         self.takes_feedforward = loop.takes_feedforward
@@ -128,9 +126,9 @@ class LoopDriver(JointDriver):
         self._replaces = ""
 
     def torque_limit(self, share: float) -> None:
-        """Tell the device to make no more than a share of its torque, before it is connected. A loop without
-        a method of this name, which returns such a loop, stays as it is. share: above 0, at most 1. Raises:
-        RobotError: the share is none."""
+        """Limit the device to a share of its torque, before connecting; no effect for a loop without
+        ``torque_limit``, which returns a limited loop. share: above 0, at most 1. Raises: RobotError: an
+        invalid share."""
         if not 0 < share <= 1:
             raise RobotError(f"a share of the torque is above 0 and at most 1, not {share:g}")
         limited = getattr(self._loop, "torque_limit", None)
@@ -139,14 +137,14 @@ class LoopDriver(JointDriver):
             self.limits = self._loop.limits
 
     def connect(self) -> None:
-        """See ``JointDriver.connect``. On a connected device it acknowledges a stop."""
+        """See ``JointDriver.connect``. For a connected device, this acknowledges a stop."""
         with self._lock:
             lost = self._host is None or self._ended() or self._read().status is DeviceStatus.DISCONNECTED
             if not lost:
                 self._tell(LoopMode.IDLE)
                 self._await_acknowledgement()
             else:
-                # A loop that waits in a client library for a device that is gone is not waited for.
+                # The loop may wait in a client library for a device that is gone.
                 self._end(LOST_TIMEOUT, replaced=True)
                 self._start()
             self._stopped, self._controls, self._replaces = None, False, ""
@@ -157,7 +155,7 @@ class LoopDriver(JointDriver):
             self._take_control()
 
     def read(self) -> JointState:
-        """See ``JointDriver.read``. A state older than the device's ``stale_after`` is disconnected."""
+        """See ``JointDriver.read``. A state older than ``stale_after`` has the status DISCONNECTED."""
         with self._lock:
             return self._read()
 
@@ -191,14 +189,14 @@ class LoopDriver(JointDriver):
 
     @property
     def process_id(self) -> int | None:
-        """Of the device's process; None where it is not connected."""
+        """Process ID of the device's loop; None if not connected."""
         return getattr(self._host, "process_id", None)
 
     def _check_ready(self) -> None:
         state = self._read()
         if self._stopped is not None:
             raise RobotError(f"{self.name} was stopped ({self._stopped}): call connect() first")
-        # It may hold only because its driver was not heard of.
+        # The device may hold only because this driver was not used for a while.
         waits = state.status is DeviceStatus.STOPPED and self._goal.mode in FOLLOWING
         if state.status is not DeviceStatus.READY and not waits:
             raise RobotError(f"{self.name} takes no command, {state.status}: {state.message}")
@@ -235,7 +233,7 @@ class LoopDriver(JointDriver):
         while time.monotonic() < deadline:
             report = self._report
             if (report is not None and report.order >= self._order) or self._ended():
-                # Read afterwards: a loop may refuse, and end, between the two.
+                # Read only now, as the loop may have refused and ended meanwhile.
                 state = self._read()
                 if state.status is not DeviceStatus.READY:
                     raise RobotError(f"{self.name} is not ready, {state.status}: {state.message}")
@@ -245,7 +243,7 @@ class LoopDriver(JointDriver):
 
     @property
     def _report(self) -> LoopReport | None:
-        """The loop's newest."""
+        """Newest report of the loop."""
         return None if self._host is None else self._host.reports.read()
 
     def _message(self) -> GoalMessage:
@@ -276,7 +274,7 @@ class LoopDriver(JointDriver):
         return state
 
     def _frozen(self, beat: float, now: float) -> bool:
-        """Whether the loop's process hangs, as far as this one has watched it: both may have slept."""
+        """Return whether the loop's process hangs. Pauses of this process do not count, as both may sleep."""
         watched = min(now - self._asked, 0.2)
         self._asked = now
         self._heard = 0.0 if beat != self._beat else self._heard + watched
@@ -284,7 +282,7 @@ class LoopDriver(JointDriver):
         return self._heard > FROZEN and self._was_taken and isinstance(self._host, LoopProcess)
 
     def _replaced(self, state: JointState, why: str) -> JointState:
-        """Another process leads the device from now on, where the loop knows how; what is said meanwhile."""
+        """Let another process control the device, if its loop has ``resume``; return the state meanwhile."""
         if self._was_taken and hasattr(self._loop, "resume") and not self._replaces:
             self._host.end(0.0)
             self._host.kill()
@@ -292,7 +290,7 @@ class LoopDriver(JointDriver):
                 self._goal = dataclasses.replace(self._goal, mode=LoopMode.HOLD)
             self._replaces, self._heard = f"{why}; another one leads the device", 0.0
             self._host = LoopProcess(LoopTask(self._loop, self._replaces), self._message())
-            # Until it says something itself.
+            # Valid until the new process reports.
             lost = dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces)
             self._host.reports.write(LoopReport(lost, -1, 0.0))
         return dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces or why)
@@ -310,6 +308,6 @@ class LoopDriver(JointDriver):
                 self._tell(LoopMode.ABANDON)
                 self._host.kill()
             else:
-                # It goes on telling the device for a while (``HALTING``).
+                # The process goes on halting the device for a while (``HALTING``).
                 _log.warning("%s does not show that it obeys: it may keep its torque", self.name)
         self._host = None

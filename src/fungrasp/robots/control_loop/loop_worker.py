@@ -1,7 +1,7 @@
 """The process of one device: ``python -m fungrasp.robots.control_loop.loop_worker``.
 
-Standard input carries the pickled loop and stays open: its end means that the driver's process has died,
-and the device is halted at once.
+Standard input carries the pickled task and stays open. When it ends, the driver's process has died, and the
+device is halted at once.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ except ImportError:  # Windows has no such locks.
 
 
 class DeviceLock:
-    """Held from when a device is taken until its loop ends, however that ends."""
+    """Lock of a device among the programs on this computer; it ends with the process at the latest."""
 
     def __init__(self, name: str):
         """name: type and address of the device."""
         self._name, self._file = name, -1
 
     def take(self) -> None:
-        """Raises: RobotError: another program has the device."""
+        """Lock the device. Raises: RobotError: another program has locked it."""
         if fcntl is None or self._file >= 0:
             return
         mark = hashlib.sha256(self._name.encode()).hexdigest()[:12]
         path = Path(tempfile.gettempdir()) / f"fungrasp-{mark}.lock"
         try:
-            # Without O_CREAT first: systems refuse it for another user's file in a common folder.
+            # Systems refuse O_CREAT for another user's file in a shared folder.
             exists = path.exists()
             file = os.open(path, os.O_RDONLY if exists else os.O_RDONLY | os.O_CREAT, 0o644)
         except OSError as error:
@@ -64,7 +64,7 @@ class DeviceLock:
         self._file = file
 
     def release(self) -> None:
-        """Another program may have it. Never raises."""
+        """Unlock the device. Never raises."""
         if self._file >= 0:
             with contextlib.suppress(OSError):
                 os.close(self._file)
@@ -73,24 +73,24 @@ class DeviceLock:
 
 FOLLOWING = (LoopMode.IDLE, LoopMode.STAND_BY, LoopMode.FOLLOW)
 BEYOND = 0.5
-"""A joint that is measured so far beyond its limits is wrapped, or mounted otherwise [rad]: zeros are off by
-less."""
+"""Distance of a reading beyond the limits that means a wrapped or differently mounted joint [rad]; zeros are
+off by less."""
 HALTING = 10.0
-"""A device that does not show that it has halted is told so again and again, for so long [s]."""
+"""Time in which a device is halted repeatedly until it confirms [s]."""
 DRIVER_TIMEOUT = 0.5
-"""A device holds its position when its driver was not asked for anything for so long [s]."""
+"""Time without use of its driver after which a device holds its position [s]."""
 RETRY = 0.05
-"""Between two attempts at a device that is lost [s]."""
+"""Time between two attempts to reach a lost device [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LoopTask:
-    """What a process is to run."""
+    """Task of a loop's process."""
 
     loop: DeviceLoop
-    """The device, not opened."""
+    """Loop of the device, not opened."""
     resume: str = ""
-    """Why this loop takes the place of another one, which led the device; "" for a first one."""
+    """Why this loop replaces another one that controlled the device; "" for the first loop."""
 
 
 def run_device_loop(
@@ -99,12 +99,12 @@ def run_device_loop(
     reports: Mailbox[LoopReport],
     abandoned: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Open a device, step it until its driver closes it or goes away, then halt and close it.
+    """Open a device, step it until its driver closes it or dies, then halt and close it.
 
     Args:
-        goals: what the driver tells.
-        reports: what it is told.
-        abandoned: whether the driver's process has ended.
+        goals: goals from the driver.
+        reports: reports to the driver.
+        abandoned: returns whether the driver's process has ended.
     """
     loop = task.loop
     run = _Run(task, goals, reports, abandoned)
@@ -118,15 +118,15 @@ def run_device_loop(
     except FungraspError as error:
         message, status = str(error), DeviceStatus.DISCONNECTED
     except Exception as error:
-        # A driver must tell of whatever a client library raises: nobody else sees this thread or process.
+        # Client libraries may raise anything, and only the driver can report it.
         message, status = f"{loop.name}: {type(error).__name__}: {error}", DeviceStatus.FAULT
     run.end(status, message)
-    # Last: a client library may take long to let go of a device that does not answer.
+    # Last, as a client library may take long to close a device that does not answer.
     loop.close()
 
 
 class _Run:
-    """A device's loop, and what it remembers."""
+    """A running loop and its state."""
 
     def __init__(
         self,
@@ -143,7 +143,7 @@ class _Run:
         self._state: JointState | None = None
 
     def open(self) -> None:
-        """Open the device; one that another process led is ours at once."""
+        """Open the device; if another process controlled it, take it over at once."""
         deadline = time.monotonic() + HALTING
         while True:
             try:
@@ -160,7 +160,7 @@ class _Run:
             self._taken = self._was_taken = True
 
     def follow(self) -> None:
-        """Step the device until it is to be closed."""
+        """Step the device until its driver closes it or dies."""
         last = None
         while not self._abandoned():
             told = self._told()
@@ -179,7 +179,7 @@ class _Run:
             elif goal.mode in FOLLOWING and not self._taken:
                 self._take_control()
             state = self._said(self._step(goal), goal.mode, late)
-            # Most steps of a fast loop bring no news of the device: writing costs as much as all the rest.
+            # Most steps of a fast loop bring no new state, and writing takes as long as all the rest.
             if state is not self._state or news:
                 self._tell(state)
                 self._state = state
@@ -209,9 +209,9 @@ class _Run:
         self._taken = True
 
     def _step(self, goal: LoopGoal) -> JointState:
-        """One step of the device, which is looked for again where it was lost."""
+        """Make one step of the device; reconnect to it first if it was lost."""
         if not self._was_taken and goal.mode is not LoopMode.IDLE:
-            # What we did not take we do not stop.
+            # A device that was not taken over must not be stopped.
             goal = dataclasses.replace(goal, mode=LoopMode.IDLE)
         try:
             if self._lost:
@@ -232,7 +232,7 @@ class _Run:
 
     def _recover(self, goal: LoopGoal) -> None:
         if goal.mode is LoopMode.POWER_OFF:
-            # It may hear us though we don't hear it.
+            # The device may receive this even if its answers are lost.
             self._loop.halt()
         self._loop.recover()  # pyright: ignore[reportAttributeAccessIssue]
         assert self._latched is not None
@@ -241,7 +241,7 @@ class _Run:
         self._lost = False
 
     def _said(self, state: JointState, mode: LoopMode, late: bool) -> JointState:
-        """The state as the driver is told it."""
+        """Return the state to report to the driver: a latched fault or stop, if there is one."""
         if self._task.resume and self._latched is None and self._stopped_order < 0:
             self._latched = dataclasses.replace(state, status=DeviceStatus.FAULT, message=self._task.resume)
             self._stopped_order = self._order
@@ -251,7 +251,7 @@ class _Run:
             latched = self._latched
             words = latched.message
             if not self._lost and state.status is DeviceStatus.FAULT and state.message not in words:
-                # What is wrong besides, meanwhile.
+                # A further fault.
                 words = f"{words}; {state.message}"
             return dataclasses.replace(state, status=latched.status, message=words)
         if mode not in FOLLOWING:
@@ -260,8 +260,7 @@ class _Run:
         return state
 
     def halt(self) -> None:
-        """End motion, again and again until the device shows it; one that was only looked at is somebody
-        else's."""
+        """End motion repeatedly until the device confirms it; a device that was only read is left alone."""
         deadline = time.monotonic() + HALTING
         while self._was_taken and self._loop.halt() is False and time.monotonic() < deadline:
             if self._told().goal.mode is LoopMode.ABANDON:
@@ -270,7 +269,7 @@ class _Run:
         self._lock.release()
 
     def end(self, status: DeviceStatus, message: str) -> None:
-        """Tell that the loop has ended."""
+        """Report that the loop has ended."""
         none = np.zeros(len(self._loop.limits.lower))
         last = self._state or JointState(none, none, None, 0.0, 0.0, status)
         self._tell(dataclasses.replace(last, status=status, message=message), ended=True)
@@ -285,14 +284,14 @@ LENGTH = struct.Struct("<I")
 
 
 def run_worker() -> None:
-    """Run the loop that stands on standard input."""
+    """Run the task from standard input."""
     source = sys.stdin.buffer
     size = LENGTH.unpack(source.read(LENGTH.size))[0]
-    # From the process that started this one, through its own pipe.
+    # Safe to unpickle: the parent process writes it through its own pipe.
     task, descriptor = pickle.loads(source.read(size))
     orphaned = threading.Event()
-    # Ahead of planning and all other work, client libraries' threads as well; systems allow it to
-    # administrators. Linux shares the processors by sessions (autogroup of sched(7)), and this is one.
+    # Priority over planning and all other work, if the system permits it. Linux shares the processors among
+    # sessions (autogroup, sched(7)), and this process is one.
     with contextlib.suppress(OSError, AttributeError):
         os.setpriority(os.PRIO_PROCESS, 0, -5)
         Path("/proc/self/autogroup").write_text("-5")
@@ -300,20 +299,20 @@ def run_worker() -> None:
     def watch() -> None:
         source.read()
         orphaned.set()
-        # A client library may wait for ever for a device that went at the same moment, with our lock.
+        # A client library may wait forever for a device that is gone, and keep the lock.
         time.sleep(2 * HALTING)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    # Ctrl-C in a terminal goes to both processes: the driver's decides how to stop.
+    # The driver's process decides how Ctrl-C stops the device.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: orphaned.set())
-    # A collection of all that was imported would take as long as many steps.
+    # Garbage collection of all imported objects would take as long as many steps.
     gc.freeze()
     goals, reports = mailboxes(memoryview(mmap.mmap(descriptor, 2 * SIZE)))
     run_device_loop(task, goals, reports, orphaned.is_set)
     sys.stderr.flush()
-    # All is said and written. Some client libraries wait in their destructors for devices that are gone.
+    # Destructors of some client libraries wait for devices that are gone.
     os._exit(0)
 
 

@@ -1,5 +1,5 @@
-"""What a driver and its device's loop tell each other: the newest only, in memory that both processes see.
-Nobody waits."""
+"""Messages between a driver and the loop of its device, in shared memory and without waiting. Only the newest
+message of each is kept."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from fungrasp.robots.control_loop.device_loop import LoopGoal
 from fungrasp.robots.device import JointState
 
 SIZE = 1 << 14
-"""Bytes of a mailbox: several times those of a goal or a report."""
+"""Size of a mailbox [bytes], several times that of a goal or a report."""
 
 MESSAGE = 400
-"""Characters of a report's message at most."""
+"""Largest number of characters in the message of a reported state."""
 
 HEADER = struct.Struct("<II")
 """Checksum and length of the pickled message, which follows."""
@@ -27,42 +27,42 @@ HEADER = struct.Struct("<II")
 
 @dataclass(frozen=True, eq=False)
 class GoalMessage:
-    """What a driver tells its loop."""
+    """Message from a driver to its loop."""
 
     goal: LoopGoal
-    """The newest goal."""
+    """Newest goal."""
     order: int
-    """Count of the goals."""
+    """Number of the goal."""
     sent: float
-    """When the driver was last asked for anything, ``time.monotonic`` [s]."""
+    """Time at which the driver was last used, ``time.monotonic`` [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopReport:
-    """What a loop tells its driver."""
+    """Message from a loop to its driver."""
 
     state: JointState
-    """The device."""
+    """State of the device."""
     order: int
-    """Of the newest goal that was seen."""
+    """Number of the newest goal that the loop has read."""
     beat: float
-    """When this was written, ``time.monotonic`` [s]."""
+    """Time of this message, ``time.monotonic`` [s]."""
     ended: bool = False
-    """Whether the loop has ended; why is in the state's message."""
+    """Whether the loop has ended; the message of the state gives the reason."""
 
 
 Message = TypeVar("Message", GoalMessage, LoopReport)
 
 
 class Mailbox(Generic[Message]):
-    """One writes, the others read the newest message.
+    """Holds the newest message of a single writer.
 
-    A message that is read while it is being written fails its checksum and is read again; where the writer
-    has died half way, readers keep the message before.
+    A message that is read while it is written fails its checksum and is read again; if its writer died half
+    way, readers keep the previous message.
     """
 
     def __init__(self, memory: memoryview):
-        """memory: that both sides see, zeros at first, ``SIZE`` bytes."""
+        """memory: shared memory, ``SIZE`` bytes, initially zero."""
         self._memory, self._last, self._seen = memory, None, None
 
     def write(self, message: Message) -> None:
@@ -72,28 +72,27 @@ class Mailbox(Generic[Message]):
         self._memory[HEADER.size : HEADER.size + len(data)] = data
 
     def read(self) -> Message | None:
-        """The newest message; None before the first. Where there is no newer one, the same object again."""
+        """Return the newest message, as the same object if it is not new; None before the first."""
         for _ in range(8):
             header = HEADER.unpack_from(self._memory)
             if header == self._seen:
                 break
             data = bytes(self._memory[HEADER.size : HEADER.size + header[1]])
             if header[0] == ~zlib.crc32(data) & 0xFFFFFFFF:
-                # Of the other process, which one of the two has started.
+                # Safe to unpickle: written by the parent or the child process.
                 self._last, self._seen = pickle.loads(data), header
                 break
         return self._last
 
 
 def mailboxes(memory: memoryview) -> tuple[Mailbox[GoalMessage], Mailbox[LoopReport]]:
-    """Those of a driver and its loop, in memory of twice ``SIZE``."""
+    """Return the mailboxes of goals and reports in shared memory of twice ``SIZE``."""
     return Mailbox(memory[:SIZE]), Mailbox(memory[SIZE:])
 
 
 def shared_memory() -> tuple[int, memoryview]:
-    """Memory for ``mailboxes`` without a name, which a child process inherits and which goes with the last of
-    its users. Returns: a file descriptor to pass on, which the caller closes, and the memory as this process
-    sees it."""
+    """Make anonymous shared memory for ``mailboxes``, which is freed after its last user. Returns: a file
+    descriptor for the child process, to be closed by the caller, and the memory in this process."""
     folder = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryFile(dir=folder) as file:
         file.truncate(2 * SIZE)

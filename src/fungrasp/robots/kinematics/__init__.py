@@ -1,1 +1,1 @@
-"""From poses of the palm to joints of an arm."""
+"""Kinematics of arms that carry a hand."""

@@ -1,4 +1,4 @@
-"""Forward kinematics of an arm that carries a hand, and its distances to the table and to itself."""
+"""Forward kinematics of an arm that carries a hand, and its clearance from the table and from itself."""
 
 from __future__ import annotations
 
@@ -15,36 +15,35 @@ from fungrasp.objects.convex_decomposition import convex_hull
 from fungrasp.robots.cell import RobotCell, Workspace
 
 OBJECT = "object to keep clear of"
-"""Name of its body, mesh and geom."""
+"""Name of the object's body, mesh and geom."""
 
 OBSTACLE = "obstacle"
-"""Beginning of the names of their geoms."""
+"""Prefix of the obstacles' geoms."""
 
 MARGIN = 0.03
-"""Distances beyond this are not told apart [m]."""
+"""Largest distance that is measured [m]."""
 
 CLEAR = 0.005
-"""Distance that the robot keeps from itself and, the hand included, from the table [m]."""
+"""Distance of planned postures from the robot itself and, for arm and hand, from table and obstacles [m]."""
 
 
 class ArmKinematics:
-    """The arm of a cell with the palm on its flange, without fingers: M joints."""
+    """The arm of a cell, M joints, with the palm on its flange but without fingers."""
 
     def __init__(self, cell: RobotCell, hand: Hand):
-        """cell: with the arm and its base; hand: whose palm is on the flange."""
         spec = arm_spec(cell.arm.model)
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
         flange, pose = spec.site(FLANGE_SITE), mounting_pose(hand, cell.mount)
         flange.parent.add_site(name=PALM_SITE, pos=pose[:3], quat=pose[3:])
         self.model = spec.compile()
-        """The compiled arm in the world of the cell."""
+        """Compiled model of the arm, in the world frame of the cell."""
         self._data = mujoco.MjData(self.model)
         self._site = self.model.site(PALM_SITE).id
         self.lower, self.upper = self.model.jnt_range.T
 
     def palm_pose(self, joints: np.ndarray) -> np.ndarray:
-        """Pose of the palm, world frame, shape [7]. joints: [rad], shape [M]."""
+        """Return the palm pose, world frame, shape [7]. joints: [rad], shape [M]."""
         d = self._data
         d.qpos[:] = joints
         mujoco.mj_kinematics(self.model, d)
@@ -53,8 +52,8 @@ class ArmKinematics:
         return np.concatenate([d.site_xpos[self._site], quaternion])
 
     def jacobian(self, joints: np.ndarray) -> np.ndarray:
-        """Derivative of the palm's position [m] and rotation vector [rad], world frame, by the joints, shape
-        [6, M]. joints: [rad], shape [M]."""
+        """Return the Jacobian of the palm's position [m] and rotation [rad], world frame, shape [6, M].
+        joints: [rad], shape [M]."""
         m, d = self.model, self._data
         d.qpos[:] = joints
         mujoco.mj_kinematics(m, d)
@@ -64,8 +63,8 @@ class ArmKinematics:
         return result
 
     def manipulability(self, joints: np.ndarray) -> float:
-        """Smallest singular value of the Jacobian, positions in units of half a meter: zero where the palm
-        can't move in every direction. joints: [rad], shape [M]."""
+        """Return the smallest singular value of the Jacobian, with positions in units of 0.5 m; zero at a
+        singularity. joints: [rad], shape [M]."""
         jacobian = self.jacobian(joints)
         jacobian[:3] /= 0.5
         return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
@@ -73,25 +72,24 @@ class ArmKinematics:
 
 @dataclass(frozen=True)
 class Clearance:
-    """Distances [m]: at most ``MARGIN``; negative where things overlap."""
+    """Distances in a posture, at most ``MARGIN``, negative for penetration [m]."""
 
     table: float = MARGIN
-    """From the arm to the table."""
+    """Distance of the arm from the table."""
     hand: float = MARGIN
-    """From the hand to the table."""
+    """Distance of the hand from the table."""
     itself: float = MARGIN
-    """From the arm to itself and to the hand."""
+    """Distance of the arm from itself and from the hand."""
     obstacle: float = MARGIN
-    """From arm and hand to the nearest of the cell's obstacles."""
+    """Distance of arm and hand from the cell's obstacles."""
 
     def fault(self, box: Workspace, room: float = 0.0, apart: float = 0.0) -> str:
-        """What is too near in the posture, as a phrase; "" for nothing.
+        """Return which distance is too small, as a phrase; "" if none.
 
         Args:
-            box: with the distances that are kept.
-            room: kept from table and obstacles beyond that [m]; by the hand, which works near the table, half
-                of it.
-            apart: kept from the robot itself [m].
+            box: workspace with the required distances.
+            room: additional distance from table and obstacles [m]; half of it for the hand at the table.
+            apart: required distance from the robot itself [m].
         """
         if self.table < box.table_clearance + room:
             return "the arm would touch the table"
@@ -106,7 +104,8 @@ class Clearance:
 
 
 def outside(palm: np.ndarray, box: Workspace) -> str:
-    """What is wrong with where a palm is, as a phrase; "" for nothing. palm: world frame, shape [..., 7]."""
+    """Return where palm poses leave the workspace, as a phrase; "" if nowhere. palm: world frame, shape [...,
+    7]."""
     places = palm[..., :3].reshape(-1, 3)
     for side, corner, beyond in (
         ("lower", box.lower, box.lower - places),
@@ -123,14 +122,10 @@ def outside(palm: np.ndarray, box: Workspace) -> str:
 
 
 class ClearanceModel:
-    """Distances of the whole robot to the table and to itself."""
+    """Measures the clearance of the whole robot."""
 
     def __init__(self, cell: RobotCell, hand: Hand, obj: ObjectModel | None = None):
-        """
-        Args:
-            cell: with the arm and its base.
-            obj: what the robot may keep clear of; nothing if None.
-        """
+        """obj: object for ``distance_to_object``; none if None."""
         spec = mount(hand, cell.arm.model, cell.mount)
         base = spec.worldbody.first_body()
         base.pos, base.quat = cell.arm.pose_world_base[:3], cell.arm.pose_world_base[3:]
@@ -143,7 +138,7 @@ class ClearanceModel:
             _add_object(spec, obj)
         for geom in spec.geoms:
             geom.margin = 0.5 * MARGIN
-        # Base and shoulder stand where they stand.
+        # Base and shoulder stand on the table, and may touch obstacles.
         for body in ("base_link", "base_link_inertia", "shoulder_link"):
             spec.add_exclude(bodyname1="world", bodyname2=body)
         self._model = model = spec.compile()
@@ -159,12 +154,12 @@ class ClearanceModel:
             kind[model.body(OBJECT).id] = 0
             self._object = model.geom(OBJECT).id
         self._kind = kind[model.geom_bodyid]
-        """-1 obstacles, 0 table and object, 1 the arm, 2 the hand; of each geom."""
+        """Kind of each geom: -1 obstacle, 0 table or object, 1 arm, 2 hand."""
         for number in range(len(cell.obstacles)):
             self._kind[model.geom(f"{OBSTACLE} {number}").id] = -1
 
     def measure(self, arm: np.ndarray, fingers: np.ndarray) -> Clearance:
-        """Distances in a posture. arm: [rad], shape [M]; fingers: independent joints [rad], shape [U]."""
+        """Measure a posture. arm: [rad], shape [M]; fingers: independent joints [rad], shape [U]."""
         m, d = self._model, self._data
         d.qpos[self._arm_qpos] = arm
         d.qpos[self._hand_qpos] = self._hand.all_joints(fingers)
@@ -186,12 +181,12 @@ class ClearanceModel:
         )
 
     def place_object(self, pose: np.ndarray) -> None:
-        """Say where the object is, from the next measurement on. pose: world frame, shape [7]."""
+        """Place the object, from the next measurement on. pose: world frame, shape [7]."""
         self._data.mocap_pos[0], self._data.mocap_quat[0] = pose[:3], pose[3:]
 
     def distance_to_object(self) -> float:
-        """Distance of arm and hand, in the posture last measured, to the convex hull of the object [m], at
-        most ``MARGIN``; negative where they overlap."""
+        """Return the distance of arm and hand, in the posture measured last, from the convex hull of the
+        object [m], at most ``MARGIN``; negative for penetration."""
         m, d, obj = self._model, self._data, self._object
         assert obj is not None, "made without an object"
         reach = m.geom_rbound + m.geom_rbound[obj]
@@ -204,7 +199,7 @@ class ClearanceModel:
 
 
 def _add_object(spec: mujoco.MjSpec, obj: ObjectModel) -> None:
-    """The convex hull of an object, which collides with nothing by itself."""
+    """Add the convex hull of an object, without collisions."""
     hull = convex_hull(obj.vertices)
     mesh = spec.add_mesh(name=OBJECT)
     mesh.uservert, mesh.userface = hull.vertices.ravel().tolist(), hull.faces.ravel().tolist()

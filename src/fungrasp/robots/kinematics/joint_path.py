@@ -1,5 +1,4 @@
-"""Motions of the arm's joints from rest to rest, within the limits of joints and palm, clear of what stands
-around."""
+"""Motions of the arm from rest to rest in joint space: free paths, and their timing within the limits."""
 
 from __future__ import annotations
 
@@ -12,16 +11,15 @@ from fungrasp.robots.kinematics.arm_model import CLEAR, ArmKinematics, Clearance
 from fungrasp.robots.kinematics.reach import random_starts
 
 TRIES = 5000
-"""Random postures that the trees of a path grow towards, at most. Most ways are straight; those that need a
-tree take some hundreds, to another branch of solutions up to a few thousand: a second or two."""
+"""Largest number of random postures for the trees of a path. Most paths are straight; others take some
+hundreds, or a few thousand (a second or two) to another branch of solutions."""
 
 SPACING = 0.05
 """Largest change of a joint between two postures that are checked for collisions [rad]."""
 
-
 OBJECT_CLEAR = 0.02
-"""Distance that it keeps from the convex hull of the object [m]; where a way begins or ends nearer, as near
-as that. What is seen of an object is up to a centimeter off."""
+"""Distance of paths from the convex hull of the object [m], smaller if they begin or end nearer: tracked
+poses are off by up to a centimeter."""
 
 
 def timed_leg(
@@ -32,16 +30,16 @@ def timed_leg(
     period: float,
     speed: float = 1.0,
 ) -> np.ndarray:
-    """Setpoints of the joints on a straight line, with the least jerk: ``s(u) = 10 u^3 - 15 u^4 + 6 u^5``.
+    """Return minimum-jerk setpoints on a straight line in joint space, ``s(u) = 10 u^3 - 15 u^4 + 6 u^5``.
 
     Args:
         start: joints [rad], shape [M].
         end: joints [rad], shape [M].
         period: time between two setpoints [s].
-        speed: share of that speed, above 0.
+        speed: share of the fastest speed within the limits, above 0.
 
     Returns:
-        Shape [S, M], the last one ``end``; as fast as the limits allow, or slower.
+        setpoints [rad], shape [S, M], without ``start``, with ``end``.
     """
 
     def line(count: int) -> np.ndarray:
@@ -66,25 +64,25 @@ def timed_leg(
 
 
 def _largest(values: np.ndarray, order: int, whole: bool = False) -> float:
-    """Largest difference of an order, of any coordinate or of the vector as a whole."""
+    """Return the largest finite difference of an order, of any coordinate or of the whole vector's norm."""
     change = np.diff(values, n=order, axis=0)
     return float(np.max(np.linalg.norm(change, axis=1) if whole else np.abs(change)))
 
 
 class FreePath:
-    """Finds postures between two that are clear of the table, of the robot itself and of an object: two trees
-    of random postures that grow towards each other (RRT-Connect, Kuffner and LaValle, ICRA 2000)."""
+    """Plans paths that are free of collisions with table, obstacles, the robot itself and an object, by
+    RRT-Connect (Kuffner and LaValle, ICRA 2000)."""
 
     def __init__(self, kinematics: ArmKinematics, clearance: ClearanceModel, workspace: Workspace):
         self._kinematics, self._clearance, self._workspace = kinematics, clearance, workspace
 
     def clear(self, arm: np.ndarray, fingers: np.ndarray, keep: float | None = None) -> bool:
-        """Whether a posture touches nothing, the palm in the workspace.
+        """Return whether a posture is free of collisions, with the palm in the workspace.
 
         Args:
             arm: joints of the arm [rad], shape [M].
             fingers: independent joints [rad], shape [U].
-            keep: distance from the object at least [m]; None for no object.
+            keep: smallest distance from the object [m]; None without object.
         """
         if outside(self._kinematics.palm_pose(arm), self._workspace):
             return False
@@ -101,14 +99,14 @@ class FreePath:
         object_pose: np.ndarray | None,
         rng: np.random.Generator,
     ) -> list[np.ndarray] | None:
-        """Corners of a path, ``start`` left out; None if none was found.
+        """Return the corners of a path without ``start``, with ``end``; None if no path was found.
 
         Args:
             start: joints of the arm [rad], shape [M].
             end: joints of the arm [rad], shape [M].
             fingers: independent joints [rad], shape [U].
-            object_pose: of the clearance model's object, world frame, shape [7]; None for no object.
-            rng: of the postures that are tried.
+            object_pose: pose of the clearance model's object, world frame, shape [7]; None without object.
+            rng: source of random postures.
         """
         keep = None if object_pose is None else self._distance_kept([start, end], fingers, object_pose)
 
@@ -120,10 +118,10 @@ class FreePath:
             return None
         if free(start, end):
             return [end]
-        # Each tree: postures and the row of each one's parent.
+        # Each tree has its postures and the rows of their parents.
         trees: tuple[_Tree, _Tree] = ([start], [-1]), ([end], [-1])
         for number, goal in enumerate(random_starts(self._kinematics, TRIES, rng)):
-            # By turns each tree grows a step, and the other one follows as far as it can.
+            # In turn, each tree grows a step, and the other one follows as far as it can.
             near, far = trees[number % 2], trees[1 - number % 2]
             reached = _grow(near, goal, free)
             if reached is None:
@@ -136,7 +134,7 @@ class FreePath:
         return None
 
     def _distance_kept(self, ends: list[np.ndarray], fingers: np.ndarray, object_pose: np.ndarray) -> float:
-        """Distance that a way between two postures keeps from the object [m]."""
+        """Return the distance from the object for a path between two postures [m]."""
         self._clearance.place_object(object_pose)
         kept = OBJECT_CLEAR
         for arm in ends:
@@ -152,7 +150,7 @@ _STEP = 0.4
 
 
 def _grow(tree: _Tree, goal: np.ndarray, free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray | None:
-    """Add a posture to a tree, a step towards a goal; None if something is in the way."""
+    """Add a posture to a tree, a step towards a goal, and return it; None if the step collides."""
     nodes, parents = tree
     row = int(np.argmin(np.linalg.norm(np.array(nodes) - goal, axis=1)))
     way = goal - nodes[row]
@@ -166,7 +164,7 @@ def _grow(tree: _Tree, goal: np.ndarray, free: Callable[[np.ndarray, np.ndarray]
 
 
 def _branch(tree: _Tree, posture: np.ndarray) -> list[np.ndarray]:
-    """From a posture of a tree to its root."""
+    """Return the postures from one of a tree to its root."""
     nodes, parents = tree
     row = next(i for i, node in enumerate(nodes) if np.array_equal(node, posture))
     way = []
@@ -177,7 +175,7 @@ def _branch(tree: _Tree, posture: np.ndarray) -> list[np.ndarray]:
 
 
 def _shortcut(way: list[np.ndarray], free: Callable[[np.ndarray, np.ndarray], bool]) -> list[np.ndarray]:
-    """Leave out corners that can be passed by."""
+    """Leave out corners that are not needed."""
     result, here = [way[0]], 0
     while here < len(way) - 1:
         there = next(i for i in range(len(way) - 1, here, -1) if i == here + 1 or free(way[here], way[i]))

@@ -1,6 +1,5 @@
-"""Joints of an arm from poses of the palm: all postures that reach one, found from many starts; those that
-follow a moving palm on one branch, by ``mink`` (extra ``deploy``); and with which posture an arm should begin
-to carry the palm along a path, if it can."""
+"""Inverse kinematics of an arm: all postures for a palm pose; the posture that follows a moving palm, by
+``mink`` (extra ``deploy``); and the best initial posture for a path of the palm."""
 
 from __future__ import annotations
 
@@ -15,31 +14,30 @@ from fungrasp.robots.cell import RobotCell, plan_speed
 from fungrasp.robots.kinematics.arm_model import CLEAR, MARGIN, ArmKinematics, ClearanceModel, outside
 
 DAMPING = 0.02
-"""Of the least-squares steps, in units of the Jacobian's."""
+"""Damping of the least-squares steps, in units of the Jacobian."""
 
 LARGEST_STEP = 0.5
-"""Longest change of a joint in one step [rad]."""
+"""Largest change of a joint in one step [rad]."""
 
 STEPS = 40
-"""Steps from each start; those that reach a pose do so in about ten."""
+"""Largest number of steps from each start; successful ones take about ten."""
 
 TOLERANCE = 1e-4
 """Largest error of a posture [m, rad]."""
 
 SAME = 0.05
-"""Postures closer than this are the same [rad]."""
+"""Largest difference of a joint between equal postures [rad]."""
 
 
 def arm_postures(kinematics: ArmKinematics, pose: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """Postures with the palm at a pose, by damped least squares from each start.
+    """Solve the inverse kinematics by damped least squares from each start.
 
     Args:
-        pose: of the palm, world frame, shape [7].
-        starts: joints to start from [rad], shape [S, M].
+        pose: palm pose, world frame, shape [7].
+        starts: initial joints [rad], shape [S, M].
 
     Returns:
-        Different postures within the joint limits [rad], shape [P, M], all joints within a half turn of zero
-        where the limits allow it.
+        different postures within the joint limits [rad], shape [P, M]; joints are within a half turn of zero.
     """
     found: list[np.ndarray] = []
     for start in starts:
@@ -61,34 +59,33 @@ def arm_postures(kinematics: ArmKinematics, pose: np.ndarray, starts: np.ndarray
 
 
 def random_starts(kinematics: ArmKinematics, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Postures to start from [rad], shape [count, M]: uniform within a half turn and the joint limits."""
+    """Return random postures [rad], shape [count, M], uniform within a half turn and the joint limits."""
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
     return rng.uniform(low, high, (count, len(low)))
 
 
 def _error(pose: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """From a pose to a goal: translation [m] and rotation vector [rad], world frame, shape [6]."""
+    """Return translation [m] and rotation vector [rad] from a pose to a goal, world frame, shape [6]."""
     turn = quaternion_multiply(goal[3:], quaternion_conjugate(pose[3:]))
     return np.concatenate([goal[:3] - pose[:3], rotation_vector(turn / norm(turn))])
 
 
 def _unwound(joints: np.ndarray, kinematics: ArmKinematics) -> np.ndarray:
-    """The same posture within a half turn of zero, and within the limits as far as that is possible."""
+    """Turn joints to within a half turn of zero, then clip them to the limits."""
     turned = (joints + np.pi) % (2 * np.pi) - np.pi
     return np.clip(turned, kinematics.lower, kinematics.upper)
 
 
 ITERATIONS = 4
-"""Steps of the solver for each setpoint; the palm moves by 5 mm at most between two."""
+"""Steps of the solver for each setpoint; the palm moves by at most 5 mm between two setpoints."""
 
 ARRIVED = 1e-5
-"""Error at which it stops [m, rad]."""
+"""Error at which the solver stops [m, rad]."""
 
 
 class PalmFollower:
-    """Joints for one palm pose after another. Each step minimizes ``|J dq - e|^2 + damping |dq|^2`` within
-    the limits of position and speed, e being the pose error; the damping keeps steps small near
-    singularities."""
+    """Follows palm poses with the arm. Each step minimizes ``|J dq - e|^2 + damping |dq|^2`` for the pose
+    error e, within the limits of position and speed; damping keeps steps small near singularities."""
 
     def __init__(self, kinematics: ArmKinematics, speed: float):
         """speed: largest speed of a joint [rad/s]. Raises: FungraspError: mink is not installed."""
@@ -108,18 +105,17 @@ class PalmFollower:
         ]
 
     def begin(self, joints: np.ndarray) -> None:
-        """Start at a posture, whose branch is kept. joints: [rad], shape [M]."""
+        """Start at a posture; its branch of solutions is kept. joints: [rad], shape [M]."""
         self._configuration.update(joints)
 
     @property
     def joints(self) -> np.ndarray:
-        """Where the arm is to be [rad], shape [M]."""
+        """Current solution [rad], shape [M]."""
         return self._configuration.q.copy()
 
     def follow(self, pose: np.ndarray, period: float) -> tuple[np.ndarray, float, float]:
-        """Joints a setpoint later. pose: of the palm, world frame, shape [7]; period: time until it should be
-        there [s]. Returns: joints [rad], shape [M]; what is left of the error: position [m] and rotation
-        [rad]."""
+        """Follow to the next palm pose. pose: world frame, shape [7]; period: time of the motion [s].
+        Returns: joints [rad], shape [M]; remaining errors of position [m] and rotation [rad]."""
         mink = self._mink
         self._task.set_target(mink.SE3(np.concatenate([pose[3:], pose[:3]])))
         place = turn = np.inf
@@ -138,30 +134,30 @@ class PalmFollower:
 
 
 STARTS = 48
-"""Random postures from which the solutions of a pose are sought; 32 find all eight of a UR5e."""
+"""Number of random starts for the solutions of a pose; 32 find all eight of a UR5e."""
 
 LEAST_MANIPULABILITY = 0.04
-"""Nearer to a singularity the arm is not taken."""
+"""Smallest manipulability (``ArmKinematics.manipulability``) along a path."""
 
 TABLE_ROOM = 0.005
-"""The arm of a plan stays so much farther from the table than the arm that moves must, its hand half of that
-[m]: policies correct the palm by some millimeters, and fingers are not quite where they are read."""
+"""Additional distance of planned motions from table and obstacles, half of it for the hand [m]: policies
+correct the palm by some millimeters, and finger readings are not exact."""
 
 LARGEST_ERROR = 0.002
-"""Error of the palm on the path beyond which it does not follow [m, and rad for ten times as much]."""
+"""Largest error of the palm's position along a path [m]; that of the rotation [rad] is ten times as large."""
 
 PATIENT = 50
-"""An arm that gets there in so many times the time is too slow, not too short."""
+"""Factor on the time in which an arm that is too slow, but long enough, reaches a pose."""
 
 OUT_OF_REACH = "the start is out of the arm's reach"
 
 
 @dataclass(frozen=True, eq=False)
 class PalmPath:
-    """Where palm and fingers are to be, T steps."""
+    """Path of palm and fingers, T steps."""
 
     palm: np.ndarray
-    """Poses of the palm, world frame, shape [T, 7]."""
+    """Palm poses, world frame, shape [T, 7]."""
     fingers: np.ndarray
     """Independent joints [rad], shape [T, U]."""
     period: float
@@ -170,34 +166,33 @@ class PalmPath:
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """How well an arm follows a path from one posture."""
+    """How well an arm follows a path from an initial posture."""
 
     start: np.ndarray
-    """Posture at the beginning [rad], shape [M]."""
+    """Initial posture [rad], shape [M]."""
     end: np.ndarray
-    """Posture at the end [rad], shape [M]."""
+    """Last posture reached [rad], shape [M]."""
     margin: float
-    """Least of clearance, manipulability and distance from the joints' limits on the way, each as a share of
-    what is plenty."""
+    """Smallest of self-clearance, manipulability and distance from joint limits along the path, each as a
+    share of a comfortable value. Negative if the path can't be followed: minus the share that is left."""
     obstacle: str
-    """What is in the way, as a phrase; "" for nothing."""
+    """What prevents the motion, as a phrase; "" if nothing."""
 
 
 class ReachChecker:
-    """Checks paths of one robot."""
+    """Checks whether the arm of a robot can follow paths of the palm."""
 
     def __init__(
         self, cell: RobotCell, kinematics: ArmKinematics, clearance: ClearanceModel, rng: np.random.Generator
     ):
-        """rng: of the postures that solutions are sought from."""
+        """rng: source of random starts."""
         self._cell, self._kinematics, self._clearance, self._rng = cell, kinematics, clearance, rng
-        # A plan that takes longer moves the arm more slowly.
+        # Plans are checked at full speed; ``plan_speed`` slows them down later.
         self._follower = PalmFollower(kinematics, cell.limits.arm_speed / plan_speed(cell.limits))
 
     def possible(self, path: PalmPath, home: np.ndarray) -> str:
-        """What is in the way of a path from every posture, whatever the hand does to the table, as a phrase;
-        "" if it can be followed from some posture. Quicker than ``best``. home: a posture that solutions are
-        sought from beside random ones [rad], shape [M]."""
+        """Return what prevents a path from any posture, apart from the hand at the table, as a phrase; "" if
+        it can be followed. Faster than ``best``. home: additional start for solutions [rad], shape [M]."""
         beyond = outside(path.palm, self._cell.workspace)
         if beyond:
             return beyond
@@ -210,9 +205,9 @@ class ReachChecker:
         return nearest.obstacle
 
     def best(self, path: PalmPath, home: np.ndarray) -> tuple[list[Reach], str]:
-        """The postures from which the path can be followed, the best first. home: where the arm is now [rad],
-        shape [M]; of two that do as well, the nearer is better. Returns: those that can, and what is in the
-        way of the best of the others, "" if some can."""
+        """Return the postures from which the path can be followed, best first, and what prevents the best of
+        the others, "" if a posture was found. home: current posture [rad], shape [M]; among equally good
+        postures, nearer ones come first."""
         beyond = outside(path.palm, self._cell.workspace)
         if beyond:
             return [], beyond
@@ -224,8 +219,8 @@ class ReachChecker:
         return [], max(tried, key=lambda reach: reach.margin).obstacle if tried else OUT_OF_REACH
 
     def followed(self, paths: Sequence[PalmPath], home: np.ndarray) -> np.ndarray:
-        """Whether the arm can follow paths that begin at the same pose, a bool array, one for each: from any
-        posture. home: where the arm is now [rad], shape [M]."""
+        """Return whether the arm can follow N paths with the same initial pose, from any posture, shape [N]
+        bool. home: current posture [rad], shape [M]."""
         postures = list(self._postures(paths[0], home))
         can = np.zeros(len(paths), dtype=bool)
         for i, path in enumerate(paths):
@@ -233,20 +228,20 @@ class ReachChecker:
                 continue
             for number, posture in enumerate(postures):
                 if not self.follow(path, posture).obstacle:
-                    # What serves one serves most of the others.
+                    # A posture that serves one path serves most others.
                     postures.insert(0, postures.pop(number))
                     can[i] = True
                     break
         return can
 
     def _postures(self, path: PalmPath, home: np.ndarray, count: int = STARTS) -> np.ndarray:
-        """Postures at the beginning of a path, sought from home and ``count`` random ones."""
+        """Return initial postures of a path, found from home and ``count`` random starts."""
         starts = np.concatenate([home[None], random_starts(self._kinematics, count, self._rng)])
         return arm_postures(self._kinematics, path.palm[0], starts)
 
     def follow(self, path: PalmPath, posture: np.ndarray, hand_matters: bool = True) -> Reach:
-        """Follow a path from a posture. posture: at its beginning [rad], shape [M]; hand_matters: whether the
-        hand must not press into the table."""
+        """Follow a path from an initial posture [rad], shape [M]. hand_matters: whether to check the distance
+        of the hand from the table."""
         k, c, box = self._kinematics, self._cell, self._cell.workspace
         follower, margin, joints = self._follower, np.inf, posture
         follower.begin(posture)

@@ -1,1 +1,1 @@
-"""Sources of the object's pose."""
+"""Sources of object poses."""

@@ -1,5 +1,4 @@
-"""Poses of a known object from a depth camera's images, by ``fungrasp.perception``: searched for once, then
-followed from image to image in a thread of its own."""
+"""Object tracking in images of a depth camera, by ``fungrasp.perception``, in a thread."""
 
 from __future__ import annotations
 
@@ -22,16 +21,16 @@ if TYPE_CHECKING:
     from fungrasp.perception.io.realsense import RealSenseCamera
 
 WAIT = 0.2
-"""Longest wait for a frame before it is looked whether to end [s]."""
+"""Longest wait for a frame before the thread checks whether to end [s]."""
 
 LOST_FRAMES = 10
-"""After so many images in a row without the object it is searched for again."""
+"""Number of consecutive images without the object after which it is detected again."""
 
 _log = logging.getLogger(__name__)
 
 
 class CameraTracker(PoseSource):
-    """Of a camera that stands still."""
+    """Tracks an object with a fixed camera: detects it once, then follows it from image to image."""
 
     def __init__(
         self,
@@ -44,13 +43,13 @@ class CameraTracker(PoseSource):
     ):
         """
         Args:
-            pose_world_camera: where the camera stands, shape [7], from calibration.
-            start: where the object is at first, world frame, shape [7]; searched for if None, which takes a
+            pose_world_camera: calibrated pose of the camera, world frame, shape [7].
+            start: initial pose of the object, world frame, shape [7]; if None, it is detected, which takes a
                 second or two.
         """
         self.name = f"tracker of '{obj.name}' in images of {frames.name}"
         self.seconds: list[float] = []
-        """Processor time of each image that was followed [s]."""
+        """Processor time of tracking for each image [s]."""
         self._frames, self._object, self._camera = frames, obj, np.asarray(pose_world_camera, dtype=float)
         self._start = None if start is None else compose(invert(self._camera), np.asarray(start))
         self._seed = seed
@@ -89,12 +88,12 @@ class CameraTracker(PoseSource):
                 if frame is not None:
                     self._newest = self._answer(frame)
             except (FungraspError, RuntimeError) as error:
-                # Poses grow old, which stops the robot; the reason is in the log.
+                # The last pose grows old, which stops the robot.
                 _log.error("%s has ended: %s", self.name, error)
                 return
 
     def _answer(self, frame: CameraFrame) -> TrackedPose | None:
-        """What an image says."""
+        """Return the pose from an image."""
         if self._tracker is None:
             return self._found(frame)
         began = time.thread_time()
@@ -108,7 +107,7 @@ class CameraTracker(PoseSource):
         return TrackedPose(compose(self._camera, track.pose), frame.time, track.score, status)
 
     def _found(self, frame: CameraFrame) -> TrackedPose | None:
-        """The first pose: given or searched for; what was said last where the object is not there."""
+        """Return the first pose, given or detected; the previous pose if the object is not found."""
         pose, score = self._start, 1.0
         if pose is None:
             found = estimate_object_pose(frame.capture(), self._object, seed=self._seed)
@@ -116,6 +115,6 @@ class CameraTracker(PoseSource):
                 return self._newest
             pose, score = found.pose_camera_object, found.score
         self._tracker = ObjectTracker(self._object, frame.intrinsics, pose, seed=self._seed)
-        # The search took a second, in which the object may have moved: the next image says where it is.
+        # The object may have moved during the detection, which takes a second: the next image tells.
         world = compose(self._camera, pose)
         return TrackedPose(world, frame.time, score, TrackingStatus.INITIALIZING)

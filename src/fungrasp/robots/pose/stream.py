@@ -1,5 +1,5 @@
-"""Object poses from another process, over ZeroMQ, the newest only: one MessagePack map per pose, with the
-entries "schema", which is "fungrasp.pose", "version", which is 1, and the fields of ``PoseMessage``."""
+"""Object poses from another process over ZeroMQ; only the newest is kept. Each message is a MessagePack map
+with the entries "schema" ("fungrasp.pose"), "version" (1), and the fields of ``PoseMessage``."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ SCHEMA, VERSION = "fungrasp.pose", 1
 
 @dataclass(frozen=True)
 class PoseMessage:
-    """What a tracker says: the entries of its map, but for schema and version."""
+    """Entries of a message, without schema and version."""
 
     sequence: int
-    """Count of the tracker's answers."""
+    """Number of the message."""
     clock: str
-    """Identifies the sender's clock; the same text on both sides: the same clock."""
+    """Name of the sender's clock; equal names on both sides mean the same clock."""
     captured: float
-    """When the image was taken, by the sender's clock [s]."""
+    """Time of the image, by the sender's clock [s]."""
     sent: float
-    """When the message was sent, by the sender's clock [s]."""
+    """Time of sending, by the sender's clock [s]."""
     object: str
     """Name of the object."""
     frame: str
     """Frame of the pose: "world" or "camera"."""
     position: tuple[float, float, float]
-    """Position of the object in the frame [m]."""
+    """Position of the object in this frame [m]."""
     rotation: tuple[float, float, float, float]
-    """Its rotation, wxyz."""
+    """Rotation of the object in this frame, wxyz."""
     score: float
     """Confidence, 0 to 1."""
     status: Literal["tracking", "lost", "initializing"]
-    """Whether the pose may be used (``TrackingStatus``)."""
+    """State of the tracker (``TrackingStatus``)."""
     wall: float | None = None
-    """When the message was sent, by the time of day [s since 1970]; may be missing."""
+    """Time of sending, by the time of day [s since 1970]; may be missing."""
 
     def entries(self) -> dict[str, Any]:
-        """The map."""
+        """Return the whole map."""
         return {"schema": SCHEMA, "version": VERSION, **vars(self)}
 
 
 def read_message(entries: Any) -> PoseMessage:
-    """The message of a map; entries that are not its own are left alone. Raises: RobotError: it is none, of
-    another version, or impossible."""
+    """Read the message of a map; other entries are ignored. Raises: RobotError: no pose message, another
+    version, or invalid values."""
     if not isinstance(entries, dict) or entries.get("schema") != SCHEMA:
         raise RobotError(f"a message of another kind came instead of '{SCHEMA}'")
     if entries.get("version") != VERSION:
@@ -69,21 +69,20 @@ def read_message(entries: Any) -> PoseMessage:
 
 
 FUTURE = 0.005
-"""A capture this far ahead of our clock [s] was stamped by a clock that has jumped."""
+"""Time of a capture ahead of our clock beyond which the sender's clock has jumped [s]."""
 LONGEST_DELAY = 10.0
-"""A tracker that says it took longer [s] has a clock that has jumped."""
+"""Delay from capture to sending beyond which the sender's clock has jumped [s]."""
 SKEW = 0.02
-"""Two machines that keep the same time of day are apart by less [s]."""
+"""Largest difference of the time of day between two synchronized machines [s]."""
 
 
 class PoseStream(PoseSource):
-    """Of a publisher. A message whose time stamps can't be is ignored, and so is one that is
-    no newer than the one before, so that the pose before it grows old: only the age of the capture says
-    whether a pose may be used.
+    """Receives poses from a publisher. Messages with invalid time stamps, or that are not newer than the
+    previous one, are ignored: the last pose then grows old, and only its age tells whether it is usable.
 
-    Of a tracker on another machine, whose clock has another origin, the age is told by the time of day, which
-    both machines keep (NTP). Where its messages don't say that, the one that came soonest after it was sent
-    counts as having taken no time: what is later than that one, or waits to be read, is as much older.
+    If the tracker runs on another machine, the age follows from the time of day of both machines, which NTP
+    must keep equal. Without time of day, the message with the fastest transmission counts as delivered in no
+    time, and the delays of others are relative to it.
     """
 
     def __init__(
@@ -96,14 +95,14 @@ class PoseStream(PoseSource):
     ):
         """
         Args:
-            address: of the publisher, "tcp://127.0.0.1:5556".
-            object_name: of the object; another one is refused. Empty: any.
-            frame: that poses must be in: "world", or "camera" (OpenCV: x right, y down, z forward).
-            timeout: to wait for the first message on connecting [s].
-            pose_world_camera: where the camera stands, from calibration, shape [7]; of the frame "camera".
+            address: address of the publisher, such as "tcp://127.0.0.1:5556".
+            object_name: expected name of the object. Empty: any.
+            frame: expected frame of the poses: "world", or "camera" (OpenCV: x right, y down, z forward).
+            timeout: longest wait for the first message [s].
+            pose_world_camera: calibrated pose of the camera, world frame, shape [7]; for the frame "camera".
 
         Raises:
-            RobotError: another frame, or the camera's without its pose.
+            RobotError: an unknown frame, or the frame "camera" without the camera's pose.
         """
         if frame not in ("world", "camera"):
             raise RobotError(f'a pose stream is in the frame "world" or "camera", not \'{frame}\'')
@@ -112,7 +111,7 @@ class PoseStream(PoseSource):
         self._camera = np.asarray(pose_world_camera) if frame == "camera" else None
         self.name = f"pose stream {address}"
         self.ignored = 0
-        """Messages that could not be used."""
+        """Number of ignored messages."""
         self._address, self._object, self._frame, self._timeout = address, object_name, frame, timeout
         self._clock = clock_name()
         self._sender, self._sent, self._offset = "", -np.inf, np.inf
@@ -127,7 +126,7 @@ class PoseStream(PoseSource):
         self.close()
         self._sender = ""
         self._socket = self._zmq.Context.instance().socket(self._zmq.SUB)
-        # Before connecting, or it has no effect: only the newest message is kept.
+        # Keep only the newest message; this has no effect after connecting.
         self._socket.setsockopt(self._zmq.CONFLATE, 1)
         self._socket.setsockopt(self._zmq.LINGER, 0)
         self._socket.setsockopt(self._zmq.SUBSCRIBE, b"")
@@ -169,7 +168,7 @@ class PoseStream(PoseSource):
         try:
             entries = self._msgpack.unpackb(data)
         except Exception as error:
-            # The library raises errors of many kinds for bytes that are no MessagePack.
+            # Invalid bytes raise errors of many kinds.
             raise RobotError(f"a message is no MessagePack ({type(error).__name__})") from error
         message = read_message(entries)
         if self._object and message.object != self._object:
@@ -193,7 +192,7 @@ class PoseStream(PoseSource):
         return TrackedPose(pose, captured, message.score, TrackingStatus(message.status))
 
     def _captured(self, message: PoseMessage, now: float, wall: float) -> float:
-        """When the image was taken, by our clock [s]. now, wall: our clock and the time of day [s]."""
+        """Return the time of the image on our clock [s]. now, wall: our clock and the time of day [s]."""
         if message.clock == self._clock:
             return message.captured
         delay = message.sent - message.captured
@@ -210,11 +209,10 @@ class PoseStream(PoseSource):
 
 
 class PosePublisher:
-    """The other end: what a tracker's process calls for each of its answers."""
+    """Publishes the poses of a tracker."""
 
     def __init__(self, address: str, object_name: str, frame: str = "world"):
-        """address: to publish on, "tcp://127.0.0.1:5556". Raises: RobotError: the address is in use or is
-        none."""
+        """address: such as "tcp://127.0.0.1:5556". Raises: RobotError: the address is in use or invalid."""
         zmq = import_client("zmq", "pose", "a pose publisher")
         self._msgpack = import_client("msgpack", "pose", "a pose publisher")
         self._object, self._frame, self._sequence = object_name, frame, 0
@@ -237,10 +235,10 @@ class PosePublisher:
         """Send a pose.
 
         Args:
-            pose: of the object, shape [7].
-            captured: when the image was taken, ``time.monotonic`` [s].
+            pose: pose of the object in the frame, shape [7].
+            captured: time of the image, ``time.monotonic`` [s].
             score: confidence, 0 to 1.
-            status: whether the pose may be used.
+            status: state of the tracker.
         """
         x, y, z, *turn = pose.tolist()
         message = PoseMessage(
@@ -260,7 +258,7 @@ class PosePublisher:
         self.send_bytes(self._msgpack.packb(message.entries()))
 
     def send_bytes(self, data: bytes) -> None:
-        """Send a message that is packed already."""
+        """Send a packed message."""
         self._socket.send(data)
 
     def close(self) -> None:
@@ -269,12 +267,12 @@ class PosePublisher:
 
 
 def clock_name() -> str:
-    """Names the clock ``time.monotonic`` of this machine since it was started."""
+    """Return a name for ``time.monotonic`` of this machine since it was started."""
     boot = Path("/proc/sys/kernel/random/boot_id")
     try:
         return f"monotonic:{boot.read_text().strip()}"
     except OSError:
         import uuid
 
-        # Elsewhere: of this machine's network card; it does not change when the machine is restarted.
+        # Without Linux, the address of the network card, which does not change with a restart.
         return f"monotonic:{uuid.getnode():x}"
