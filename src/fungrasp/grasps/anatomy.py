@@ -1,4 +1,4 @@
-"""Bones and joints of human grasps that lie outside adults' ranges."""
+"""Check bones and joints of human grasps against adults' ranges."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from fungrasp.grasps.human_hand import (
 
 
 def check_anatomy(grasps: HumanGraspSet) -> list[str]:
-    """Bones and joints of a grasp set outside adults' ranges, one sentence each; empty if there are none."""
+    """Return a message for each bone length and joint angle outside adults' ranges."""
     lengths = bone_lengths(grasps.hand_joints) * 1000
     shortest = ADULT_BONES[..., 0].ravel() * (1 - BONE_VARIATION)
     longest = ADULT_BONES[..., 1].ravel() * (1 + BONE_VARIATION)
@@ -56,7 +56,7 @@ def check_anatomy(grasps: HumanGraspSet) -> list[str]:
 
 
 def grouped(findings: list[str]) -> list[str]:
-    """Findings of ``check_anatomy`` that differ in grasp and number only, in one sentence each."""
+    """Join messages of ``check_anatomy`` that differ only in grasp and numbers."""
     groups: dict[str, list[str]] = {}
     for finding in findings:
         words = finding.partition(": ")[2]

@@ -1,7 +1,7 @@
-"""Whether a robot hand holds an object where and how the person held it (docs/evaluate.md, "Held as shown").
+"""Compare robot grasps with the human grasps they imitate (docs/evaluate.md, "Held as shown").
 
-The same fingers touch at the same places from the same side. Wanted are the finger links that stand for
-human links in contact; the palm is left out.
+In a grasp as shown, the same fingers touch at the same places from the same side. Wanted links are the finger
+links that correspond to human links in contact; the palm is ignored.
 """
 
 from __future__ import annotations
@@ -25,87 +25,87 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import nearest_surface_points
 
 NEAR = 0.02
-"""Largest distance between contacts of link and person that counts as the same place [m]."""
+"""Largest distance between contacts of robot and human at the same place [m]."""
 
 TOUCH = 0.005
 """Clearance below which a link touches, in static grasps [m]."""
 
 STRAY = 0.03
-"""A contact farther than this from all contacts of the person is a stray [m]."""
+"""Distance from all human contacts beyond which a robot contact is a stray [m]."""
 
 ENOUGH = 2 / 3
 """Share of the wanted links that must be as shown."""
 
 
 class ShownGrasps(Protocol):
-    """What robot grasps and plans have in common."""
+    """Common fields of robot grasps and plans."""
 
     @property
     def object_name(self) -> np.ndarray:
-        """Shape [N] str."""
+        """Names of the objects, shape [N] str."""
         ...
 
     @property
     def link_contacts(self) -> np.ndarray:
-        """Shape [N, L] bool."""
+        """Links that should touch, palm first, shape [N, L] bool."""
         ...
 
     @property
     def shown_places(self) -> np.ndarray | None:
-        """Shape [N, L - 1, 3]."""
+        """Human contact points, object frame [m], shape [N, L - 1, 3]."""
         ...
 
     @property
     def shown_normals(self) -> np.ndarray | None:
-        """Shape [N, L - 1, 3]."""
+        """Outward unit normals at these points, object frame, shape [N, L - 1, 3]."""
         ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AsShown(BatchRecord):
-    """Agreement of N grasps with the person's, for S finger links. NaN if no link is wanted."""
+    """Comparison of N robot grasps with human ones, for S finger links. Shares and ``place_error`` are NaN if
+    no link is wanted."""
 
     holds: np.ndarray
-    """Whether the thumb is as shown, where it is wanted, and at least ``ENOUGH`` of the wanted links are,
-    shape [N] bool."""
+    """Whether at least ``ENOUGH`` of the wanted links are as shown, including the thumb if wanted, shape [N]
+    bool."""
     share: np.ndarray
     """Share of the wanted links that are as shown, shape [N]."""
     place_error: np.ndarray
-    """Mean distance of the wanted links' places from the person's [m], shape [N]."""
+    """Mean distance of the wanted links from the human contacts [m], shape [N]."""
     other_side: np.ndarray
     """Share of the wanted links on the other side of the surface, shape [N]."""
     strays: np.ndarray
-    """Number of links that touch more than ``STRAY`` from every place of the person, shape [N]."""
+    """Number of touching links farther than ``STRAY`` from all human contacts, shape [N]."""
     points: np.ndarray
-    """Surface point nearest to the point of each link that is nearest to the object, object frame [m], shape
-    [N, S, 3]."""
+    """Surface point nearest to each link, object frame [m], shape [N, S, 3]."""
     errors: np.ndarray
-    """Distance of each link's point from the person's place [m], shape [N, S]; meaningless where the link
-    neither is wanted nor touches."""
+    """Distance of each surface point from the link's human contact [m], shape [N, S]; meaningless for links
+    that neither are wanted nor touch."""
     turned: np.ndarray
     """Links on the other side of the surface, shape [N, S] bool."""
     shown: np.ndarray
     """Wanted links that are as shown, shape [N, S] bool."""
     reason: np.ndarray
-    """Why a grasp is not as shown, else "", shape [N] str."""
+    """Reason for which a grasp is not as shown, or "", shape [N] str."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShownContacts(BatchRecord):
-    """Where the person touched in N grasps, by the robot's S finger links; object frame."""
+    """Human contacts in N grasps, for the robot's S finger links; object frame."""
 
     object_name: np.ndarray
     """Names of the objects, shape [N] str."""
     wanted: np.ndarray
     """Links that should touch, shape [N, S] bool."""
     places: np.ndarray
-    """Surface points [m], shape [N, S, 3]."""
+    """Points on the surface [m], shape [N, S, 3]."""
     normals: np.ndarray
-    """Outward unit normals of the surface there, shape [N, S, 3]."""
+    """Outward unit normals at these points, shape [N, S, 3]."""
 
     @classmethod
     def of(cls, grasps: ShownGrasps) -> ShownContacts | None:
-        """Those of robot grasps or plans; None if they don't know them."""
+        """Return the human contacts of robot grasps or plans; None if unknown."""
         if grasps.shown_places is None or grasps.shown_normals is None:
             return None
         wanted = grasps.link_contacts[:, 1:]
@@ -115,16 +115,16 @@ class ShownContacts(BatchRecord):
 def shown_places(
     human: HumanGraspSet, objects: Mapping[str, ObjectModel], match: Correspondence
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the person would touch with what each of the robot's finger links stands for: the surface point
-    nearest to the human joint at the link's far end, and the outward unit normal there.
+    """Return the human contact of each robot finger link: the surface point nearest to the human joint at the
+    link's far end.
 
     Args:
         human: N grasps.
-        objects: by name, each object of the grasps.
-        match: of the robot hand, S finger links.
+        objects: objects of the grasps by name.
+        match: correspondence of a robot hand with S finger links.
 
     Returns:
-        Places [m] and normals, object frame, shape [N, S, 3] each.
+        Points [m] and outward unit normals, object frame, shape [N, S, 3] each.
     """
     models, index, bank = _grouped(human.object_name.tolist(), objects)
     joints = inverse_transform_points(human.object_pose, human.hand_joints)[:, match.human_far]
@@ -136,23 +136,23 @@ def shown_places(
 def with_shown_places(
     robot: RobotGraspSet, human: HumanGraspSet, objects: Mapping[str, ObjectModel], hand: Hand | None = None
 ) -> RobotGraspSet:
-    """Robot grasps that know where the person touched.
+    """Add human contacts to robot grasps.
 
     Args:
         robot: N grasps.
-        human: what they were retargeted from, in the same order.
-        hand: theirs; it is loaded if None.
+        human: the human grasps from which they were retargeted, in the same order.
+        hand: hand of the robot grasps. None: loaded by name.
     """
     places, normals = shown_places(human, objects, correspond(hand or robot.load_hand()))
     return replace(robot, shown_places=places, shown_normals=normals)
 
 
 class ShownJudge:
-    """Compares grasps of one hand with the person's."""
+    """Compares grasps of one robot hand with human grasps."""
 
     def __init__(self, hand: Hand, objects: Mapping[str, ObjectModel]):
         self.hand = hand
-        """The hand."""
+        """Robot hand."""
         self._objects = objects
         self._spheres, self._thumb = collision_spheres(hand), correspond(hand).is_thumb
 
@@ -163,13 +163,13 @@ class ShownJudge:
         shown: ShownContacts,
         touching: np.ndarray | None = None,
     ) -> AsShown:
-        """Compare N grasps with the person's.
+        """Compare N robot grasps with human contacts.
 
         Args:
-            palm_pose: object frame, shape [N, 7].
-            joint_positions: of all joints [rad], shape [N, M].
-            shown: where the person touched, N rows.
-            touching: links that touch the object, shape [N, S] bool; those nearer than ``TOUCH`` if None.
+            palm_pose: pose of the palm body, object frame, shape [N, 7].
+            joint_positions: all joints [rad], shape [N, M].
+            shown: human contacts of N grasps.
+            touching: links that touch the object, shape [N, S] bool. None: links nearer than ``TOUCH``.
         """
         wanted, places, normals = shown.wanted, shown.places, shown.normals
         models, index, bank = _grouped(shown.object_name.tolist(), self._objects)
@@ -178,7 +178,7 @@ class ShownJudge:
         kinematics.update(palm_pose, independent)
         centers = kinematics.points(self._spheres.points)
         clearance = bank.query(index, centers)[0] - self._spheres.radius
-        # The palm, link 0, is left out.
+        # Without the palm, link 0.
         nearest = np.stack(
             [
                 np.where(self._spheres.link == link, clearance, np.inf).argmin(axis=1)
@@ -222,18 +222,18 @@ class ShownJudge:
 
 
 class PlaceMarks(NamedTuple):
-    """The K wanted links of one grasp, to be drawn; object frame."""
+    """Contacts of one grasp's K wanted links, for drawing; object frame."""
 
     places: np.ndarray
-    """Where the person touched [m], shape [K, 3]."""
+    """Human contacts [m], shape [K, 3]."""
     points: np.ndarray
-    """Where the robot does, or is nearest to the surface [m], shape [K, 3]."""
+    """Surface points nearest to the robot's links [m], shape [K, 3]."""
     shown: np.ndarray
     """Links that are as shown, shape [K] bool."""
 
     @property
     def words(self) -> str:
-        """ "5 of 6 links, 8 mm"."""
+        """Summary, such as "5 of 6 links, 8 mm"."""
         if not len(self.shown):
             return "no link is wanted"
         error = 1e3 * np.linalg.norm(self.points - self.places, axis=1).mean()
@@ -247,12 +247,12 @@ def place_marks(
     touching: np.ndarray | None = None,
     hand: Hand | None = None,
 ) -> PlaceMarks | None:
-    """What to draw of one grasp; None if it does not know where the person touched.
+    """Return the contacts of one grasp for drawing; None if the human contacts are unknown.
 
     Args:
-        row: of the grasp in the set.
-        touching: links that touch the object, shape [S] bool; those nearer than ``TOUCH`` if None.
-        hand: theirs; it is loaded if None.
+        row: index of the grasp.
+        touching: links that touch the object, shape [S] bool. None: links nearer than ``TOUCH``.
+        hand: hand of the grasps. None: loaded by name.
     """
     grasp = robot.select(np.array([row]))
     shown = ShownContacts.of(grasp)
@@ -266,13 +266,13 @@ def place_marks(
 
 
 def _most(links: str, lost: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """What is wrong with most of some links, in words, shape [N] str.
+    """Return the most frequent fault of some links in words, shape [N] str.
 
     Args:
-        links: what to call them.
-        lost: 0 for a link that does not touch, 1 for one that is too far from the person's place, 2 for one
-            on the other side, 3 for one as shown; shape [N, S].
-        which: of the links, shape [N, S] bool.
+        links: name of these links.
+        lost: 0 if a link does not touch, 1 if it is too far from the human contact, 2 if it is on the other
+            side, 3 if it is as shown; shape [N, S].
+        which: selected links, shape [N, S] bool.
     """
     number = [(which & (lost == kind)).sum(axis=1) for kind in range(3)]
     off = "is" if links.startswith("the ") else "are"
@@ -284,7 +284,7 @@ def _most(links: str, lost: np.ndarray, which: np.ndarray) -> np.ndarray:
 def _grouped(
     names: Sequence[str], objects: Mapping[str, ObjectModel]
 ) -> tuple[list[ObjectModel], np.ndarray, SignedDistanceBank]:
-    """The objects that are named, the index of each name, and the bank of their distances."""
+    """Return the named objects, the index of each name, and the objects' signed distances."""
     known = sorted(set(names))
     models = [objects[name] for name in known]
     return models, np.searchsorted(known, names), SignedDistanceBank([m.signed_distance for m in models])

@@ -1,4 +1,4 @@
-"""Which links of a human hand touch an object, from the 21 joints alone or from the surface of the hand."""
+"""Contacts of a human hand's links with an object, from the 21 joints or from the hand's surface."""
 
 from __future__ import annotations
 
@@ -8,24 +8,18 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps.human_hand import HUMAN_FINGERS, LINK_RADII
 
 TRACKED_CONTACT_GAP = 0.005
-"""Gap that still counts as contact [m]: about the error of a tracked hand. On the 375 training
-grasps of D-Grasp the flags of the distal links then agree with its labels in 96 % of the cases."""
+"""Smallest gap that is not a contact [m], about the error of hand tracking. With this value, the contacts of
+distal links agree with the labels of D-Grasp's 375 training grasps in 96 % of the cases."""
 
 CONTACT_REACH = 0.03
-"""Largest distance between the skin of a link and what it touches, as annotated [m]."""
+"""Largest plausible distance between a link's skin and its annotated contact [m]."""
 
 POINTS_PER_LINK = 5
 
 
 def link_points(hand_joints: np.ndarray) -> np.ndarray:
-    """Points along the axis of each link.
-
-    Args:
-        hand_joints: [m], shape [N, 21, 3].
-
-    Returns:
-        [m], shape [N, 16, P, 3]. The palm's lie between the wrist and the bases of the four fingers.
-    """
+    """Return points along the axis of each link [m], shape [N, 16, P, 3]. Those of the palm lie between the
+    wrist and the bases of the four fingers. hand_joints: [m], shape [N, 21, 3]."""
     count = len(hand_joints)
     fingers = hand_joints[:, 1:].reshape(count, len(HUMAN_FINGERS), 4, 3)
     along = np.linspace(0.0, 1.0, POINTS_PER_LINK)[:, None]
@@ -42,16 +36,14 @@ def link_contacts(
     vertices: np.ndarray,
     faces: np.ndarray,
 ) -> np.ndarray:
-    """Links, as capsules about their bones, within ``TRACKED_CONTACT_GAP`` of the object or inside it.
+    """Return which links, as capsules about their bones, are within ``TRACKED_CONTACT_GAP`` of the object or
+    inside it, shape [N, 16] bool.
 
     Args:
-        hand_joints: [m], shape [N, 21, 3], world frame.
-        object_pose: of one object in N grasps, shape [N, 7], world frame.
-        vertices: of its mesh [m], shape [V, 3], object frame.
-        faces: outward, shape [F, 3].
-
-    Returns:
-        bool, shape [N, 16].
+        hand_joints: joints [m], world frame, shape [N, 21, 3].
+        object_pose: poses of one object in N grasps, world frame, shape [N, 7].
+        vertices: vertices of its mesh [m], object frame, shape [V, 3].
+        faces: outward triangles, shape [F, 3].
     """
     points = link_points(hand_joints)
     distance = _distance(points.reshape(len(points), -1, 3), object_pose, vertices, faces)
@@ -66,17 +58,15 @@ def surface_contacts(
     vertices: np.ndarray,
     faces: np.ndarray,
 ) -> np.ndarray:
-    """Links of which a vertex of the hand's surface is so near to the object or inside it.
+    """Return which links have a surface vertex within ``TRACKED_CONTACT_GAP`` of the object or inside it,
+    shape [N, 16] bool.
 
     Args:
-        surface: of the hand [m], shape [N, V, 3], world frame.
-        vertex_links: which of ``HUMAN_LINKS`` each vertex belongs to, shape [V].
-        object_pose: of one object in N grasps, shape [N, 7], world frame.
-        vertices: of its mesh [m], shape [W, 3], object frame.
-        faces: outward, shape [F, 3].
-
-    Returns:
-        bool, shape [N, 16].
+        surface: vertices of the hand [m], world frame, shape [N, V, 3].
+        vertex_links: index into ``HUMAN_LINKS`` of each vertex, shape [V].
+        object_pose: poses of one object in N grasps, world frame, shape [N, 7].
+        vertices: vertices of its mesh [m], object frame, shape [W, 3].
+        faces: outward triangles, shape [F, 3].
     """
     distance = _distance(surface, object_pose, vertices, faces)
     near = distance < TRACKED_CONTACT_GAP
@@ -86,7 +76,7 @@ def surface_contacts(
 def _distance(
     points: np.ndarray, object_pose: np.ndarray, vertices: np.ndarray, faces: np.ndarray
 ) -> np.ndarray:
-    """Signed distance [m] of points of N grasps, shape [N, P, 3], world frame. Returns shape [N, P]."""
+    """Return the signed distance of world points, shape [N, P, 3], from the object [m], shape [N, P]."""
     import trimesh
 
     from fungrasp.geometry.signed_distance import mesh_signed_distance

@@ -1,4 +1,4 @@
-"""Conversion of human grasps: other conventions, hands below the table, mirrored grasps."""
+"""Conversion of human grasps: conventions, rest poses, hands below the table, mirrored grasps."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ UP = {
     "-x": (_HALF, 0.0, _HALF, 0.0),
     "-z": (0.0, 1.0, 0.0, 0.0),
 }
-"""The rotation (wxyz) that turns each axis up."""
+"""Rotation (wxyz) from each upward axis to z."""
 
 BELOW_TABLE = -0.01
-"""A joint further below the table top is an error of measurement [m]."""
+"""Joints below this height above the table top [m] are measurement errors."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,15 @@ class Convention:
 
     @property
     def changes(self) -> dict[str, str | float]:
-        """The values that differ from ours, by name."""
+        """Values that differ from the defaults, by name."""
         return {f.name: v for f in fields(self) if (v := getattr(self, f.name)) != f.default}
 
     def as_options(self) -> str:
-        """The options of ``fungrasp grasps convert`` that convert from it."""
+        """Return the options of ``fungrasp grasps convert`` for this convention."""
         return " ".join(f"--{name.replace('_', '-')} {_text(v)}" for name, v in self.changes.items())
 
     def as_arguments(self) -> str:
-        """The arguments of ``Convention`` that make it."""
+        """Return the arguments of ``Convention`` for this convention."""
         return ", ".join(
             f'{name}="{v}"' if isinstance(v, str) else f"{name}={_text(v)}"
             for name, v in self.changes.items()
@@ -94,14 +94,15 @@ def _text(value: str | float) -> str:
 
 
 def converted(arrays: Mapping[str, np.ndarray], convention: Convention) -> dict[str, np.ndarray]:
-    """The fields of human grasps in our conventions. A field that is missing stays so; joint rotations are
-    left out where they would have to change.
+    """Convert fields of human grasps to the conventions of fungrasp.
+
+    Missing fields are not computed. Joint rotations (``hand_qpos``) are dropped if they would change.
 
     Args:
-        arrays: by name, as ``HumanGraspSet`` or a file has them.
+        arrays: fields of ``HumanGraspSet`` by name.
 
     Raises:
-        FungraspError: a field of wrong shape or type, or no such order of joints, unit, axis, or height.
+        FungraspError: a field has a wrong shape or type, or the joint order, unit, axis or height is invalid.
     """
     for kind, name, known in (("unit", convention.unit, UNITS), ("axis", convention.up, UP)):
         if name not in known:
@@ -157,12 +158,11 @@ def settled_pose(
     model: ObjectModel,
     face: Callable[[ObjectModel, np.ndarray], np.ndarray] = settled_up,
 ) -> np.ndarray:
-    """Where an object stands on the table after it is put down from a pose: on the stable face that is
-    nearest to pointing down, straight below.
+    """Return the pose of an object after it is put down vertically, on the stable face nearest to downwards.
 
     Args:
-        pose: world frame, shape [7].
-        face: which one that is: ``settled_up`` of all, or ``broad_settled_up``.
+        pose: pose before, world frame, shape [7].
+        face: function for the upward direction on that face: ``settled_up`` or ``broad_settled_up``.
 
     Returns:
         World frame, shape [7].
@@ -178,8 +178,7 @@ def settled_pose(
 
 
 def mend_below_table(grasps: HumanGraspSet, how: Literal["keep", "lift", "drop"]) -> HumanGraspSet:
-    """Grasps whose hands reach below the table: kept, left out, or lifted with their object until the hand
-    does not."""
+    """Keep or drop grasps with a hand below the table, or lift them, with the object, out of the table."""
     depth = np.minimum(grasps.hand_joints[..., 2].min(axis=1, initial=np.inf), 0.0)
     below = depth < BELOW_TABLE
     if how == "keep" or not below.any():
@@ -195,11 +194,10 @@ def mend_below_table(grasps: HumanGraspSet, how: Literal["keep", "lift", "drop"]
 
 
 def mirrored_grasps(grasps: HumanGraspSet) -> HumanGraspSet:
-    """The scenes reflected in the world's plane y = 0.
+    """Reflect grasps and objects in the world's plane y = 0.
 
-    The objects are reflected too: an object ``mug`` becomes ``mug_mirrored``, which
-    ``fungrasp.objects.load_object`` knows, and back. ``hand_qpos`` is left out, as the angles of a left hand
-    mean other rotations.
+    An object ``mug`` becomes ``mug_mirrored``, which ``fungrasp.objects.load_object`` knows, and vice versa.
+    ``hand_qpos`` is dropped, since the angles of a left hand describe other rotations.
     """
     return replace(
         grasps,

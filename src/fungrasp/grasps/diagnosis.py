@@ -1,7 +1,7 @@
-"""The gate for human grasps: in which convention they are written, and what is wrong with them.
+"""Check human grasps and find their convention.
 
-The joints of a hand tell most of it, as bones have known lengths and fingers bend one way. That fingertips
-touch what they hold, and that an object at rest stands on the table, tells the rest (``scene_checks``).
+Joint order, unit and side follow from bone lengths and from the direction in which fingers bend. The rest
+follows from fingertips that touch the object and objects that rest on the table (``scene_checks``).
 """
 
 from __future__ import annotations
@@ -24,51 +24,52 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_variants import MIRRORED
 
 ORDER_MISFIT = 0.35
-"""``order_misfit`` of a hand whose joints are in the right order: 0.16 as tracked in DexYCB, 0.3 with
+"""Largest ``order_misfit`` of a hand with the right joint order: it is 0.16 for DexYCB's tracking, 0.3 with
 errors of 5 mm at each joint."""
 
 CLEARLY = 0.75
-"""Another order of joints is recognized if its misfit is less than this share of that in ours."""
+"""Largest ratio between the misfit of another joint order and that of fungrasp to recognize the other."""
 
 HAND_SIZES = (0.5, 1.6)
-"""Size of a hand, as a part of an adult's: of children, and as trackers err."""
+"""Range of hand sizes relative to an adult's, for children and tracking errors."""
 
 BENT = 0.6
-"""Sum of the bends of a hand's four fingers that tells its side [rad]."""
+"""Smallest sum of the bends of a hand's four fingers that determines its side [rad]."""
 
 MUCH_TILTED = 30.0
-"""Objects are seldom held at more than this from how they stand when a grasp begins [degrees]."""
+"""Largest usual angle between an object's pose at the beginning of a grasp and at rest [degrees]."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class GraspDiagnosis:
-    """What is known of some human grasps."""
+    """Diagnosis of human grasps."""
 
     count: int
     """Number of grasps."""
     remarks: tuple[Remark, ...]
-    """What is wrong with them."""
+    """Faults of the grasps."""
     convention: Convention
-    """The convention in which most of them are written."""
+    """Convention of most grasps."""
     untested: tuple[str, ...] = ()
-    """What could not be tested, and why."""
+    """Messages about omitted tests."""
 
     @property
     def fatal(self) -> Remark | None:
-        """The first remark because of which more than half of the grasps can't be used."""
+        """First remark that makes more than half of the grasps unusable, or None."""
         return next((r for r in self.remarks if r.fatal and 2 * len(r.rows) > self.count), None)
 
     def require_usable(self, where: str, file: bool, mend: str) -> None:
-        """
+        """Check that most grasps can be used.
+
         Args:
-            where: begins the message.
-            file: whether that is a file, to which ``fungrasp grasps convert`` can be applied.
-            mend: what can be done otherwise, with {} for the arguments of ``Convention``.
+            where: beginning of the message.
+            file: whether ``where`` is a file, for the remedy ``fungrasp grasps convert``.
+            mend: remedy otherwise, with {} for the arguments of ``Convention``.
 
         Raises:
-            FungraspError: most of the grasps can't be used; it names the remedy where there is one.
+            FungraspError: most grasps cannot be used; the message names the remedy, if there is one.
         """
         if self.fatal is None:
             return
@@ -91,23 +92,23 @@ def checked_grasps(
     read: bool = False,
     mend: str = "converted(fields, Convention({})) mends it",
 ) -> HumanGraspSet:
-    """Human grasps from their fields, after the checks that every reader and ``retarget`` make.
+    """Create human grasps from their fields, with the checks of readers and of ``retarget``.
 
-    Contacts that are missing, or that a grasp has none of, are computed from the distance of hand and object;
-    a rest pose that is missing is where the object stands after it is put down.
+    If contacts are missing or all false, they are computed from the distance of hand and object. Missing rest
+    poses are computed by ``settled_pose``.
 
     Args:
-        arrays: by name, as ``HumanGraspSet`` has them; "link_contacts" and "object_rest_pose" may be missing.
-        objects: the objects that are known, by name.
-        where: begins the messages.
-        file: whether that is a file.
-        read: whether the grasps went through these checks before their objects were known: what joints alone
-            tell is not said again, and left hands are meant to be.
-        mend: what the caller can do about another convention, with {} for the arguments of ``Convention``.
+        arrays: fields of ``HumanGraspSet`` by name; "link_contacts" and "object_rest_pose" may be missing.
+        objects: known objects by name.
+        where: beginning of messages.
+        file: whether ``where`` is a file.
+        read: whether the grasps were checked before their objects were known. Then warnings about the joints
+            are not repeated, and left hands are accepted.
+        mend: remedy for another convention, with {} for the arguments of ``Convention``.
 
     Raises:
-        FungraspError: bad content, most of the grasps can't be used as they are, or something is missing that
-            can't be computed without the object's mesh.
+        FungraspError: the content is invalid, most grasps cannot be used, or a missing field cannot be
+            computed because the object's mesh is unknown.
     """
     found = diagnosis(arrays, objects, sides=not read)
     found.require_usable(where, file, mend)
@@ -130,7 +131,7 @@ def checked_grasps(
 
 
 def _doubt_the_vertical(complete: Mapping[str, np.ndarray], where: str) -> None:
-    """Warn if most objects tilt when they are put down: they would if the world were a camera's frame."""
+    """Warn if most objects tilt when they are put down, as they do if the world is a camera frame."""
     if "object_rest_pose" not in complete or not scene_is_sound(complete):
         return
     vertical = np.array([0.0, 0.0, 1.0])
@@ -146,8 +147,8 @@ def _doubt_the_vertical(complete: Mapping[str, np.ndarray], where: str) -> None:
 
 
 def completed(arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> dict[str, np.ndarray]:
-    """The fields with contacts and rest poses computed where they are missing and the object is known.
-    Contacts of unknown objects are all false."""
+    """Return the fields with missing contacts and rest poses, computed if the objects are known. Missing
+    contacts with unknown objects are false."""
     result = dict(arrays)
     if not scene_is_sound(arrays):
         return result
@@ -170,13 +171,12 @@ def completed(arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectMode
 def diagnosis(
     arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel], sides: bool = True
 ) -> GraspDiagnosis:
-    """In which convention grasps are written, and what is wrong with them.
+    """Find the convention and faults of grasps.
 
     Args:
-        arrays: by name, as ``HumanGraspSet`` has them. What is of a wrong shape or type, or not finite, is
-            left to the set's own checks.
-        objects: those that are known, by name.
-        sides: whether left hands are errors, unless the objects are mirror images too.
+        arrays: fields of ``HumanGraspSet`` by name. Invalid arrays are ignored: the set itself checks them.
+        objects: known objects by name.
+        sides: whether left hands are errors if their objects are not mirrored.
     """
     joints = arrays.get("hand_joints", np.zeros(0))
     if not (joints.ndim == 3 and joints.shape[1:] == (21, 3) and joints.dtype.kind in "fiu" and len(joints)):
@@ -207,11 +207,11 @@ LEFT = "the fingers bend backwards: a left hand, or a mirrored frame"
 
 
 def _hand_remarks(joints: np.ndarray, several: bool) -> tuple[list[Remark], Convention]:
-    """What the joints alone tell of order and unit, and the convention that most hands follow.
+    """Return remarks on joint order, unit and hand size, and the convention of most hands.
 
     Args:
-        joints: shape [N, 21, 3], in any unit.
-        several: whether more than one grasp is there.
+        joints: joints in any order and unit, shape [N, 21, 3].
+        several: whether there is more than one grasp.
     """
     remarks = []
     misfit = np.stack([order_misfit(joints[:, order]) for order in ORDERS.values()])
@@ -252,9 +252,9 @@ def _hand_remarks(joints: np.ndarray, several: bool) -> tuple[list[Remark], Conv
 
 
 def _unit(size: float) -> Unit | None:
-    """The unit in which a hand is of a person's size, None if in none.
+    """Return the unit in which the size of a hand is plausible, or None.
 
-    size: as a part of an adult's hand, if the joints were in meters.
+    size: size relative to an adult's hand if the joints were in meters.
     """
     if HAND_SIZES[0] <= size <= HAND_SIZES[1]:
         return "m"
@@ -263,7 +263,7 @@ def _unit(size: float) -> Unit | None:
 
 
 def _side_remarks(joints: np.ndarray, object_name: np.ndarray | None) -> list[Remark]:
-    """Left hands whose objects are no mirror images. joints: in our order, shape [N, 21, 3]."""
+    """Report left hands whose objects are not mirrored. joints: in the order of ``HUMAN_JOINTS``."""
     left = joint_bends(joints)[0][:, :4].sum(axis=(1, 2)) < -BENT
     left &= order_misfit(joints) < ORDER_MISFIT
     if object_name is not None and object_name.shape == (len(joints),) and object_name.dtype.kind == "U":
@@ -273,7 +273,7 @@ def _side_remarks(joints: np.ndarray, object_name: np.ndarray | None) -> list[Re
 
 
 def table_remarks(hand_joints: np.ndarray) -> list[Remark]:
-    """Hands that reach below the table top. hand_joints: [m], shape [N, 21, 3], world frame."""
+    """Report hands below the table top. hand_joints: [m], world frame, shape [N, 21, 3]."""
     depth = hand_joints[..., 2].min(axis=1, initial=np.inf)
     rows = np.flatnonzero(depth < BELOW_TABLE)
     if not len(rows):

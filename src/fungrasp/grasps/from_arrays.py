@@ -1,4 +1,4 @@
-"""A human grasp from arrays: joints, mesh and pose."""
+"""Human grasps from arrays of joints, meshes and poses."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     import trimesh
 
 SKIN = 0.009
-"""Joints of fingers lie so far under the skin [m], ``LINK_RADII`` in the mean."""
+"""Mean depth of finger joints under the skin [m], see ``LINK_RADII``."""
 
 LANDMARK_ERROR = 0.005
-"""Error of a landmark as a share of its distance: 3 pixels at a focal length of 600."""
+"""Error of a landmark as a share of its distance: 3 pixels at a focal length of 600 pixels."""
 
 
 def human_grasp(
@@ -41,31 +41,30 @@ def human_grasp(
     task: str = "",
     convention: Convention | None = None,
 ) -> HumanGrasp:
-    """A human grasp from arrays, with the same checks as for grasp files.
+    """Create a human grasp from arrays, with the same checks as for grasp files.
 
     Args:
-        joints: of a right hand [m], shape [21, 3]: in the world frame (z up, table top at z = 0), or, without
-            ``object_pose``, in the frame of the mesh.
-        mesh: the object: a mesh [m], as trimesh or as a file; a built-in object's name; or a model
+        joints: joints of a right hand [m], shape [21, 3], world frame (z up, table top at z = 0), or mesh
+            frame without ``object_pose``.
+        mesh: the object, as a mesh [m] (trimesh or file), name of a built-in object, or model
             (``object_from_mesh``, ``load_object``).
         order: joint order: "mediapipe", "openpose", "mano" and others
             (``fungrasp.grasps.human_hand.ORDERS``).
-        object_pose: of the object in the world when grasped, ``[x y z qw qx qy qz]`` or a 4 x 4 matrix. None:
-            the object stands on the table, with the z axis of its mesh up.
-        contacts: flags for ``HUMAN_LINKS``, bool, shape [16]; or contact points [m], shape [P, 3], in the
+        object_pose: pose of the grasped object in the world, ``[x y z qw qx qy qz]`` or a 4 x 4 matrix. None:
+            the object stands on the table with its z axis up.
+        contacts: flags for ``HUMAN_LINKS``, shape [16] bool, or contact points [m], shape [P, 3], in the
             frame of the joints. None: computed from the distance between hand and mesh.
-        mass: of the object [kg]. None: known for models and built-in objects, otherwise guessed from the size
-            of the mesh.
+        mass: mass of the object [kg]. None: that of the model, or guessed from the size of the mesh.
         task: "drink", "cut", ...; empty if unknown.
-        convention: in which joints and pose are written, where that is not ours: ``Convention(unit="mm")``,
+        convention: convention of joints and pose if it differs: ``Convention(unit="mm")``,
             ``Convention(up="y")``, ``Convention(side="left")`` (hand and object are mirrored), ...
 
     Returns:
-        The grasp with its object, ready for ``fungrasp.retarget(grasp)``.
+        The grasp with its object, for ``fungrasp.retarget(grasp)``.
 
     Raises:
-        FungraspError: wrong shapes, joint order or unit, a left hand, a hand far from the object, or an
-            unreadable mesh.
+        FungraspError: a shape, joint order or unit is wrong, the hand is a left one or far from the object,
+            or the mesh cannot be read.
     """
     obj = resolve_object(mesh, mass)
     model = obj.model
@@ -111,7 +110,7 @@ def human_grasp(
 def _converted(
     joints: np.ndarray, object_pose: ArrayLike | None, convention: Convention
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Joints and pose in our conventions."""
+    """Convert joints and pose to the conventions of fungrasp."""
     fields = {"object_name": np.array([""]), "hand_joints": joints[None]}
     if object_pose is not None:
         fields["object_pose"] = as_pose(object_pose)[None]
@@ -122,23 +121,23 @@ def _converted(
 def mediapipe_joints(
     pixels: ArrayLike, world: ArrayLike, intrinsics: ArrayLike, depth: np.ndarray | None = None
 ) -> np.ndarray:
-    """Joints in the camera's frame (x right, y down, z forward) from MediaPipe's landmarks [m], [21, 3].
-    World landmarks have no position; it is chosen so that they project to the pixels. Without a depth image,
-    the hand has the size of MediaPipe's mean hand, and the distance has the same relative error.
+    """Return joints from MediaPipe's landmarks [m], camera frame (x right, y down, z forward), shape [21, 3].
+
+    World landmarks have no position; it is fitted so that they project to the pixels. Without a depth image,
+    the hand has the size of MediaPipe's mean hand, and the distance has the same relative error as the size.
 
     Args:
-        pixels: landmarks in the image [pixels], shape [21, 2]: the normalized ones times width and height.
+        pixels: landmarks in the image [pixels], shape [21, 2]: normalized landmarks times width and height.
         world: world landmarks [m], shape [21, 3].
-        intrinsics: of the camera, shape [3, 3].
-        depth: aligned with the image [m], shape [H, W], 0 where not measured: tells size and distance, also
-            where some of the landmarks are hidden by the object.
+        intrinsics: camera matrix, shape [3, 3].
+        depth: depth image aligned with the color image [m], shape [H, W], 0 if unknown. It determines size
+            and distance, even if the object hides some landmarks.
 
     Returns:
-        In the order of ``HUMAN_JOINTS``.
+        Joints in the order of ``HUMAN_JOINTS``.
 
     Raises:
-        FungraspError: arrays of another shape, normalized landmarks, or depth that is measured at fewer than
-            four landmarks.
+        FungraspError: a shape is wrong, landmarks are normalized, or fewer than four of them have depth.
     """
     from scipy.optimize import least_squares
 
@@ -161,7 +160,7 @@ def mediapipe_joints(
     def residuals(x: np.ndarray) -> np.ndarray:
         places = x[0] * shape + x[1:]
         missed = places[:, :2] / np.maximum(places[:, 2:], 1e-3) - rays
-        # Joints lie under the skin that depth sees.
+        # Depth is measured at the skin, above the joints.
         behind = places[known, 2] - surface[known] - SKIN
         return np.concatenate(
             [missed.ravel() / LANDMARK_ERROR, behind / SKIN, [100.0 * (x[0] - 1)] * (depth is None)]
@@ -173,13 +172,10 @@ def mediapipe_joints(
 
 
 def as_pose(pose: ArrayLike) -> np.ndarray:
-    """A pose as ``[x y z qw qx qy qz]``, shape [7].
-
-    Args:
-        pose: the same, or a 4 x 4 matrix.
+    """Convert a pose, shape [7] or a 4 x 4 matrix, to ``[x y z qw qx qy qz]``.
 
     Raises:
-        FungraspError: something else.
+        FungraspError: the shape, rotation or quaternion is invalid.
     """
     array = _numbers("object_pose", pose)
     if array.shape == (4, 4):
@@ -205,14 +201,11 @@ def as_pose(pose: ArrayLike) -> np.ndarray:
 
 
 def touched_links(hand_joints: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Links on which points of contact lie: of each point the nearest.
+    """Return which links are nearest to a contact point, shape [16] bool.
 
     Args:
-        hand_joints: [m], shape [21, 3].
-        points: in the same frame [m], shape [P, 3].
-
-    Returns:
-        bool, shape [16].
+        hand_joints: joints [m], shape [21, 3].
+        points: contact points in the same frame [m], shape [P, 3].
 
     Raises:
         FungraspError: a point is farther than ``CONTACT_REACH`` from the hand.
@@ -244,15 +237,15 @@ def _finite(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> np.n
 
 
 def _numbers(name: str, values: ArrayLike) -> np.ndarray:
-    """Numbers as float64, those of tensors too.
+    """Convert numbers, also tensors, to float64.
 
     Raises:
-        FungraspError: something else.
+        FungraspError: the values are not numbers.
     """
     tensor: Any = values
     try:
         if hasattr(tensor, "detach"):
-            # NumPy can't read tensors on a GPU, with gradients, or of bfloat16.
+            # NumPy cannot read tensors that are on a GPU, require gradients, or are bfloat16.
             tensor = tensor.detach().cpu().double().numpy()
         return np.asarray(tensor, dtype=float)
     except (TypeError, ValueError, RuntimeError) as problem:

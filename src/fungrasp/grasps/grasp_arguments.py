@@ -1,4 +1,4 @@
-"""Conversion of arguments: grasps and objects in all accepted forms."""
+"""Convert grasps and objects from all accepted forms of arguments."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from fungrasp.objects import ObjectModel, check_objects, load_object
 from fungrasp.objects.object_registry import check_density
 
 Objects: TypeAlias = "Mapping[str, ObjectModel] | Iterable[ObjectModel] | ObjectModel | str | Path | None"
-"""Objects of grasps: by name, a list, a single one, or a folder of meshes. None: attached and built-in
-objects."""
+"""Objects of grasps: a mapping by name, a list, a single object, or a folder of meshes. None: attached and
+built-in objects."""
 
 
 class HasGrasps(Protocol):
-    """What a verb returns about grasps: a perceived one, the result of a lift test."""
+    """A result with grasps, such as a perceived grasp or the result of a lift test."""
 
     @property
     def grasps(self) -> HumanGraspSet | RobotGraspSet | None:
-        """Those grasps."""
+        """Grasps of the result."""
         ...
 
 
 AnyGrasps: TypeAlias = "HumanGraspSet | RobotGraspSet | HumanGrasp | RobotGrasp | HasGrasps"
-"""Human or robot grasps: a set, a single one, or a result about them."""
+"""Human or robot grasps: a set, a single grasp, or a result with grasps."""
 
 HumanGrasps: TypeAlias = "HumanGraspSet | HumanGrasp | HasGrasps"
-"""Human grasps: a set, a single one, or a perceived one."""
+"""Human grasps: a set, a single grasp, or a result with grasps."""
 
 
 def as_grasp_set(grasps: AnyGrasps) -> HumanGraspSet | RobotGraspSet:
-    """Grasps as a set.
+    """Convert grasps to a set.
 
     Raises:
-        FungraspError: it is something else.
+        FungraspError: the argument has another type.
     """
     grasps = getattr(grasps, "grasps", grasps)
     if isinstance(grasps, HumanGrasp):
@@ -54,10 +54,10 @@ def as_grasp_set(grasps: AnyGrasps) -> HumanGraspSet | RobotGraspSet:
 
 
 def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
-    """Grasps of people as a set.
+    """Convert human grasps to a set.
 
     Raises:
-        FungraspError: robot grasps, or something else.
+        FungraspError: the argument contains robot grasps or has another type.
     """
     found = as_grasp_set(grasps)
     if isinstance(found, RobotGraspSet):
@@ -68,10 +68,10 @@ def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
 
 
 def resolve_objects(grasps: HumanGraspSet | RobotGraspSet, objects: Objects = None) -> dict[str, ObjectModel]:
-    """The objects of grasps by name, and what else was given.
+    """Return the objects of grasps and other given objects, by name.
 
     Raises:
-        FungraspError: an object is missing; it says which is needed, and what was given.
+        FungraspError: an object is missing.
     """
     return named_objects(grasps.object_name.tolist(), grasps.object_mass.tolist(), objects, grasps.objects)
 
@@ -82,16 +82,16 @@ def named_objects(
     objects: Objects = None,
     carried: Mapping[str, ObjectModel] = MappingProxyType({}),
 ) -> dict[str, ObjectModel]:
-    """Objects of these names, and what else was given.
+    """Return the named objects and other given objects, by name.
 
     Args:
-        names: of the objects that are needed; one may occur several times.
-        masses: theirs [kg]; the first counts where an object is loaded.
-        objects: as verbs take them.
-        carried: those that come with what is asked about.
+        names: names of the needed objects, possibly repeated.
+        masses: their masses [kg]; a loaded object has the mass of its first occurrence.
+        objects: given objects.
+        carried: objects attached to the grasps; ``objects`` has precedence.
 
     Raises:
-        FungraspError: an object is missing; it says which is needed, and what was given.
+        FungraspError: an object is missing.
     """
     needed = {}
     for name, mass in zip(names, masses, strict=True):
@@ -124,16 +124,16 @@ def named_objects(
 def picked_rows(
     grasps: HumanGraspSet | RobotGraspSet, picks: Sequence[str], count: int = 1, favorites: Sequence[str] = ()
 ) -> list[int]:
-    """Rows of the picked grasps; without picks, of the favorites, then of objects that they leave out.
+    """Return the rows of picked grasps; without picks, those of favorites, of other objects, then all others.
 
     Args:
-        grasps: N of them.
-        picks: "object", "object:task" (the first of them) or a row number.
-        count: how many if there are no picks.
-        favorites: picks that come first then, as far as the grasps have them.
+        grasps: N grasps.
+        picks: "object" or "object:task", for the first such grasp, or a row number.
+        count: number of rows if there are no picks.
+        favorites: preferred picks in this case; unknown ones are ignored.
 
     Raises:
-        FungraspError: there is no such grasp, or one is picked twice.
+        FungraspError: a grasp does not exist, or is picked twice.
     """
     assert grasps.task is not None
     first: dict[str, int] = {}
@@ -165,12 +165,12 @@ def picked_rows(
 def load_objects(
     grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None
 ) -> dict[str, ObjectModel]:
-    """The objects of a grasp set, by name: those that it carries, else each with the mass of its first grasp.
+    """Return the objects of a grasp set by name: attached ones, or loaded with the mass of their first grasp.
 
     Args:
-        folder: of meshes ``<name>.obj``, which come before other objects of their name.
+        folder: folder of meshes ``<name>.obj``, with precedence over other objects.
 
     Raises:
-        FungraspError: an object can't be found or read.
+        FungraspError: an object cannot be found or read.
     """
     return resolve_objects(grasps, folder)

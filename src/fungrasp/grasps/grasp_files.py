@@ -1,4 +1,4 @@
-"""Reading and writing grasp sets: one ``.npz`` file each, the format of docs/file-format.md."""
+"""Read and write grasp sets as ``.npz`` files (docs/file-format.md)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object, object_names
 
 BUILTIN = "builtin"
-"""Name of the built-in human grasps, accepted wherever a file is expected."""
+"""Name of the built-in human grasps in place of a file."""
 
 BUILTIN_PATH = Path(__file__).parent / "builtin" / "grasps.npz"
 
 _KNOWN = {"version", "hand", "hand_file", "joint_names", *HumanGraspSet.FIELDS, *RobotGraspSet.FIELDS}
-"""Names of all fields but the further numbers."""
+"""Names of all fields except ``extra`` values."""
 
 Grasps = TypeVar("Grasps", bound=GraspSet[Any])
 
@@ -33,8 +33,7 @@ def load_human_grasps(path: str | Path) -> HumanGraspSet:
     """Read human grasps from a file, or the built-in ones for "builtin".
 
     Raises:
-        FungraspError: missing file, not a grasp set, or invalid content; the message names file, field,
-            shapes and row.
+        FungraspError: the file is missing, not a grasp file or invalid; the message names the field and row.
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
@@ -46,19 +45,17 @@ def load_robot_grasps(path: str | Path) -> RobotGraspSet:
     """Read robot grasps from a file.
 
     Raises:
-        FungraspError: missing file, not a grasp set, or invalid content; the message names file, field,
-            shapes and row.
+        FungraspError: the file is missing, not a grasp file or invalid; the message names the field and row.
     """
     return _robot(Path(path), read_grasp_fields(path))
 
 
 @guarded("grasp file")
 def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
-    """Read a file of human or of robot grasps; "builtin" stands for the built-in human grasps.
+    """Read human or robot grasps from a file, or the built-in human grasps for "builtin".
 
     Raises:
-        FungraspError: missing file, not a grasp set, or invalid content; the message names file, field,
-            shapes and row.
+        FungraspError: the file is missing, not a grasp file or invalid; the message names the field and row.
     """
     if str(path) == BUILTIN:
         return builtin_grasps()
@@ -67,10 +64,10 @@ def load_grasps(path: str | Path) -> HumanGraspSet | RobotGraspSet:
 
 
 def builtin_grasps() -> HumanGraspSet:
-    """The built-in human grasps.
+    """Return the built-in human grasps.
 
     Raises:
-        FungraspError: this installation lacks them.
+        FungraspError: the installation does not contain them.
     """
     if not BUILTIN_PATH.is_file():
         raise FungraspError("this installation lacks the built-in human grasps; give a file of human grasps")
@@ -100,7 +97,7 @@ def _human(path: Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
 
 
 def _needed_objects(arrays: Mapping[str, np.ndarray]) -> dict[str, ObjectModel]:
-    """The built-in objects of grasps of which something must be computed from meshes."""
+    """Load the built-in objects of grasps with missing contacts or rest poses."""
     contacts = arrays.get("link_contacts")
     lacking = contacts is None or contacts.ndim != 2 or not contacts.any(axis=1).all()
     names = arrays.get("object_name", np.zeros(0, dtype="U1"))
@@ -151,10 +148,10 @@ def _build(
 
 
 def human_grasps(path: str | Path, arrays: Mapping[str, np.ndarray]) -> HumanGraspSet:
-    """Human grasps from the fields of a file, without the checks of their convention.
+    """Create human grasps from the fields of a file, without checking their convention.
 
     Raises:
-        FungraspError: bad content; names field, shapes and row.
+        FungraspError: the content is invalid; the message names the field and row.
     """
     if _is_robot(arrays):
         raise FungraspError(
@@ -174,10 +171,10 @@ def _require_fields(
 
 
 def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
-    """The fields of a grasp file by name, as they are: neither checked nor complete.
+    """Return the fields of a grasp file by name, unchecked.
 
     Raises:
-        FungraspError: no such file, or none that can be read.
+        FungraspError: the file is missing or cannot be read, or its version is not supported.
     """
     path = Path(path)
     arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith(EXTRA))

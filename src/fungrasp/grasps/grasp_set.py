@@ -1,4 +1,4 @@
-"""What human and robot grasp sets have in common: checked arrays, one row for each grasp."""
+"""Base class of human and robot grasp sets: checked arrays with one row per grasp."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
 
 FILE_VERSION = 1
-"""Version of the file format; a file without the field ``version`` is of version 1."""
+"""Version of the file format; files without the field ``version`` have version 1."""
 
 QUATERNION_TOLERANCE = 1e-3
-"""How far the norm of a quaternion may be from 1: within, it is normalized; beyond, it is an error."""
+"""Largest deviation of a quaternion's norm from 1; within it, quaternions are normalized."""
 
 UNIT_NORM_TOLERANCE = 1e-12
-"""A quaternion this close to unit norm is kept as it is, so that reading what was written changes nothing."""
+"""Quaternions this close to unit norm are not modified, so that reading a written file is exact."""
 
 
 @dataclass(frozen=True)
 class ArrayField:
-    """What one array of a grasp set must look like."""
+    """Specification of one array of a grasp set."""
 
     kind: Literal["name", "text", "number", "positive", "pose", "flag"]
-    """Type of the values. ``name``: text, not empty, no path; ``pose``: numbers of which the last four are a
-    unit quaternion."""
+    """Type of the values. ``name``: text, not empty, not a path; ``pose``: numbers, the last four a unit
+    quaternion."""
     shape: tuple[str | int, ...]
-    """Sizes, or letters ("N", "M", ...) for sizes that fields of one set share."""
+    """Sizes, or letters ("N", "M", ...) for sizes shared by fields of a set."""
     optional: bool = False
-    """Whether a set or a file may lack the field."""
+    """Whether the field may be missing."""
 
 
 def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int]) -> np.ndarray:
-    """The value of a field as an array of str, bool or float64, with unit quaternions.
+    """Check a field and convert it to str, bool or float64, with unit quaternions.
 
     Args:
-        value: an array or what becomes one.
-        sizes: sizes already known by letter; letters met here for the first time are added.
+        value: array-like value.
+        sizes: known sizes by letter; new ones are added.
 
     Raises:
-        FungraspError: wrong type or shape, not finite, not positive, or no unit quaternion; names field, row.
+        FungraspError: type, shape, a value or a quaternion is invalid; the message names field and row.
     """
     array = np.asarray(value)
     wanted = {"name": "US", "text": "US", "flag": "b"}.get(field.kind, "fiu")
@@ -80,15 +80,15 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
 
 
 def check_rows(name: str, good: np.ndarray, complaint: str, values: np.ndarray | None = None) -> None:
-    """Complain about the first row of a field that is not good.
+    """Check the rows of a field.
 
     Args:
-        good: shape [N, ...]; a row is good if all of it is.
-        complaint: what is wrong with a row, without a subject.
-        values: shape [N], shown in the message.
+        good: whether values are valid, shape [N, ...].
+        complaint: predicate of the message, such as "is not finite".
+        values: values for the message, shape [N].
 
     Raises:
-        FungraspError: a row is not good.
+        FungraspError: a row has an invalid value.
     """
     bad = np.flatnonzero(~good.all(axis=tuple(range(1, good.ndim))))
     if len(bad):
@@ -99,13 +99,13 @@ def check_rows(name: str, good: np.ndarray, complaint: str, values: np.ndarray |
 
 
 def checked_extra(extra: Mapping[str, Any], count: int) -> dict[str, np.ndarray]:
-    """Further numbers per grasp, by name. Unlike the fields they may be NaN, which means not measured.
+    """Check additional values by name. Unlike fields, they may be NaN, which means not measured.
 
     Args:
-        extra: numbers or flags, each of shape [N, ...].
+        extra: numbers or flags, shape [N, ...] each.
 
     Raises:
-        FungraspError: not numbers, or not N rows.
+        FungraspError: values are not numbers, or there are not N rows.
     """
     checked = {}
     for name, value in extra.items():
@@ -142,10 +142,10 @@ Grasp = TypeVar("Grasp")
 
 
 class GraspSet(Generic[Grasp]):
-    """Grasps as arrays, one row each. Subclasses are frozen dataclasses whose ``FIELDS`` name their arrays.
+    """Grasps as arrays with one row each. Subclasses are frozen dataclasses with arrays as in ``FIELDS``.
 
-    ``grasps[i]`` is one grasp and ``grasps[i:j]`` a smaller set, ``for grasp in grasps`` visits all,
-    ``grasps.select(...)`` takes indices or a mask.
+    ``grasps[i]`` is one grasp and ``grasps[i:j]`` a smaller set; ``grasps.select(...)`` takes indices or a
+    mask.
     """
 
     FIELDS: ClassVar[Mapping[str, ArrayField]]
@@ -167,7 +167,7 @@ class GraspSet(Generic[Grasp]):
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that the set says."""
+        """SHA-256 of the content, without the objects."""
         return digest(self._whole_set(), self._rows(slice(None)))
 
     @overload
@@ -188,10 +188,10 @@ class GraspSet(Generic[Grasp]):
         return (self[row] for row in range(len(self)))
 
     def select(self, which: ArrayLike | slice) -> Self:
-        """The grasps at these indices (in that order), in this slice, or where this mask, shape [N], is true.
+        """Return the grasps selected by indices (in their order), a slice, or a mask, shape [N] bool.
 
         Raises:
-            FungraspError: a mask of another length, or an index out of range.
+            FungraspError: the mask has another length, or an index is out of range.
         """
         if not isinstance(which, slice):
             which = np.asarray(which)
@@ -215,10 +215,10 @@ class GraspSet(Generic[Grasp]):
 
     @classmethod
     def of(cls, grasps: Sequence[Grasp]) -> Self:
-        """A set of single grasps. Optional values are kept if every grasp has them.
+        """Return a set of single grasps. Optional values are kept if every grasp has them.
 
         Raises:
-            FungraspError: no grasps, or grasps that do not belong to the same hand.
+            FungraspError: there are no grasps, their hands differ, or different objects have one name.
         """
         return cls.concatenate([cls._of_one(grasp) for grasp in grasps])
 
@@ -230,15 +230,15 @@ class GraspSet(Generic[Grasp]):
 
     @classmethod
     def _whole_of(cls, grasp: Any) -> dict[str, Any]:
-        """What a set has beside the arrays of ``FIELDS``, of one grasp."""
+        """Return the other arguments of a set, besides ``FIELDS``, for one grasp."""
         return {"objects": grasp.objects}
 
     def save(self, path: str | Path) -> None:
-        """Write an ``.npz`` file (docs/file-format.md), without the objects. Nothing is lost: numbers are
-        kept as float32 where that is exact, else as float64.
+        """Write an ``.npz`` file (docs/file-format.md) without the objects. Arrays are stored as float32 if
+        this is exact, else as float64.
 
         Raises:
-            FungraspError: the set is empty or the file can't be written.
+            FungraspError: the set is empty, or the file cannot be written.
         """
         if not len(self):
             raise FungraspError(f"no grasps to write to {path}")
@@ -248,15 +248,15 @@ class GraspSet(Generic[Grasp]):
             np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
 
     def _further_arrays(self) -> dict[str, np.ndarray]:
-        """What a file has beside the arrays of ``FIELDS``."""
+        """Return the other arrays of a file, besides ``FIELDS``."""
         return {}
 
     @classmethod
     def concatenate(cls, sets: Sequence[Self]) -> Self:
-        """All grasps of several sets in one. Optional arrays are kept if every set has them.
+        """Join sets. Optional arrays are kept if every set has them.
 
         Raises:
-            FungraspError: no sets, or sets that do not belong to the same hand.
+            FungraspError: there are no sets, their hands differ, or different objects have one name.
         """
         if not sets:
             raise FungraspError("no grasp sets to concatenate")
@@ -276,15 +276,15 @@ class GraspSet(Generic[Grasp]):
         return cls(**whole, **_joined([grasps._rows(slice(None)) for grasps in sets]))
 
     def _whole_set(self) -> dict[str, Any]:
-        """Values that belong to the set and not to a grasp."""
+        """Return the values common to all grasps, without the objects."""
         return {}
 
     def _shared(self) -> dict[str, Any]:
-        """The same and the objects, which are not a part of what the set says."""
+        """Return the values common to all grasps."""
         return {**self._whole_set(), "objects": self.objects}
 
     def _rows(self, which: Any) -> dict[str, Any]:
-        """The per-grasp values at ``which``: arrays, None or a dict of arrays."""
+        """Return the values of selected grasps: arrays, None or a dict of arrays."""
         rows: dict[str, Any] = {}
         for name, field in self.FIELDS.items():
             value = getattr(self, name)

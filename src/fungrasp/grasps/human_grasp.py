@@ -1,4 +1,4 @@
-"""Human grasps: a single grasp, and sets."""
+"""A human grasp, and sets of human grasps."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
 
 MAX_HAND_DISTANCE = 1.0
-"""Largest distance between an object's origin and a joint of the hand that holds it [m]."""
+"""Largest distance between an object's origin and a joint of the grasping hand [m]."""
 
 MAX_BONE_LENGTH = 0.3
-"""No bone of a human hand is longer [m]; a file in millimeters or centimeters exceeds it."""
+"""Largest plausible bone length [m]; files in millimeters or centimeters exceed it."""
 
 MIN_BONE_LENGTH = 1e-3
-"""Joints nearer than this to their neighbor [m] coincide: an error of the program that wrote them."""
+"""Smallest plausible bone length [m]; with shorter ones, joints coincide by mistake."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,7 +40,7 @@ class HumanGrasp:
     hand_joints: np.ndarray
     """Joints [m] in the order of ``HUMAN_JOINTS``, world frame, shape [21, 3]."""
     link_contacts: np.ndarray
-    """Which of ``HUMAN_LINKS`` touch the object, bool, shape [16]."""
+    """Which of ``HUMAN_LINKS`` touch the object, shape [16] bool."""
     task: str = ""
     """Task of the grasp: "drink", "cut", ...; empty if unknown."""
     hand_qpos: np.ndarray | None = None
@@ -51,7 +51,7 @@ class HumanGrasp:
     """Models of objects by name, if attached; not written to files."""
 
     def save(self, path: str | Path) -> None:
-        """Write a file of one grasp, see ``HumanGraspSet.save``."""
+        """Write a file with this grasp, see ``HumanGraspSet.save``."""
         HumanGraspSet.of([self]).save(path)
 
     def __repr__(self) -> str:

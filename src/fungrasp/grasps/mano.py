@@ -1,5 +1,5 @@
-"""Hands by the parameters of MANO (Romero et al., SIGGRAPH Asia 2017), with the user's own model file
-(mano.is.tue.mpg.de). Nothing in the file is run."""
+"""The MANO hand model (Romero et al., SIGGRAPH Asia 2017). The user provides the model file
+(mano.is.tue.mpg.de); no code in it is executed."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from fungrasp.core.formats.pickle_file import load_arrays_pickle
 from fungrasp.grasps.human_hand import MANO
 
 MANO_TO_OURS = np.array([0, 1, 2, 3, 4, 5, 6, 10, 11, 12, 7, 8, 9, 13, 14, 15])
-"""MANO's 16 joints are wrist, index, middle, little finger, ring, thumb; ours have the ring finger before the
-little one. It is its own inverse."""
+"""Permutation from MANO's 16 joints (wrist, index, middle, little finger, ring, thumb) to ``HUMAN_LINKS``,
+with the ring finger before the little finger. It is its own inverse."""
 
 TIP_VERTICES = np.array([744, 320, 443, 554, 671])
 """Vertices at the tips of thumb, index, middle, ring and little finger (smplx, ``vertex_ids.py``)."""
 
 COMPONENTS = 45
-"""Numbers of a hand's pose: rotation vectors of 15 joints, or as many principal components."""
+"""Size of a hand pose: rotation vectors of 15 joints, or as many principal components."""
 
 _ARRAYS = {
     "v_template": (778, 3),
@@ -49,7 +49,7 @@ class ManoHand:
             side: "right" or "left".
 
         Raises:
-            FungraspError: the model is missing, or can't be read.
+            FungraspError: the model is missing or cannot be read.
         """
         path = Path(path)
         file = path / f"MANO_{side.upper()}.pkl" if path.is_dir() else path
@@ -71,7 +71,7 @@ class ManoHand:
             raise FungraspError(f"{file} is no MANO model: 'kintree_table' is no tree of 16 joints")
         self._parents = parents[0].astype(int)
         self.vertex_links = MANO_TO_OURS[self._arrays["weights"].argmax(axis=1)]
-        """Which of ``HUMAN_LINKS`` each vertex belongs to, shape [778]."""
+        """Index into ``HUMAN_LINKS`` of each vertex, shape [778]."""
 
     def joints(
         self,
@@ -84,22 +84,22 @@ class ManoHand:
         flat_hand: bool = False,
         template: np.ndarray | None = None,
     ) -> np.ndarray:
-        """The 21 joints of one hand [m], shape [21, 3], in the order of ``HUMAN_JOINTS``, frame of the
-        parameters. A left hand is not mirrored.
+        """Return the joints of one hand [m], frame of the parameters, in the order of ``HUMAN_JOINTS``, shape
+        [21, 3]. A left hand is not mirrored.
 
         Args:
-            betas: shape of the hand, at most 10 numbers.
-            global_orient: rotation vector of the wrist, shape [3].
-            hand_pose: rotation vectors of MANO's 15 joints [rad], shape [45] or [15, 3]; or principal
-                components, of any number.
+            betas: shape parameters, at most 10.
+            global_orient: rotation vector of the wrist [rad], shape [3].
+            hand_pose: rotation vectors of MANO's 15 joints [rad], shape [45] or [15, 3], or up to 45
+                principal components.
             transl: translation [m], shape [3].
-            pca: whether ``hand_pose`` are principal components; None: where they are fewer than 45.
-            flat_hand: whether the pose counts from the flat hand (smplx: ``flat_hand_mean=True``), and not
-                from the mean pose, as MANO's and DexYCB's do.
-            template: vertices of a person's own hand at rest [m], shape [778, 3], in place of the mean one.
+            pca: whether ``hand_pose`` contains principal components. None: if it has less than 45 numbers.
+            flat_hand: whether ``hand_pose`` is relative to the flat hand (smplx: ``flat_hand_mean=True``)
+                instead of the mean pose, as in MANO and DexYCB.
+            template: vertices of a person's hand at rest [m], shape [778, 3]. None: the mean hand.
 
         Raises:
-            FungraspError: a number of parameters that can't be.
+            FungraspError: the number of parameters is wrong.
         """
         return self.posed(
             betas, global_orient, hand_pose, transl, pca=pca, flat_hand=flat_hand, template=template
@@ -116,8 +116,8 @@ class ManoHand:
         flat_hand: bool = False,
         template: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """``joints``; the surface's vertices [m], shape [778, 3]; and rotation vectors [rad] of wrist and 15
-        joints in the order of ``HUMAN_LINKS``, shape [16, 3]. Arguments and errors as of ``joints``."""
+        """Return joints as ``joints`` does, vertices [m], shape [778, 3], and the rotation vectors of wrist
+        and 15 joints in the order of ``HUMAN_LINKS`` [rad], shape [16, 3]."""
         a: Any = self._arrays
         numbers = np.asarray(hand_pose, dtype=float).ravel()
         if len(numbers) > COMPONENTS or (pca is False and len(numbers) != COMPONENTS):
@@ -139,7 +139,7 @@ class ManoHand:
         template = a["v_template"] if template is None else template
         template = template + a["shapedirs"][..., : len(shape)] @ shape
         rest = a["J_regressor"] @ template
-        # Linear blend skinning with corrections by shape and pose.
+        # Linear blend skinning with pose-dependent corrections.
         turns = Rotation.from_rotvec(vectors.reshape(16, 3)).as_matrix()
         bent = template + a["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
         world, place = turns.copy(), rest.copy()

@@ -1,4 +1,4 @@
-"""Robot grasps: a single grasp, and sets for one hand."""
+"""A robot grasp, and sets of grasps of one hand."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
 
 EXTRA = "extra/"
-"""What the names of a robot grasp set's further numbers begin with in the file."""
+"""Prefix of the names of ``extra`` values in files."""
 
 SQUEEZE = "squeeze_positions"
-"""The name in ``extra`` of the grasps' own squeeze targets."""
+"""Name in ``extra`` of squeeze targets."""
 
 MASS_SPREAD = "object_mass_spread"
-"""The name in ``extra`` of how uncertain guessed masses are."""
+"""Name in ``extra`` of the uncertainty of guessed masses."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,9 +35,9 @@ class RobotGrasp:
     """One robot grasp. World frame, z up, table top at z = 0; poses ``[x y z qw qx qy qz]``."""
 
     hand: str
-    """Name of the hand, as ``fungrasp.hands.load_hand`` takes it."""
+    """Name of the hand (``fungrasp.hands.load_hand``)."""
     object_name: str
-    """Name of the object, as ``fungrasp.objects.load_object`` takes it."""
+    """Name of the object (``fungrasp.objects.load_object``)."""
     object_mass: float
     """Mass of the object [kg]."""
     object_pose: np.ndarray
@@ -47,50 +47,50 @@ class RobotGrasp:
     wrist_pose: np.ndarray
     """Pose of the palm body when the object is at ``object_pose``, world frame, shape [7]."""
     joint_names: tuple[str, ...]
-    """Every joint of the hand's model, coupled ones included, length M."""
+    """All joints of the hand's model, including coupled joints, length M."""
     joint_positions: np.ndarray
-    """Angles of the joints [rad], in the order of ``joint_names``, shape [M]."""
+    """Joint positions [rad], in the order of ``joint_names``, shape [M]."""
     keypoints: np.ndarray
-    """The hand's key points [m], world frame, shape [K, 3]."""
+    """Key points of the hand [m], world frame, shape [K, 3]."""
     link_contacts: np.ndarray
-    """Which of the hand's links should touch the object, bool, shape [L]."""
+    """Contact links that should touch the object, shape [L] bool."""
     task: str = ""
     """Task of the grasp; empty if unknown."""
     shown_places: np.ndarray | None = None
-    """The person's contacts for each finger link (``grasps.as_shown``): surface points, object frame [m],
-    shape [L - 1, 3]; None if unknown."""
+    """Human contact point of each finger link (``grasps.as_shown``), object frame [m], shape [L - 1, 3]; None
+    if unknown."""
     shown_normals: np.ndarray | None = None
-    """Outward unit normals of the surface there, shape [L - 1, 3]."""
+    """Outward unit normals of the surface at these points, object frame, shape [L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Additional values by name (quality, controller settings)."""
     hand_file: str = ""
-    """TOML file of a hand that is not found by its name."""
+    """TOML file of a hand that is not registered by name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
 
     @property
     def wrist_pose_object(self) -> np.ndarray:
-        """Pose of the palm body in the frame of the object, shape [7]."""
+        """Pose of the palm body, object frame, shape [7]."""
         return compose(invert(self.object_pose), self.wrist_pose)
 
     def joint_dict(self) -> dict[str, float]:
-        """Angle of each joint of the hand's model by name [rad], coupled ones included."""
+        """Return the joint positions by name [rad], including coupled joints."""
         return dict(zip(self.joint_names, self.joint_positions.tolist(), strict=True))
 
     def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
-        """Angles of joints in the order of another model [rad], shape [len(names)].
+        """Return the joint positions in the order of ``names`` [rad], shape [len(names)].
 
         Raises:
-            FungraspError: the hand has no such joint.
+            FungraspError: the hand does not have one of the joints.
         """
         return self.joint_positions[_columns(self.joint_names, names)]
 
     def to_mjspec(self) -> mujoco.MjSpec:
-        """The hand as a MuJoCo model with the palm at ``wrist_pose``. Keyframe "grasp" has joint positions
-        and servo controls.
+        """Return a MuJoCo model of the hand with the palm at ``wrist_pose``. Its keyframe "grasp" contains
+        the joint positions and servo targets.
 
         Raises:
-            FungraspError: the hand is not found, or is another version of it.
+            FungraspError: the hand is not found, or its version differs.
         """
         hand = RobotGraspSet.of([self]).load_hand()
         spec = hand.spec()
@@ -101,13 +101,13 @@ class RobotGrasp:
         return spec
 
     def to_urdf(self, path: str | Path) -> dict[str, float]:
-        """Write the hand as a URDF, with meshes in a folder ``meshes`` next to it.
+        """Write the hand as a URDF with meshes in a folder ``meshes`` next to it.
 
         Returns:
-            ``joint_dict``, because a URDF has no posture.
+            ``joint_dict()``, since a URDF contains no joint positions.
 
         Raises:
-            FungraspError: the hand is not found or can't be expressed in URDF, or a file can't be written.
+            FungraspError: the hand is not found or not supported by URDF, or a file cannot be written.
         """
         import xml.etree.ElementTree as xml
 
@@ -121,7 +121,7 @@ class RobotGrasp:
         return self.joint_dict()
 
     def save(self, path: str | Path) -> None:
-        """Write a file of one grasp, see ``RobotGraspSet.save``."""
+        """Write a file with this grasp, see ``RobotGraspSet.save``."""
         RobotGraspSet.of([self]).save(path)
 
     def __repr__(self) -> str:
@@ -139,7 +139,7 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """
 
     hand: str
-    """Name of the hand, as ``fungrasp.hands.load_hand`` takes it."""
+    """Name of the hand (``fungrasp.hands.load_hand``)."""
     object_name: np.ndarray
     """Names of the objects, shape [N] str."""
     object_mass: np.ndarray
@@ -151,23 +151,23 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     wrist_pose: np.ndarray
     """Poses of the palm body when the object is at ``object_pose``, world frame, shape [N, 7]."""
     joint_names: Sequence[str]
-    """Kept as a tuple."""
+    """All joints of the hand's model, including coupled joints, length M; converted to a tuple."""
     joint_positions: np.ndarray
-    """Angles of the joints [rad], in the order of ``joint_names``, shape [N, M]."""
+    """Joint positions [rad], in the order of ``joint_names``, shape [N, M]."""
     keypoints: np.ndarray
-    """The hand's key points [m], world frame, shape [N, K, 3]."""
+    """Key points of the hand [m], world frame, shape [N, K, 3]."""
     link_contacts: np.ndarray
-    """Which of the hand's links should touch the object, shape [N, L] bool."""
+    """Contact links that should touch the object, shape [N, L] bool."""
     task: np.ndarray | None = None
     """Tasks of the grasps, shape [N] str; None becomes empty strings."""
     shown_places: np.ndarray | None = None
-    """The person's contacts, object frame [m], shape [N, L - 1, 3]; None if unknown."""
+    """Human contact point of each finger link, object frame [m], shape [N, L - 1, 3]; None if unknown."""
     shown_normals: np.ndarray | None = None
-    """Outward unit normals of the surfaces there, shape [N, L - 1, 3]."""
+    """Outward unit normals of the surfaces at these points, object frame, shape [N, L - 1, 3]."""
     extra: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Numbers or flags by name, each of shape [N, ...]; NaN means not measured."""
+    """Additional numbers or flags by name, shape [N, ...] each; NaN means not measured."""
     hand_file: str = ""
-    """TOML file of a hand that is not found by its name."""
+    """TOML file of a hand that is not registered by name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
 
@@ -216,34 +216,33 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
 
     @property
     def wrist_pose_object(self) -> np.ndarray:
-        """Poses of the palm body in the frame of the object, shape [N, 7]."""
+        """Poses of the palm body, object frame, shape [N, 7]."""
         return compose(invert(self.object_pose), self.wrist_pose)
 
     def joint_dict(self) -> dict[str, np.ndarray]:
-        """Angles of each joint of the hand's model by name [rad], shape [N], coupled ones included."""
+        """Return the joint positions by name [rad], shape [N] each, including coupled joints."""
         return dict(zip(self.joint_names, self.joint_positions.T, strict=True))
 
     def joints_in_order(self, names: Sequence[str]) -> np.ndarray:
-        """Angles of joints in the order of another model [rad], shape [N, len(names)].
+        """Return the joint positions in the order of ``names`` [rad], shape [N, len(names)].
 
         Raises:
-            FungraspError: the hand has no such joint.
+            FungraspError: the hand does not have one of the joints.
         """
         return self.joint_positions[:, _columns(self.joint_names, names)]
 
     @property
     def object_mass_spread(self) -> np.ndarray | None:
-        """Standard deviation of the logarithm of each object's mass, shape [N]; None where masses are
-        known."""
+        """Standard deviation of the logarithm of guessed masses, shape [N]; None if masses are known."""
         return self.extra.get(MASS_SPREAD)
 
     def load_hand(self) -> Hand:
-        """The hand of the grasps.
+        """Load the hand of the grasps.
 
         Raises:
-            FungraspError: it is not found, or is another version of it.
+            FungraspError: the hand is not found, or its version differs.
         """
-        # Hands import MuJoCo: not where people's grasps are all that is looked at.
+        # Importing hands loads MuJoCo, which human grasps do not need.
         from fungrasp.hands import load_hand
 
         try:
@@ -254,10 +253,10 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
         return hand
 
     def check_hand(self, hand: Hand) -> None:
-        """Check that a hand is the one of the grasps.
+        """Check that the grasps are for this hand.
 
         Raises:
-            FungraspError: another name, other joints or other contact links.
+            FungraspError: the name, joints or contact links differ.
         """
         if self.hand != hand.name:
             raise FungraspError(f"the grasps are of the hand '{self.hand}', not of '{hand.name}'")

@@ -1,6 +1,6 @@
-"""Whether fingers touch what they hold and objects stand on the table, and in which convention they would.
+"""Check whether fingers touch the object and objects rest on the table, and in which convention they do.
 
-Each thing that ``grasps.conversion`` can undo is tried; the one that explains most of the grasps is named.
+All conventions of ``grasps.conversion`` are tested; the one that explains most grasps is reported.
 """
 
 from __future__ import annotations
@@ -19,56 +19,55 @@ from fungrasp.objects import ObjectModel
 from fungrasp.objects.mesh_file import mesh_doubts
 
 REST_ERROR = 0.02
-"""An object at rest is no further above or below the table [m]."""
+"""Largest distance of an object at rest from the table [m]."""
 
 TIPS = [4, 8, 20]
-"""Tips of index, middle finger and thumb in ``HUMAN_JOINTS``."""
+"""Indices in ``HUMAN_JOINTS`` of the tips of index finger, middle finger and thumb."""
 
 HELD = 0.05
-"""Fingertips are on average no further from what they hold [m]."""
+"""Largest mean distance of the fingertips from the object [m]."""
 
 TIP_ERROR = 0.005
-"""Standard deviation of where a tracked fingertip is relative to the object [m]."""
+"""Standard deviation of a tracked fingertip's position relative to the object [m]."""
 
 EVIDENCE = 2.0
-"""Another convention is recognized if it brings fingers and table nearer to the objects by so many standard
-deviations, summed over the grasps."""
+"""Smallest reduction of the summed errors by another convention, in standard deviations of the sum."""
 
 FARTHEST = 0.05
-"""A grasp counts in that sum with no more [m], so that single bad rows decide nothing."""
+"""Largest error of one grasp in this sum [m], so that single outliers do not decide."""
 
 AGREE = 2 / 3
-"""Share of the grasps that tell the conventions apart which must speak for the other one."""
+"""Share of the grasps with a clear difference that must support the other convention."""
 
 EXPLAINED = 0.8
 """Share of the grasps in which fingers and table must fit in another convention."""
 
 SURFACE_SAMPLES = 3000
+"""Number of points on each object's surface."""
 
 TRIED = 64
-"""Conventions are tried on so many grasps first, spread evenly over the set; on all where these speak for
-one."""
+"""Number of evenly spread grasps for a first test of conventions, before the test on all grasps."""
 
 
 @dataclass(frozen=True)
 class Remark:
-    """Something wrong with some of the grasps."""
+    """A fault of some grasps."""
 
     words: str
-    """What is wrong."""
+    """Description of the fault."""
     rows: np.ndarray
-    """Grasps that it is said of, shape [R]."""
+    """Indices of these grasps, shape [R]."""
     fatal: bool = False
-    """Whether results for these grasps would mean nothing."""
+    """Whether results for these grasps would be meaningless."""
     scene: bool = False
-    """Whether the object's mesh tells it."""
+    """Whether the object's mesh is needed to notice the fault."""
 
     def __str__(self) -> str:
         return f"{rows_in_words(self.rows)}: {self.words}"
 
 
 def rows_in_words(rows: np.ndarray) -> str:
-    """ "grasp 3" or "grasps 1, 4, 5 and 20 more"."""
+    """Return "grasp 3" or "grasps 1, 4, 5 and 20 more"."""
     if len(rows) == 1:
         return f"grasp {rows[0]}"
     shown = ", ".join(str(row) for row in rows[:6])
@@ -76,12 +75,12 @@ def rows_in_words(rows: np.ndarray) -> str:
 
 
 def _some_of(names: list[str]) -> str:
-    """At most six names."""
+    """Join at most six names."""
     return ", ".join(names[:6]) + (" and others" if len(names) > 6 else "")
 
 
 def scene_is_sound(arrays: Mapping[str, np.ndarray]) -> bool:
-    """Whether poses, joints and names of objects are there, in arrays of the right shapes, and finite."""
+    """Return whether names of objects, poses and joints are given, have the right shapes and are finite."""
     count = len(arrays.get("hand_joints", ()))
     shapes = {"object_name": (count,), "object_pose": (count, 7), "hand_joints": (count, 21, 3)}
     if "object_rest_pose" in arrays:
@@ -101,21 +100,21 @@ def scene_is_sound(arrays: Mapping[str, np.ndarray]) -> bool:
 
 @dataclass(frozen=True)
 class _Fit:
-    """How well hands, objects and table fit together in M grasps."""
+    """Errors between hands, objects and table in M grasps."""
 
     gap: np.ndarray
-    """Mean distance of thumb, index and middle finger's tips from the object's surface [m], shape [M]."""
+    """Mean distance of the tips ``TIPS`` from the object's surface [m], shape [M]."""
     height: np.ndarray
-    """Height of the object's lowest point above the table at rest [m], shape [M]; 0 without a rest pose."""
+    """Height of the resting object's lowest point above the table [m], shape [M]; 0 without a rest pose."""
 
     @property
     def errors(self) -> np.ndarray:
-        """Sum of both, each no more than ``FARTHEST`` [m], shape [M]."""
+        """Sum of both errors, each clipped at ``FARTHEST`` [m], shape [M]."""
         return np.minimum(self.gap, FARTHEST) + np.minimum(np.abs(self.height), FARTHEST)
 
     @property
     def good(self) -> np.ndarray:
-        """Shape [M] bool."""
+        """Whether both errors are within their limits, shape [M] bool."""
         return (self.gap <= HELD) & (np.abs(self.height) <= REST_ERROR)
 
 
@@ -132,24 +131,24 @@ REASONS = {
 
 @dataclass(frozen=True)
 class GraspScene:
-    """Hands and known objects of grasps, as they are written."""
+    """Hands and known objects of grasps, in their original convention."""
 
     arrays: Mapping[str, np.ndarray]
-    """All N grasps, quaternions of length 1."""
+    """Fields of all N grasps, with unit quaternions."""
     objects: Mapping[str, ObjectModel]
-    """By name."""
+    """Known objects by name."""
     rows: np.ndarray
-    """Grasps of known objects, shape [M]."""
+    """Indices of the grasps of known objects, shape [M]."""
     held_at_rest: np.ndarray
-    """Which of these have the held pose as rest pose, shape [M] bool."""
+    """Which of these have the same held and rest pose, shape [M] bool."""
     surfaces: Mapping[str, tuple[KDTree, np.ndarray]]
-    """Points of each known object's surface, and the corners of its convex hull [m], shape [C, 3]."""
+    """Points on each known object's surface, and the vertices of its convex hull [m], shape [C, 3]."""
     doubtful: frozenset[str] = frozenset()
-    """Objects whose meshes have an odd size or a piece of the table: they tell no convention."""
+    """Objects whose meshes have an odd size or a piece of the table; they do not count for the convention."""
 
     @classmethod
     def of(cls, arrays: Mapping[str, np.ndarray], objects: Mapping[str, ObjectModel]) -> GraspScene:
-        """Of fields that ``scene_is_sound`` finds sound, and the known objects by name."""
+        """Create a scene from fields for which ``scene_is_sound`` holds, and known objects by name."""
         import trimesh
 
         sound = {name: arrays[name] for name in ("object_name", "hand_joints")}
@@ -169,7 +168,7 @@ class GraspScene:
         return cls(sound, objects, rows, same[rows], surfaces, doubtful)
 
     def untested(self) -> list[str]:
-        """What could not be tested, and why."""
+        """Return messages about omitted tests."""
         unknown = sorted(set(self.arrays["object_name"].astype(str).tolist()) - set(self.objects))
         words = []
         if unknown:
@@ -185,9 +184,9 @@ class GraspScene:
         return words
 
     def convention(self, of_hands: Convention) -> tuple[Convention, list[Remark]]:
-        """The convention in which hands, objects and table fit together best, and what is wrong even then.
+        """Return the convention in which hands, objects and table fit best, and remarks.
 
-        of_hands: as the joints alone tell it.
+        of_hands: convention found from the joints alone.
         """
         best, remarks = of_hands, []
         if self._trusted.any():
@@ -195,10 +194,7 @@ class GraspScene:
         return self._with_rest(best, self._fit(best), remarks)
 
     def contact_remarks(self, convention: Convention, flags: np.ndarray | None) -> list[Remark]:
-        """Grasps in which links that are said to touch are far from the object.
-
-        flags: of the links in contact, shape [N, 16], as they are written.
-        """
+        """Report grasps whose annotated contacts are far from the object. flags: contacts, shape [N, 16]."""
         if flags is None or flags.shape != (len(self.arrays["hand_joints"]), len(LINK_RADII)):
             return []
         scene = converted({n: a[self.rows] for n, a in self.arrays.items()}, convention)
@@ -208,7 +204,7 @@ class GraspScene:
             points = link_points(scene["hand_joints"][rows])
             local = inverse_transform_points(scene["object_pose"][rows], points.reshape(len(rows), -1, 3))
             gaps[rows] = tree.query(local)[0].reshape(points.shape[:3]).min(axis=2) - LINK_RADII
-        # The palm is wide: the points along it say little.
+        # The palm is wide, and its points do not cover it.
         far = (flags[self.rows].astype(bool) & (gaps > CONTACT_REACH))[:, 1:]
         if not far.any():
             return []
@@ -220,11 +216,11 @@ class GraspScene:
 
     @property
     def _trusted(self) -> np.ndarray:
-        """Which grasps' meshes may tell the convention, shape [M] bool."""
+        """Which grasps have objects without doubts, shape [M] bool."""
         return ~np.isin(self.arrays["object_name"][self.rows].astype(str), list(self.doubtful))
 
     def _told_by_scene(self, of_hands: Convention) -> tuple[Convention, list[Remark]]:
-        """The convention in which the scene fits together best, and a remark if the hands don't tell it."""
+        """Return the best convention, and a remark if it differs from ``of_hands``."""
         best, found = of_hands, self._fit(of_hands)
         told, some = [], self._some()
         for _ in range(3):
@@ -246,19 +242,19 @@ class GraspScene:
         return best, [Remark(f"fingers, objects and table fit only if {reasons}", rows, True, True)]
 
     def _some(self) -> GraspScene:
-        """The scene of ``TRIED`` grasps at most."""
+        """Return a scene of at most ``TRIED`` grasps."""
         return self._only(
             np.unique(np.linspace(0, len(self.rows) - 1, min(TRIED, len(self.rows))).astype(int))
         )
 
     def _only(self, chosen: np.ndarray) -> GraspScene:
-        """The scene of some of the grasps. chosen: indices into ``rows``, or a mask of them."""
+        """Return a scene of some grasps. chosen: indices into ``rows`` or a mask."""
         return replace(self, rows=self.rows[chosen], held_at_rest=self.held_at_rest[chosen])
 
     def _with_rest(
         self, best: Convention, fit: _Fit, remarks: list[Remark]
     ) -> tuple[Convention, list[Remark]]:
-        """What is wrong even in the best convention."""
+        """Add the faults that remain in the best convention; set its ``rest_pose``."""
         apart, off = fit.gap > HELD, np.abs(fit.height) > REST_ERROR
         in_air = off & self.held_at_rest & self._trusted
         if apart.any():
@@ -284,7 +280,7 @@ class GraspScene:
         return best, remarks
 
     def _candidates(self, now: Convention) -> list[Convention]:
-        """Conventions that differ in one thing."""
+        """Return conventions that differ in one value; another axis may come with a table height."""
         changes: list[dict[str, str]] = [
             {"quaternion": "xyzw"},
             {"rotation": "transposed"},
@@ -303,7 +299,7 @@ class GraspScene:
         return candidates
 
     def _explains(self, fit: _Fit, now: _Fit) -> bool:
-        """Whether another convention fits better by more than errors of measurement explain."""
+        """Return whether another convention fits better by more than measurement errors."""
         gain = now.errors - fit.errors
         telling = np.abs(gain) > 0.5 * TIP_ERROR
         return bool(

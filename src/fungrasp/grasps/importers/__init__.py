@@ -1,2 +1,2 @@
-"""Reading other people's data sets as human grasps. Other packages bring importers by the entry point
-``fungrasp.grasps``: functions that take a path and return a ``HumanGraspSet``."""
+"""Import public data sets as human grasps. Other packages add importers by the entry point
+``fungrasp.grasps``: functions from a path to a ``HumanGraspSet``."""

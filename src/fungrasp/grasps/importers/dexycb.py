@@ -1,11 +1,11 @@
-"""Grasps from DexYCB (Chao et al., CVPR 2021; dex-ycb.github.io) as it is downloaded, one for each sequence:
-the first frame in which the object has moved; the hand then carries it.
+"""Grasps from DexYCB (Chao et al., CVPR 2021; dex-ycb.github.io), one per sequence: when the object has
+moved.
 
-Layout: ``<root>/<subject>/<sequence>/meta.yml`` (serials, num_frames, ycb_ids, ycb_grasp_ind, mano_sides);
+Files: ``<root>/<subject>/<sequence>/meta.yml`` (serials, num_frames, ycb_ids, ycb_grasp_ind, mano_sides);
 ``<sequence>/<serial>/labels_000000.npz`` (pose_y, pose_m, joint_3d; camera frame);
-``<root>/calibration/extrinsics_<name>/extrinsics.yml`` (camera poses, and the pose of a tag on the table);
+``<root>/calibration/extrinsics_<name>/extrinsics.yml`` (poses of the cameras and of a tag on the table);
 ``<root>/calibration/mano_<name>/mano.yml`` (betas); ``<root>/models/<object>/textured_simple.obj``. The tag's
-frame has x and y along the table and z up; it is our world frame.
+frame is the world frame: x and y are along the table, and z is up.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from fungrasp.objects import mirrored_name
 TAG = "apriltag"
 
 MISFIT = 0.005
-"""Largest distance between the wrist of the labels and that of the MANO model [m]."""
+"""Largest distance between the label's and the MANO model's wrist [m]."""
 
 _log = logging.getLogger(__name__)
 
@@ -44,17 +44,16 @@ def import_dexycb(
     objects: str | Path | None = None,
     left_hands: Literal["skip", "mirror"] = "skip",
 ) -> HumanGraspSet:
-    """Take one grasp from each sequence. Sequences that can't be used are named in warnings.
+    """Import one grasp per sequence. Warnings name unusable sequences.
 
     Args:
         root: folder with the subjects, ``calibration`` and ``models``.
-        mano: folder of your MANO model: adds joint rotations and takes contacts from the hand's surface.
+        mano: folder of your MANO model. It adds joint rotations, and contacts follow from the hand's surface.
         objects: folder of meshes; by default DexYCB's own models.
-        left_hands: leave left hands out, or reflect the whole scene: the object's name then ends in
-            "_mirrored".
+        left_hands: skip left hands, or reflect their scenes; then names of objects end in "_mirrored".
 
     Raises:
-        FungraspError: the folder is no DexYCB, or no sequence of it can be used.
+        FungraspError: the folder does not contain DexYCB, or no sequence can be used.
     """
     root = Path(root)
     hands: dict[str, ManoHand] = {}
@@ -80,7 +79,7 @@ def import_dexycb(
 def _grasp(
     root: Path, path: Path, meta: Mapping[str, Any], objects: str | Path, hand: ManoHand | None
 ) -> HumanGrasp:
-    """The grasp of one sequence, described by the file ``path``, which says ``meta``."""
+    """Return the grasp of one sequence. meta: content of the file ``path``."""
     fields = ("serials", "num_frames", "ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
     serials, frames, ids, grasped, sides, shapes, extrinsics = (_field(path, meta, name) for name in fields)
     grasped = int(grasped)
@@ -134,7 +133,7 @@ def _grasp(
 
 
 def _label(path: Path, grasped: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pose of the grasped object, shape [3, 4], joints, shape [21, 3], and MANO's parameters, shape [51]."""
+    """Read the object's pose, shape [3, 4], joints [m], shape [21, 3], and MANO's parameters, shape [51]."""
     found = read_npz(path, "DexYCB label", ("pose_y", "joint_3d", "pose_m").__contains__)
     poses = numbers(path, found, "pose_y", (None, 3, 4))
     if len(poses) <= grasped:
@@ -144,7 +143,7 @@ def _label(path: Path, grasped: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def _camera_poses(path: Path, serials: list[str]) -> dict[str, np.ndarray]:
-    """Camera frame to world frame, shape [4, 4], by serial."""
+    """Return the cameras' poses in the world, shape [4, 4] each, by serial."""
     poses = _field(path, read_yaml(path), "extrinsics")
     matrices = {}
     for name in (TAG, *serials):
@@ -166,9 +165,9 @@ def _field(path: Path, content: Mapping[str, Any], name: str) -> Any:
 def _mano(
     hand: ManoHand, betas: np.ndarray, params: np.ndarray, camera: np.ndarray, wrist: np.ndarray, left: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of the hand's surface [m], world frame, shape [778, 3], and ``hand_qpos``.
+    """Return the vertices of the hand [m], world frame, shape [778, 3], and ``hand_qpos``, shape [51].
 
-    wrist: by the labels [m], world frame.
+    wrist: position in the labels [m], world frame, shape [3].
     """
     from scipy.spatial.transform import Rotation
 
@@ -182,7 +181,7 @@ def _mano(
     rotations = Rotation.from_rotvec(vectors).as_matrix()
     rotations[0] = turn @ rotations[0]
     if left:
-        # MANO's left hand is its right one reflected in x; the scene is reflected in y.
+        # MANO's left hand is the right one reflected in x; the scene is reflected in y.
         across, scene = np.diag([-1.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
         rotations = np.concatenate([(scene @ rotations[0] @ across)[None], across @ rotations[1:] @ across])
         wrist = mirror_points(wrist)

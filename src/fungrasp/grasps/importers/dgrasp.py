@@ -1,13 +1,13 @@
 """Human grasps from the label pickles of D-Grasp (Christen et al., CVPR 2022; github.com/christsa/dgrasp).
 
-``dexycb_train_labels.pkl`` maps DexYCB's object number to a dict of arrays, one row per grasp. As its
-simulation reads them: ``final_ee`` are 21 joints in the order of ours (wrist; index, middle, ring, little
-finger, thumb, each base to tip), ``final_contacts`` 16 links in the order of ours, ``final_qpos`` wrist
-position, wrist and joint rotations as intrinsic XYZ Euler angles in the same order of fingers, poses are
-position and wxyz quaternion. World frame: z up, its table top at 0.5 m.
+``dexycb_train_labels.pkl`` maps DexYCB's object numbers to dicts of arrays with one row per grasp. By
+D-Grasp's simulation, ``final_ee`` contains 21 joints as in ``HUMAN_JOINTS``, ``final_contacts`` 16 links as
+in ``HUMAN_LINKS``, and ``final_qpos`` the wrist position, then wrist and joint rotations as intrinsic XYZ
+Euler angles in the same order of fingers. Poses are positions and wxyz quaternions; the world has z up, with
+the table top at 0.5 m.
 
-The object poses are those of D-Grasp's own meshes (``rsc/meshes_simplified``), some of which are aligned with
-their box and so differ from the YCB models of the same name.
+Object poses refer to D-Grasp's own meshes (``rsc/meshes_simplified``). Some of these are aligned with their
+bounding box, unlike the YCB models of the same name.
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ TABLE_HEIGHT = 0.5
 """Height of D-Grasp's table top [m]."""
 
 _OLDER = {"final_wpos": "final_ee", "final_obj": "final_obj_pos", "obj_w": "obj_w_stacked"}
-"""Names in the older files, those of grasps by ContactOpt and GraspTTA, and in the others. The older files'
-positions are relative to the object's origin where it rests on the table; its height is added (D-Grasp's
-``runner_gtta.py``)."""
+"""Names in older files (grasps by ContactOpt and GraspTTA) and in current ones. Positions in older files are
+relative to the resting object's origin, whose height is added, as in D-Grasp's ``runner_gtta.py``."""
 
 _SIZES = {"final_ee": 63, "final_contacts": 16, "final_obj_pos": 7, "obj_pose_reset": 7, "final_qpos": 51}
 _NEEDED = ("final_ee", "final_contacts", "final_obj_pos", "obj_pose_reset", "obj_w_stacked")
@@ -38,15 +37,15 @@ _NEEDED = ("final_ee", "final_contacts", "final_obj_pos", "obj_pose_reset", "obj
 
 @guarded("label pickle")
 def import_dgrasp(path: str | Path, table_height: float = TABLE_HEIGHT) -> HumanGraspSet:
-    """Read a label pickle. It may hold arrays only; nothing in it is run.
+    """Read a label pickle. It may contain arrays only; no code in it is executed.
 
     Args:
-        path: the ``.pkl`` file, by pickle or joblib.
-        table_height: of the labels' table top [m]; it becomes z = 0.
+        path: ``.pkl`` file, by pickle or joblib.
+        table_height: height of the labels' table top [m], which becomes z = 0.
 
     Raises:
-        FungraspError: the file is no such pickle, or lacks or spoils a field; the message names object and
-        field.
+        FungraspError: the file is not such a pickle, or a field is missing or invalid; the message names
+            object and field.
     """
     labels = load_arrays_pickle(path)
     if not isinstance(labels, Mapping) or not all(isinstance(entry, Mapping) for entry in labels.values()):

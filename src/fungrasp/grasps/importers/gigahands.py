@@ -14,17 +14,19 @@ from fungrasp.grasps.importers.motions import LARGEST, data_object, each, grasp_
 
 
 def import_gigahands(root: str | Path) -> HumanGraspSet:
-    """One grasp of the right hand of each sequence with a tracked object; the world's y axis points up.
+    """Import one grasp of the right hand from each sequence with a tracked object.
+
+    The world's y axis points up.
 
     Args:
-        root: folder with ``hand_poses/<session>/keypoints_3d_mano_align/<sequence>.json`` (both hands' joints
-            in each frame in which either was seen, the right one's last), ``keypoints_3d/<sequence>/
-            chosen_frames_right.json`` beside it (and ``left``: those frames),
-            ``object_poses/<scene>/<object>/<session>_<sequence>/pose/optimized_pose.json`` (rotations are
-            transposed quaternions, or rotation vectors) and ``object_meta/<scene>/<object>/<mesh>.obj``.
+        root: folder with ``hand_poses/<session>/keypoints_3d_mano_align/<sequence>.json`` (joints of the
+            left, then the right hand in each frame in which either is tracked), ``keypoints_3d/<sequence>/
+            chosen_frames_right.json`` and ``_left`` beside it (these frames),
+            ``object_poses/<scene>/<object>/<session>_<sequence>/pose/optimized_pose.json`` (rotations as
+            transposed quaternions or rotation vectors) and ``object_meta/<scene>/<object>/<mesh>.obj``.
 
     Raises:
-        FungraspError: no sequence can be used; the first reason.
+        FungraspError: no sequence can be used; the message is the first reason.
     """
     root = Path(root)
 

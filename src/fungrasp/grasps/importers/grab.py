@@ -17,17 +17,17 @@ from fungrasp.grasps.mano import ManoHand
 def import_grab(
     root: str | Path, mano: str | Path, objects: str | Path, subjects: str | Path | None = None
 ) -> HumanGraspSet:
-    """One grasp of the right hand of each sequence.
+    """Import one grasp of the right hand from each sequence.
 
     Args:
-        root: folder with ``s1/mug_drink_1.npz`` and so on: world frame, z up; the object's rotation is one of
-            row vectors; the hand's pose 24 principal components from the flat hand.
+        root: folder with ``s1/mug_drink_1.npz`` and so on: world frame with z up, object rotations for row
+            vectors, hand poses as 24 principal components relative to the flat hand.
         mano: folder of your MANO model.
-        objects: folder of the object meshes, ``mug.ply``.
-        subjects: folder above that of the subjects' hands (``vtemp`` of the files); the mean hand if None.
+        objects: folder of the object meshes, such as ``mug.ply``.
+        subjects: folder to which ``vtemp``, the path of a subject's hand, is relative. None: the mean hand.
 
     Raises:
-        FungraspError: no sequence can be used; the first reason.
+        FungraspError: no sequence can be used; the message is the first reason.
     """
     hand = ManoHand(mano)
 

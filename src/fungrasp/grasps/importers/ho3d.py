@@ -18,18 +18,18 @@ from fungrasp.grasps.importers.ycb import YCB_MASSES
 
 
 def import_ho3d(root: str | Path, objects: str | Path, tilt: float = 0.0) -> HumanGraspSet:
-    """One grasp of each sequence, of its middle frame that is labeled.
+    """Import one grasp per sequence, from the labeled frame nearest to the middle.
 
-    Its files know neither a table nor which way is up: the camera looks level, or down by ``tilt``, and the
-    hand is so high that it clears the table by 5 cm.
+    The data set contains neither a table nor the vertical. The camera is assumed horizontal, or tilted by
+    ``tilt``, and hand and object are placed 5 cm above the table.
 
     Args:
-        root: folder with ``<sequence>/meta/0000.pkl`` and so on: camera frame of OpenGL, y up.
+        root: folder with ``<sequence>/meta/0000.pkl`` and so on: OpenGL camera frame, y up.
         objects: folder of the YCB models, ``003_cracker_box/textured_simple.obj`` or ``003_cracker_box.obj``.
-        tilt: of the camera below level [rad].
+        tilt: downward tilt of the camera [rad].
 
     Raises:
-        FungraspError: no sequence can be used; the first reason.
+        FungraspError: no sequence can be used; the message is the first reason.
     """
     upright = Rotation.from_euler("x", 0.5 * np.pi - tilt)
 

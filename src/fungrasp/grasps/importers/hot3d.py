@@ -23,24 +23,24 @@ from fungrasp.grasps.importers.motions import (
 from fungrasp.grasps.mano import ManoHand
 
 RIGHT = "1"
-"""The right hand's name in ``hand_poses``."""
+"""Key of the right hand in ``hand_poses``."""
 
 COLUMNS = [f"t_wo_{axis}[m]" for axis in "xyz"] + [f"q_wo_{part}" for part in "wxyz"]
-"""Of an object's pose in ``dynamic_objects.csv``."""
+"""Columns of an object's pose in ``dynamic_objects.csv``."""
 
 
 def import_hot3d(root: str | Path, mano: str | Path, objects: str | Path) -> HumanGraspSet:
-    """One grasp of each object that the right hand moves, from each sequence.
+    """Import one grasp of each object that the right hand moves, from each sequence.
 
     Args:
-        root: folder with a folder of each sequence: ``dynamic_objects.csv``,
-            ``mano_hand_pose_trajectory.jsonl`` (15 principal components from the mean hand) and
-            ``metadata.json`` (the world of Aria glasses has z up, that of Quest 3 has y up).
+        root: folder with a folder per sequence: ``dynamic_objects.csv``, ``mano_hand_pose_trajectory.jsonl``
+            (15 principal components relative to the mean hand) and ``metadata.json`` (Aria glasses have a
+            world with z up, Quest 3 one with y up).
         mano: folder of your MANO model.
         objects: folder of the object meshes, ``<object_uid>.glb``.
 
     Raises:
-        FungraspError: no sequence can be used; the first reason.
+        FungraspError: no sequence can be used; the message is the first reason.
     """
     hand = ManoHand(mano)
 

@@ -1,4 +1,4 @@
-"""Grasps from hands that move objects: what the importers of data sets share, for any other data set."""
+"""Grasps from motions of hands and objects, with common functions of the importers."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from fungrasp.grasps.human_grasp import HumanGrasp
 from fungrasp.objects import ObjectModel, ResolvedObject, mesh_files, resolve_object
 
 MOVED = 0.01
-"""How far an object has moved when it counts as grasped [m]."""
+"""Distance from its first position beyond which an object counts as grasped [m]."""
 
 LARGEST = 1 << 28
-"""Bytes of the largest text file of a sequence that is read."""
+"""Largest size of a text file [bytes]."""
 
 Item = TypeVar("Item")
 
@@ -39,21 +39,21 @@ def grasp_from_motion(
     up: str = "z",
     task: str = "",
 ) -> HumanGrasp:
-    """The grasp of the first frame with a hand in which the object has moved by more than ``MOVED``.
+    """Return the grasp in the first frame with a tracked hand in which the object has moved by ``MOVED``.
 
     Args:
-        joints: of a right hand [m], shape [T, 21, 3], world frame; or a function of the frame's number, which
-            gives None where the hand was not tracked.
-        object_pose: of the object over time, shape [T, 7], same frame. It stands on the table at first: its
-            lowest point then is the table's height.
-        mesh: the object, as ``human_grasp`` takes it.
-        order: of the joints, likewise.
-        up: axis of the world that points up, one of ``grasps.conversion.UP``.
-        task: what the grasp is for.
+        joints: joints of a right hand [m], world frame, shape [T, 21, 3], or a function from the index of a
+            frame to joints, shape [21, 3], or None if the hand was not tracked.
+        object_pose: poses of the object, world frame, shape [T, 7]. In the first frame, it rests on the table
+            and its lowest point is at the table's height.
+        mesh: the object, as in ``human_grasp``.
+        order: joint order, as in ``human_grasp``.
+        up: upward axis of the world, one of ``grasps.conversion.UP``.
+        task: task of the grasp.
 
     Raises:
-        FungraspError: the object never moves, the hand does not touch it when it moves, or the checks of
-            ``human_grasp`` find something.
+        FungraspError: the object never moves, the hand does not touch it when it moves, or ``human_grasp``
+            raises an error.
     """
     turn = np.array([0.0, 0.0, 0.0, *UP[up]])
     for frame in moved_frames(object_pose[:, :3]):
@@ -74,9 +74,9 @@ def grasp_from_motion(
 
 
 def moved_frames(positions: np.ndarray) -> np.ndarray:
-    """Frames in which an object is more than ``MOVED`` from where it was first seen.
+    """Return the frames in which an object is farther than ``MOVED`` from its first tracked position.
 
-    positions: [m], shape [T, 3]; NaN where the object was not tracked.
+    positions: [m], shape [T, 3]; NaN if the object was not tracked.
     """
     tracked = np.flatnonzero(np.isfinite(positions[:, 0]))
     if not len(tracked):
@@ -87,10 +87,10 @@ def moved_frames(positions: np.ndarray) -> np.ndarray:
 def each(
     items: Iterable[Item], grasps: Callable[[Item], HumanGrasp | list[HumanGrasp]], none: str
 ) -> list[HumanGrasp]:
-    """The grasps of all sequences or objects that can be used; the others are named in warnings.
+    """Return the grasps of usable sequences or objects; warnings name the others.
 
     Raises:
-        FungraspError: none can be used: the first reason, or ``none`` if there is no reason.
+        FungraspError: none can be used; the message is the first reason, or ``none`` without items.
     """
     found: list[HumanGrasp] = []
     problem = None
@@ -110,17 +110,16 @@ def each(
 def each_moved(
     poses: Mapping[str, np.ndarray], grasp: Callable[[str], HumanGrasp], where: str | Path
 ) -> list[HumanGrasp]:
-    """The same of all objects that move, by their names and poses, shape [T, 7] each."""
+    """Return the grasps of all objects that move. poses: by name, shape [T, 7] each."""
     moved = [name for name, track in poses.items() if len(moved_frames(track[:, :3]))]
     return each(moved, grasp, f"{where}: no object moves")
 
 
 def data_object(folder: str | Path, name: str, mass: float | None = None) -> ResolvedObject:
-    """An object of a data set: its mesh is ``<name>.obj`` (.stl, .ply, .glb) in the folder, or in a folder
-    ``<name>`` there.
+    """Load an object of a data set from ``<name>.obj`` (.stl, .ply, .glb) or a mesh in the folder ``<name>``.
 
     Raises:
-        FungraspError: there is no such mesh, or a bad one.
+        FungraspError: there is no such mesh, or it is invalid.
     """
     files = mesh_files(folder)
     if name not in files:
@@ -130,10 +129,10 @@ def data_object(folder: str | Path, name: str, mass: float | None = None) -> Res
 
 
 def subtable(path: Path, fields: Any, name: Any) -> Mapping[Any, Any]:
-    """A field that holds fields.
+    """Return a field that contains fields.
 
     Raises:
-        FungraspError: there is none.
+        FungraspError: the field is missing or has another type.
     """
     value = fields.get(name) if isinstance(fields, Mapping) else None
     if not isinstance(value, Mapping):
@@ -142,12 +141,12 @@ def subtable(path: Path, fields: Any, name: Any) -> Mapping[Any, Any]:
 
 
 def numbers(path: Path, fields: Any, name: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
-    """A field of finite numbers.
+    """Return a field of finite numbers.
 
-    shape: that it must have, None for any size; any shape if None.
+    shape: required shape, with None for any size. None: any shape.
 
     Raises:
-        FungraspError: it holds something else.
+        FungraspError: the field is missing, or its type, shape or values differ.
     """
     try:
         array = np.asarray(fields[name] if isinstance(fields, Mapping) else "")

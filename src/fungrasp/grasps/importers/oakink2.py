@@ -22,18 +22,18 @@ from fungrasp.grasps.mano import ManoHand
 
 
 def import_oakink2(root: str | Path, mano: str | Path, objects: str | Path) -> HumanGraspSet:
-    """One grasp of each object that the right hand moves, from each sequence.
+    """Import one grasp of each object that the right hand moves, from each sequence.
 
-    As the data set's toolkit reads it: the world's y axis points up, rotations of the hand are quaternions
-    (wxyz) from the flat hand, its translation is where the wrist is.
+    As in the data set's toolkit, the world's y axis points up, rotations of the hand are quaternions (wxyz)
+    relative to the flat hand, and its translation is the position of the wrist.
 
     Args:
-        root: folder ``anno_preview``, with a pickle of each sequence.
+        root: folder ``anno_preview`` with a pickle per sequence.
         mano: folder of your MANO model.
-        objects: folder of the object meshes, ``align_ds``: a folder of each object with one mesh in it.
+        objects: folder ``align_ds`` with a folder per object, each with one mesh.
 
     Raises:
-        FungraspError: no sequence can be used; the first reason.
+        FungraspError: no sequence can be used; the message is the first reason.
     """
     hand = ManoHand(mano)
 

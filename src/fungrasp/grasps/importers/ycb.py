@@ -1,4 +1,4 @@
-"""The YCB objects of DexYCB: numbers, names, masses, heights."""
+"""The YCB objects of DexYCB: numbers, names, masses and heights."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _OBJECTS = {
     20: ("052_extra_large_clamp", 0.202, 0.017),
     21: ("061_foam_brick", 0.028, 0.025),
 }
-"""By the number that DexYCB's ``ycb_ids`` and D-Grasp's labels use: name; mass [kg], full packages (Calli et
-al., "Benchmarking in Manipulation Research", 2015); height of the origin of D-Grasp's mesh above the table at
-rest [m]."""
+"""Name, mass [kg] and height [m] by the number in DexYCB's ``ycb_ids`` and D-Grasp's labels. Masses are those
+of full packages (Calli et al., "Benchmarking in Manipulation Research", 2015). The height is that of the
+origin of D-Grasp's mesh above the table at rest."""
 
 YCB_NAMES = {number: name for number, (name, _, _) in _OBJECTS.items()}
 YCB_MASSES = {name: mass for name, mass, _ in _OBJECTS.values()}
