@@ -1,7 +1,7 @@
-"""What a depth camera saw: one color image, the depth aligned to it, and the lens.
+"""RGB-D captures: a color image, the depth aligned to it, and camera intrinsics.
 
-Camera frame: OpenCV (x right, y down, z forward) [m]. Pixels are ``[u v]``: column and row, and whole numbers
-are pixel centers, so that the top left pixel is ``[0 0]`` and covers -0.5 to 0.5.
+Camera frame: OpenCV (x right, y down, z forward) [m]. Pixels are ``[u v]``, column and row, with
+whole numbers at pixel centers: the top left pixel is ``[0 0]`` and covers -0.5 to 0.5.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.estimates import PerceptionWarning
 
-# Depth beyond this [m] is taken for a mistake of units: no depth camera for hands sees so far.
+# Median depth beyond this is a mistake of units: no depth camera for hands sees so far [m].
 DEPTH_LIMIT = 20.0
 
 Box = tuple[float, float, float, float]
@@ -27,13 +27,13 @@ Pixel = tuple[float, float]
 
 
 def depth_noise(depth: np.ndarray) -> np.ndarray:
-    """Standard deviation of a depth camera's error [m]. depth: [m]."""
+    """Return the standard deviation of a depth camera's error [m], shape of ``depth`` [m]."""
     return 0.0025 + 0.002 * depth**2
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera without distortion."""
+    """Intrinsics of a pinhole camera without distortion."""
 
     width: int
     """Image width [pixels]."""
@@ -63,29 +63,29 @@ class Intrinsics:
 
     @property
     def matrix(self) -> np.ndarray:
-        """``K``: pixels times depth from camera-frame points, shape [3, 3]."""
+        """Matrix ``K`` that maps camera-frame points to pixels times depth, shape [3, 3]."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels of camera-frame points. points: [m], shape [..., 3]. Returns shape [..., 2]; NaN for points
-        that are not in front of the camera."""
+        """Project camera-frame points [m], shape [..., 3], to pixels, shape [..., 2]; NaN for points that are
+        not in front of the camera."""
         points = np.asarray(points, dtype=float)
         depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
         return points[..., :2] / depth * [self.fx, self.fy] + [self.cx, self.cy]
 
     def deproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Camera-frame points [m], shape [..., 3], of pixels, shape [..., 2], at depths z, shape [...]."""
+        """Return camera-frame points [m], shape [..., 3], of pixels, [..., 2], at depths z [m], [...]."""
         depth = np.asarray(depth, dtype=float)[..., None]
         slopes = (np.asarray(pixels, dtype=float) - [self.cx, self.cy]) / [self.fx, self.fy]
         return np.concatenate([slopes, np.ones_like(slopes[..., :1])], axis=-1) * depth
 
     def rays(self) -> np.ndarray:
-        """Direction of every pixel's center with z = 1, camera frame, shape [height, width, 3]."""
+        """Return directions of all pixel centers with z = 1, camera frame, shape [height, width, 3]."""
         columns, rows = np.meshgrid(np.arange(self.width), np.arange(self.height))
         return self.deproject(np.stack([columns, rows], axis=-1), np.ones((self.height, self.width)))
 
     def resized(self, width: int, height: int) -> Intrinsics:
-        """The same camera's intrinsics after its image has been resized to ``width`` x ``height``."""
+        """Return the intrinsics after the image has been resized to ``width`` x ``height``."""
         across, down = width / self.width, height / self.height
         return Intrinsics(
             width,
@@ -99,62 +99,60 @@ class Intrinsics:
 
 @dataclass(frozen=True, eq=False)
 class CameraFrame:
-    """One color image and the depth aligned to it, as a camera gives it. Unlike a ``Capture``, it may lack
-    all depth."""
+    """A color image and the depth aligned to it from a camera. Unlike a ``Capture``, it may lack depth."""
 
     color: np.ndarray
     """RGB, uint8, shape [H, W, 3]."""
     depth: np.ndarray
     """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
     intrinsics: Intrinsics
-    """Of both images."""
+    """Intrinsics of both images."""
     time: float
-    """When the images were taken [s], ``time.monotonic``."""
+    """Time at which the images were taken, ``time.monotonic`` [s]."""
 
     def capture(self) -> Capture:
-        """The frame as a capture.
+        """Return the frame as a capture.
 
         Raises:
-            FungraspError: there is no depth in it, or one that can't be right.
+            FungraspError: depth is missing or implausible.
         """
         return Capture(self.color, self.depth, self.intrinsics)
 
 
 class RgbdCamera(Protocol):
-    """A depth camera, opened by ``with camera:``, that gives its image when asked. ``RealSenseCamera`` is
-    one."""
+    """A depth camera, opened by ``with camera:``, such as ``RealSenseCamera``."""
 
     def __enter__(self) -> Self:
-        """Start it. Raises: FungraspError: it is not there, or does not work; the message says what to do."""
+        """Start the camera. Raises: FungraspError: it is missing or fails; the message says what to do."""
         ...
 
     def __exit__(self, *error: object) -> None:
-        """Stop it."""
+        """Stop the camera."""
         ...
 
     def capture(self) -> Capture:
-        """Its image. Raises: FungraspError: none comes, or its depth can't be right."""
+        """Take an image. Raises: FungraspError: none comes, or its depth is implausible."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """One color image with the depth aligned to it, checked."""
+    """A color image and the depth aligned to it, checked."""
 
     color: np.ndarray
     """RGB, uint8, shape [H, W, 3]."""
     depth: np.ndarray
     """Distance along the optical axis [m], float32, shape [H, W]; 0: no measurement."""
     intrinsics: Intrinsics
-    """Intrinsics of the camera, the same for color and depth."""
+    """Intrinsics of both images."""
     mask: np.ndarray | None = None
-    """Which pixels show the object, bool, shape [H, W]; None if not given."""
+    """Pixels that show the object, bool, shape [H, W]; None if not given."""
     box: Box | None = None
     """Box around the object in the image [pixels]; None if not given."""
     point: Pixel | None = None
     """A pixel that shows the object; None if not given."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """What looks wrong with the files that it was read from."""
+    """Doubts about the files."""
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width
@@ -172,23 +170,23 @@ class Capture:
 
     @property
     def measured(self) -> np.ndarray:
-        """Which pixels have a depth, bool, shape [H, W]."""
+        """Pixels with depth, bool, shape [H, W]."""
         return self.depth > 0
 
     def points(self) -> np.ndarray:
-        """What each pixel shows [m], camera frame, shape [H, W, 3]; NaN where there is no depth."""
+        """Return the point at each pixel [m], camera frame, shape [H, W, 3]; NaN without depth."""
         depth = np.where(self.measured, self.depth, np.nan)
         return self.intrinsics.rays() * depth[..., None]
 
     def with_object(
         self, mask: np.ndarray | None = None, box: Box | None = None, point: Pixel | None = None
     ) -> Capture:
-        """The same capture with the object's mask, box or point (see the fields), checked."""
+        """Return the capture with the object's mask, box and point replaced, checked."""
         return dataclasses.replace(self, mask=mask, box=box, point=point)
 
     def reduced(self, longest: int) -> Capture:
-        """The capture with every so many rows and columns, so that its longer side is at most ``longest``
-        pixels; colors are averaged, depth is that of single pixels. Itself where it is small enough."""
+        """Return the capture with every n-th row and column, so that its longer side is at most ``longest``
+        pixels; itself if it is small enough. Colors are averaged, depth is not."""
         lens = self.intrinsics
         stride = -(-max(lens.width, lens.height) // longest)
         if stride == 1:

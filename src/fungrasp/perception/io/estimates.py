@@ -1,6 +1,4 @@
-"""The estimated hand joints and object pose, each with its confidence; and what makes them uncertain.
-
-A warning is a code with values for programs, and a sentence.
+"""Estimates of hand and object with confidences, and warnings: a code with values, and a sentence.
 
 Camera frame: OpenCV (x right, y down, z forward) [m].
 """
@@ -16,7 +14,7 @@ import numpy as np
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.grasps import HUMAN_JOINTS
 
-# Sentence of each code, with the names of its values.
+# Sentence of each code, with named values.
 MESSAGES: Mapping[str, str] = {
     # The files.
     "depth_shifted": (
@@ -70,16 +68,16 @@ MESSAGES: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class PerceptionWarning:
-    """One reason why a result is uncertain; ``str`` gives the sentence."""
+    """A reason why a result is uncertain; ``str`` gives the sentence."""
 
     code: str
-    """One of ``MESSAGES``."""
+    """Code, one of ``MESSAGES``."""
     values: Mapping[str, float | str] = field(default_factory=dict)
-    """Numbers and words of the sentence, by name; a name ends with its unit."""
+    """Values in the sentence, by name; a name may end with its unit."""
 
     @classmethod
     def of(cls, code: str, **values: float | str) -> PerceptionWarning:
-        """A warning with its values."""
+        """Create a warning from its values."""
         return cls(code, values)
 
     def __post_init__(self) -> None:
@@ -93,26 +91,25 @@ class PerceptionWarning:
 JOINTS = len(HUMAN_JOINTS)
 
 Side = Literal["right", "left"]
-"""Which hand of the person."""
+"""Side of the hand."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandEstimate:
-    """An estimated hand."""
+    """Estimate of a hand."""
 
     joints_camera: np.ndarray
-    """Joint centers [m], camera frame, shape [21, 3], in the order of ``HUMAN_JOINTS``."""
+    """Joint centers [m], camera frame, not mirrored, shape [21, 3], in the order of ``HUMAN_JOINTS``."""
     pixels: np.ndarray
-    """Where the joints were seen in the image [pixels], shape [21, 2]."""
+    """Joints detected in the image [pixels], shape [21, 2]."""
     confidence: np.ndarray
-    """Probability that each joint is where it was found, shape [21]: within 20 mm, of the hand that
-    ``perceive`` gives."""
+    """Probability that each joint is right, shape [21]; within 20 mm in the result of ``perceive``."""
     covariance: np.ndarray
     """Covariance of each joint's position [m^2], camera frame, shape [21, 3, 3]."""
     side: Side
-    """A left hand is given as it is seen, not mirrored."""
+    """Side of the hand."""
     score: float
-    """Confidence that this is a hand in this posture, 0 to 1."""
+    """Confidence that this is a hand in this pose, 0 to 1."""
 
     def __post_init__(self) -> None:
         _check_shape("HandEstimate", "joints_camera", self.joints_camera, (JOINTS, 3))
@@ -126,67 +123,65 @@ class HandEstimate:
 
 @dataclass(frozen=True)
 class PoseEvidence:
-    """Numbers from the image about one pose of the mesh. NaN: not known."""
+    """Evidence from the image for a pose of the mesh. NaN if unknown."""
 
     hinted: float
-    """1 where a mask says which pixels show the object, 0.5 for a box or a click, else 0."""
+    """1 if a mask shows the object, 0.5 for a box or a point, otherwise 0."""
     explained: float
-    """Part of the pixels that show the object whose depth the mesh explains."""
+    """Fraction of the object's pixels whose depth the mesh explains."""
     visible: float
-    """Part of the mesh's silhouette beside skin that agrees with the measurement."""
+    """Fraction of the mesh's silhouette, without skin, that agrees with the measurement."""
     hidden: float
-    """Part of the silhouette that skin hides."""
+    """Fraction of the silhouette hidden by skin."""
     pixels: float
-    """Measured pixels that the pose explains."""
+    """Number of measured pixels that the pose explains."""
     rival: float
-    """Quality of the best different pose, as a part of this one's."""
+    """Quality of the best different pose, as a fraction of this pose's."""
     other_size: float
-    """How well another size of the mesh explains the image, see ``scale_ambiguity``."""
+    """Logarithm of the quality at the best other size of the mesh, relative; see ``scale_ambiguity``."""
     other_side: float
-    """The same of another length of any side."""
+    """The same for the best other length of a side."""
     colored: float
-    """1 where the mesh has colors, else 0."""
+    """1 if the mesh has colors, otherwise 0."""
     edge_width: float
-    """How many pixels outlines are wide in the depth image."""
+    """Width of steps in the depth image [pixels]."""
     foreign: float
-    """Part of the given mask's pixels that look like hand or background; 0 without a mask."""
+    """Fraction of the mask's pixels that look like hand or background; 0 without a mask."""
     larger: float
-    """By how much the outline in the image is larger than the mesh's silhouette, from the middle [pixels of
-    an image 640 wide]; negative: smaller."""
+    """Expansion of the outline in the image over the mesh's silhouette [pixels of an image 640 wide]."""
     off: float
-    """How far the image's outline is from the silhouette's on average, in the eighth of it where that is most
-    [pixels of an image 640 wide]."""
+    """Mean distance between both outlines in the worst eighth [pixels of an image 640 wide]."""
     left_over: float
-    """How far what shows the object reaches beyond the silhouette, as a part of the mesh's size."""
+    """Extent of the object's pixels beyond the silhouette, as a fraction of the mesh's size."""
     mask_piece: float
-    """The largest connected piece of the given mask beyond it [pixels]; 0 without a mask. A thing that goes
-    on behind a finger shows again on its other side."""
+    """Largest connected piece of the given mask beyond the silhouette [pixels]; 0 without a mask. A thing
+    that continues behind a finger is visible again on its other side."""
 
 
 @dataclass(frozen=True, eq=False)
 class ObjectEstimate:
-    """The estimated pose of a known object."""
+    """Estimate of a known object's pose."""
 
     pose_camera_object: np.ndarray
-    """The best answer: pose of the mesh in the camera frame, shape [7]."""
+    """Pose of the mesh in the camera frame, shape [7]."""
     score: float
-    """How clearly the best answer explains the image, 0 to 1, see ``acceptance.object_score``."""
+    """How clearly the pose explains the image, 0 to 1, see ``acceptance.object_score``."""
     accepted: bool
-    """Whether the score passes the threshold."""
+    """Whether the score is sufficient."""
     alternatives: tuple[tuple[np.ndarray, float], ...] = ()
-    """Other answers that the image does not rule out, best first: pose (shape [7]) and score."""
+    """Other poses that the image does not exclude, best first: pose, shape [7], and score."""
     residual_m: float = float("nan")
-    """Median distance of the object's measured points from the mesh's surface [m]."""
+    """Median distance of the object's measured points from the mesh [m]."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """What was uncertain; empty when nothing was."""
+    """Uncertainties; may be empty."""
     judged: bool = True
-    """Whether the score comes from the image's depth; ``perceive`` judges those that are not."""
+    """Whether the score comes from the depth image; otherwise ``perceive`` computes it."""
     evidence: PoseEvidence | None = None
-    """What the score is made of, where the image's depth gave it."""
+    """Evidence for the score, if it comes from the depth image."""
 
     @property
     def note(self) -> str:
-        """The warnings in one line; empty when there are none."""
+        """Warnings in one line; may be empty."""
         words = "; ".join(map(str, self.warnings))
         return words if self.accepted or not words else f"low confidence: {words}"
 

@@ -1,6 +1,4 @@
-"""Reading a capture from image files, and the usual mistakes that images show themselves: a wrong unit of
-depth, depth that is not aligned, and hints about the object that contradict each other.
-"""
+"""Read captures from image files, and detect wrong units, unaligned depth and contradictory hints."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ from fungrasp.perception.io.capture import DEPTH_LIMIT, Box, Capture, Intrinsics
 from fungrasp.perception.io.estimates import PerceptionWarning
 from fungrasp.perception.io.intrinsics_files import read_intrinsics
 
-# Images with a longer side [pixels] are made smaller: more pixels cost time and tell nothing more.
+# Larger images [pixels] are reduced: more pixels cost time and do not help.
 LONGEST_SIDE = 1920
 
 _DEPTH_MODES = ("I", "I;16", "I;16B", "I;16L")
@@ -42,15 +40,17 @@ def read_capture(
     """Read a color image, the depth aligned to it and the camera's intrinsics.
 
     Args:
-        depth: 16-bit PNG (or TIFF with 16-bit or float pixels, or ``.npy``), 0 where nothing was measured;
-            floats are meters if ``depth_unit`` is not given.
+        depth: 16-bit PNG, 16-bit or float TIFF, or ``.npy``; 0: not measured; floats are meters if
+            ``depth_unit`` is None.
         intrinsics: JSON, see ``read_intrinsics``.
-        depth_unit: meters per unit of the depth image; None takes what the intrinsics file says.
+        depth_unit: meters per unit of the depth image; from the intrinsics file if None.
         mask: image that is not 0 where the object is.
+        box: box around the object [pixels].
+        point: a pixel of the object.
         image: number of the image, for intrinsics of many images.
 
     Returns:
-        The capture, made smaller if its longer side exceeds ``LONGEST_SIDE`` (that is logged).
+        The capture, reduced if its longer side exceeds ``LONGEST_SIDE`` (with a log message).
 
     Raises:
         FungraspError: a file can't be read, or the files don't fit together; the message says how.
@@ -103,7 +103,7 @@ def read_color(path: str | Path) -> np.ndarray:
         RGB, shape [H, W, 3] uint8.
 
     Raises:
-        FungraspError: it is missing, cut short, no image, too large or has 16 bits per channel.
+        FungraspError: it is missing, truncated, no image, too large or has 16 bits per channel.
     """
     image = read_image(path, "color image")
     if image.mode in ("1", "F", *_DEPTH_MODES):
@@ -126,7 +126,7 @@ def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0)
         [m], 0 where nothing was measured, shape [H, W] float32.
 
     Raises:
-        FungraspError: it can't be read, is no depth image, its unit is not given or can't be right.
+        FungraspError: it can't be read, is no depth image, or its unit is missing or implausible.
     """
     path = Path(path)
     raw = read_npy(path, "depth image") if path.suffix.lower() == ".npy" else _depth_pixels(path)
@@ -142,26 +142,26 @@ def read_depth(path: str | Path, unit: float | None, *, float_unit: float = 1.0)
             f"{path}: say how many meters a unit of depth is: 0.001 (1 mm) is usual, 0.0001 and 0.00025 occur"
         )
     else:
-        # Recorders write the largest number where nothing was measured.
+        # Recorders write 65535 where nothing was measured.
         depth = np.where(raw == 65535, 0, raw) * float(unit)
-    # Programs that render depth write a large number where a ray meets nothing.
+    # Renderers write a large number where a ray hits nothing.
     within = np.where(depth <= DEPTH_LIMIT, depth, 0.0)
     depth = within if np.count_nonzero(within > 0) > LEAST_WITHIN * depth.size else depth
     check_depth_range(depth, unit, str(path))
-    # Single numbers may be as wrong as they like.
+    # Single values may be arbitrarily wrong.
     return np.clip(depth, -1e6, 1e6).astype(np.float32)
 
 
 @guarded("mask")
 def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
-    """Read an image, or an array in a file ``.npy``, that is not 0 where the object is. What is transparent
-    is not marked: the object may have been cut out.
+    """Read a mask from an image or a ``.npy`` file: pixels that are not 0 show the object, except transparent
+    ones, because the object may have been cut out.
 
     Args:
-        shape: rows and columns it must have.
+        shape: required rows and columns.
 
     Returns:
-        bool, shape [H, W].
+        Mask, bool, shape [H, W].
 
     Raises:
         FungraspError: it can't be read or has another shape.
@@ -186,13 +186,13 @@ def read_mask(path: str | Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def parse_box(text: str) -> Box:
-    """The box written as ``x0,y0,x1,y1`` [pixels]. Raises: FungraspError: it is something else."""
+    """Parse a box ``x0,y0,x1,y1`` [pixels]. Raises: FungraspError: the text is not one."""
     x0, y0, x1, y1 = _parsed(text, 4, "a box is x0,y0,x1,y1 in pixels")
     return x0, y0, x1, y1
 
 
 def parse_point(text: str) -> Pixel:
-    """The pixel written as ``u,v``: column and row. Raises: FungraspError: it is something else."""
+    """Parse a pixel ``u,v``, column and row. Raises: FungraspError: the text is not one."""
     u, v = _parsed(text, 2, "a point is u,v (column and row) in pixels")
     return u, v
 
@@ -215,16 +215,15 @@ def _depth_pixels(path: Path) -> np.ndarray:
 
 
 SPARSE, AROUND = 0.6, 9
-"""Depth is sparse if fewer of the pixels have it that have one beside them, in squares of so many pixels: of
-right images 81 to 99 % do. So is that of a coarser camera projected into the color image point by point."""
+"""Depth is sparse, like that of a coarser camera projected into the color image, if less than this fraction
+of the pixels with a measurement in a square of this size [pixels] are measured; usual are 81 to 99 %."""
 
 LEAST_WITHIN = 0.05
-"""Part of the image that must be nearer than ``DEPTH_LIMIT`` for what is farther to be no measurement."""
+"""Fraction of the pixels within ``DEPTH_LIMIT`` above which farther pixels count as not measured."""
 
 
 def _filled(depth: np.ndarray, where: str) -> np.ndarray:
-    """Sparse depth with the nearest measurement in the gaps between measurements [m], shape [H, W]; other
-    depth as it is."""
+    """Fill sparse depth with the nearest measurement in the gaps between measurements [m], shape [H, W]."""
     measured = depth > 0
     part = float(measured.sum() / max(int(ndimage.maximum_filter(measured, AROUND).sum()), 1))
     if part >= SPARSE:
@@ -235,33 +234,33 @@ def _filled(depth: np.ndarray, where: str) -> np.ndarray:
     return np.where(away <= 1.0 / np.sqrt(part), depth[tuple(nearest)], np.float32(0.0))
 
 
-DEPTH_RANGE = (0.1, 8.0)  # Where the middle of a capture's depth must lie [m].
-USUAL_DEPTH = (0.25, 3.0)  # Where it mostly lies [m].
-UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)  # Units of depth that cameras and data sets use [m].
-SHIFTS = np.arange(-28, 29, 4)  # Shifts between color and depth that are tried [pixels at 640 x 480].
-SHIFT_GAIN = 1.4  # How much better than where it is the depth must fit elsewhere to be called shifted.
-TURN_GAIN = 1.1  # How much better it must fit mirrored or turned than at any shift.
-STEP = 0.05  # Neighboring pixels whose depth differs by this [m] are the edge of a thing.
-# Only things nearer than this [m] count: farther away, noise makes steps where nothing ends.
+DEPTH_RANGE = (0.1, 8.0)  # Possible median of a capture's depth [m].
+USUAL_DEPTH = (0.25, 3.0)  # Usual median [m].
+UNITS = (0.001, 0.0001, 0.00025, 0.01, 1.0)  # Units of depth of cameras and data sets [m].
+SHIFTS = np.arange(-28, 29, 4)  # Tested shifts between color and depth [pixels of an image 640 wide].
+SHIFT_GAIN = 1.4  # Smallest gain of the fit by a shift for which depth counts as shifted.
+TURN_GAIN = 1.1  # Smallest gain of the fit by mirroring or rotating, compared with any shift.
+STEP = 0.05  # Depth difference between neighboring pixels at the edge of a thing [m].
+# Largest depth of such edges [m]; farther away, noise makes steps.
 EDGES_WITHIN = 1.5
-LEAST_EDGE = 100  # Least number of pixels of edges [at 640 x 480] for the alignment to be checked.
-# Columns and rows of parts of the image that are asked one by one, and pixels of edges that each must have
-# [at 640 x 480]: depth that is shifted is so everywhere, while stripes beside the edge of one thing, such as
-# the next finger, are in one place only.
+LEAST_EDGE = 100  # Smallest number of edge pixels for the check [of an image 640 wide].
+# Columns and rows of tiles that are checked one by one, and smallest number of edge pixels in a tile [of an
+# image 640 wide]: depth is shifted everywhere, but parallel edges, such as the next finger, are local.
 TILES, LEAST_TILE = 8, 20
-TELLING = 0.2  # Parts in which the edges are stronger or weaker by less than this part are not asked.
-AGREEING = 0.75  # Part of them in which the depth must fit better where it is said to belong.
+TELLING = 0.2  # Smallest relative gain or loss of the fit in a tile that counts.
+AGREEING = 0.75  # Smallest fraction of these tiles in which the fit gains.
 
 
 def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
-    """Complain about depth that no camera could have measured in front of a hand.
+    """Check that depth may have been measured in front of a hand.
 
     Args:
         depth: [m], shape [H, W].
-        unit: meters per unit that was used.
+        unit: meters per unit of the file.
+        where: name of the source, for messages.
 
     Raises:
-        FungraspError: no measurement, or not plausible in meters; the message names the unit that would be.
+        FungraspError: there is no measurement, or depth is implausible; the message names a plausible unit.
     """
     measured = depth[depth > 0]
     if not measured.size:
@@ -283,15 +282,14 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
 
 
 def check_alignment(capture: Capture) -> tuple[int, int] | None:
-    """Is the depth shifted against the color?
+    """Check whether the depth is shifted against the color.
 
-    Where a thing ends in depth, it mostly ends in the color image, too. The strength of color edges at the
-    steps in depth is compared with that at the same steps shifted. Only a peak among the shifts counts: where
-    the strongest is at the end of the range, a busy background draws it there.
+    Edges of things in depth are mostly edges in color. The strength of color edges at steps in depth is
+    compared with that at shifted steps. Only a maximum inside the range of shifts counts, because a busy
+    background may cause one at its end.
 
     Returns:
-        Columns and rows by which the depth lies away from where it belongs [pixels], or None if all looks
-        well or there are too few edges.
+        Columns and rows by which the depth is shifted [pixels]; None if it is not, or without enough edges.
     """
     scale = _scale(capture)
     steps, edges = _depth_steps(capture), _color_edges(capture)
@@ -313,7 +311,7 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
     tile = (rows * TILES // height) * TILES + columns * TILES // width
     counts = np.bincount(tile, minlength=TILES**2)
     gain = np.bincount(tile, strength[down, across] - strength[here, here], TILES**2)
-    # Edges along the shift are as strong elsewhere: they say nothing.
+    # Edges along the shift are equally strong elsewhere and say nothing.
     telling = (counts >= LEAST_TILE * scale) & (np.abs(gain) > TELLING * near * counts)
     if (gain[telling] > 0).sum() < AGREEING * max(int(telling.sum()), 1):
         return None
@@ -321,9 +319,9 @@ def check_alignment(capture: Capture) -> tuple[int, int] | None:
 
 
 def check_turned(capture: Capture) -> str:
-    """How the depth would have to be mirrored or turned to fit the color, in words; empty where it need not
-    be, or where too few edges tell. Shifted, right images fit 1.6 times as well as so; mirrored ones three
-    quarters as well at most."""
+    """Return how the depth must be mirrored or rotated to fit the color, in words; empty if it fits or there
+    are too few edges. Correct images fit at least 1.6 times as well at the best shift as mirrored, mirrored
+    images at most 0.75 times."""
     steps = _depth_steps(capture)
     if steps.sum() < LEAST_EDGE * _scale(capture):
         return ""
@@ -347,12 +345,12 @@ def check_turned(capture: Capture) -> str:
 
 
 def _scale(capture: Capture) -> float:
-    """Pixels per pixel of an image 640 wide, at least 1."""
+    """Return the width relative to an image 640 wide, at least 1."""
     return max(1.0, capture.intrinsics.width / 640)
 
 
 def _depth_steps(capture: Capture) -> np.ndarray:
-    """Pixels at the edge of a near thing, bool, shape [H, W]."""
+    """Return the pixels at edges of near things, bool, shape [H, W]."""
     depth = np.where(capture.measured, capture.depth, np.nan)
     nearest, farthest = ndimage.minimum_filter(depth, 3), ndimage.maximum_filter(depth, 3)
     with np.errstate(invalid="ignore"):
@@ -360,16 +358,16 @@ def _depth_steps(capture: Capture) -> np.ndarray:
 
 
 def _color_edges(capture: Capture) -> np.ndarray:
-    """How much the color changes at each pixel, shape [H, W]."""
+    """Return the gradient magnitude of the color image's brightness, shape [H, W]."""
     gray = ndimage.gaussian_filter(capture.color.mean(axis=-1), 1.5 * _scale(capture))
     return np.hypot(ndimage.sobel(gray, 0), ndimage.sobel(gray, 1))
 
 
 def check_hints(capture: Capture) -> None:
-    """Complain about a mask, a box and a point that can't show the same object.
+    """Check that mask, box and point may show the same object.
 
     Raises:
-        FungraspError: the point lies outside the box, or box or point where the mask has no pixel.
+        FungraspError: the point is outside box or mask, or the box has no pixel of the mask.
     """
     around = capture.box
     if capture.mask is not None:

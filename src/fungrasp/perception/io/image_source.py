@@ -1,6 +1,6 @@
 """Image sources: files, a folder, a camera or its recording.
 
-Readers are imported on use, because ``ImageSource`` has options of a command.
+Readers are imported on use, because ``ImageSource`` provides options of commands.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class ImageSource:
         if self.keep is None:
             return capture
         write_folder(capture, self.keep)
-        # As it will be read again, so that the same comes out then.
+        # Read back, so that reading the folder later gives the same result.
         return read_folder(self.keep)
 
     def _marked(self, capture: Capture, box: Box | None, point: Pixel | None) -> Capture:
@@ -142,7 +142,7 @@ def as_capture(image: ImageSource | RgbdCamera | str | Path | Sequence[str | Pat
             intrinsics; a source; or a camera, not yet started.
 
     Raises:
-        FungraspError: it can't be read.
+        FungraspError: the image can't be read.
     """
     from fungrasp.perception.io.image_files import read_capture
     from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera

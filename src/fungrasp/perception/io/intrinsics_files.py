@@ -1,4 +1,4 @@
-"""Reading a camera's intrinsics from JSON: our layout, RealSense's, BOP's, or a bare matrix."""
+"""Read camera intrinsics from JSON: own layout, RealSense's, BOP's, or a bare matrix."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from fungrasp.core.formats.text_files import read_json
 from fungrasp.perception.io.capture import Intrinsics
 from fungrasp.perception.io.estimates import PerceptionWarning
 
-# A camera's optical axis lies at most this part of the image's width or height from the image's middle.
+# Largest possible distance of the optical axis from the image's center, as a fraction of width or height.
 OFF_CENTRE = 0.3
-# Beyond this part, which data sheets of depth cameras stay below, it is doubted: positions are wrong by as
-# much of the image's width.
+# Distance beyond which it is doubtful; depth cameras stay below according to their data sheets. Positions are
+# wrong by the same fraction of the image's width.
 USUAL_OFF_CENTRE = 0.08
-FOCAL_RANGE = (0.25, 6.0)  # A camera's focal length, as a part of the image's longer side.
+FOCAL_RANGE = (0.25, 6.0)  # Possible focal lengths, as fractions of the image's longer side.
 
 MILLIMETER = 0.001
 
@@ -34,14 +34,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class FileIntrinsics:
-    """Intrinsics as a file gives them."""
+    """Intrinsics from a file."""
 
     intrinsics: Intrinsics
     """Image size, focal lengths and optical axis [pixels]."""
     depth_unit: float | None = None
-    """Meters per unit of the depth image, if the file says."""
+    """Meters per unit of the depth image; None if the file does not say."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """What looks wrong in it; logged, too."""
+    """Doubts about the file; logged, too."""
 
 
 @guarded("file of intrinsics")
@@ -50,19 +50,19 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
 
     Layouts, recognized by their fields:
 
-    - ours: ``width, height, fx, fy, cx, cy`` and, if wanted, ``depth_unit`` [m per unit];
+    - own: ``width, height, fx, fy, cx, cy`` and optionally ``depth_unit`` [m per unit];
     - RealSense: ``width, height, fx, fy, ppx, ppy``, maybe inside ``color``; ``depth_scale`` [m per unit];
-    - BOP ``camera.json``: ours with ``depth_scale`` [mm per unit] instead of ``depth_unit``;
+    - BOP ``camera.json``: own with ``depth_scale`` [mm per unit] instead of ``depth_unit``;
     - BOP ``scene_camera.json``: by image number, ``cam_K`` (9 numbers) and ``depth_scale`` [mm per unit];
     - BOP ``cam_model`` (2024) of a pinhole camera;
     - a matrix: 3 lists of 3 numbers or 9 numbers, row by row or, as Open3D writes it, column by column; alone
       or as ``K``, ``k`` (ROS 2), ``cam_K``, ``intrinsic_matrix`` or ``camera_matrix`` (OpenCV, ROS 1: with
       its numbers in ``data``), with ``width`` and ``height`` or ``image_width`` and ``image_height``.
 
-    Distortion is known by the names of ROS, OpenCV, RealSense and Azure Kinect (``k1`` ... ``p2``).
+    Distortion is recognized by the names of ROS, OpenCV, RealSense and Azure Kinect (``k1`` ... ``p2``).
 
     Args:
-        size: of the color image, width and height [pixels].
+        size: width and height of the color image [pixels].
         image: number of the image, for BOP's ``scene_camera.json``.
 
     Raises:
@@ -75,7 +75,7 @@ def read_intrinsics(path: str | Path, size: tuple[int, int], *, image: int | Non
 def intrinsics_from(
     content: Any, size: tuple[int, int], *, where: str, image: int | None = None
 ) -> FileIntrinsics:
-    """``read_intrinsics`` from the contents of the file. where: name of the file, for messages."""
+    """Return intrinsics from the contents of a file; see ``read_intrinsics``. where: file, for messages."""
     if isinstance(content, list):
         return _with_warnings(_from_matrix(content, size, where), None, False, where)
     if not isinstance(content, Mapping):
@@ -114,11 +114,7 @@ def intrinsics_from(
 
 
 def _with_common_names(content: Mapping[str, Any], where: str) -> Mapping[str, Any]:
-    """The fields of ROS, OpenCV and BOP's camera models by the names that are read here.
-
-    Raises:
-        FungraspError: the camera is no pinhole.
-    """
+    """Rename fields of ROS, OpenCV and BOP. Raises: FungraspError: the camera is no pinhole camera."""
     # OpenCV and ROS write a matrix as rows, cols and data.
     flat = {
         name: value["data"] if isinstance(value, Mapping) and "data" in value else value
@@ -141,7 +137,7 @@ def _with_common_names(content: Mapping[str, Any], where: str) -> Mapping[str, A
 
 
 def _with_warnings(lens: Intrinsics, unit: float | None, distorted: bool, where: str) -> FileIntrinsics:
-    """The intrinsics with what looks wrong in them."""
+    """Return the intrinsics with warnings."""
     warnings = []
     if distorted:
         warnings.append(PerceptionWarning.of("lens_distorted"))
@@ -156,7 +152,7 @@ def _with_warnings(lens: Intrinsics, unit: float | None, distorted: bool, where:
 
 
 def _turned(width: int, height: int, cx: float, cy: float) -> bool:
-    """Whether each coordinate of the optical axis is nearer to the middle of the other side."""
+    """Return whether each coordinate of the optical axis is nearer to the center of the other side."""
     across, down = width / 2, height / 2
     return abs(cx - down) < abs(cx - across) and abs(cy - across) < abs(cy - down)
 

@@ -1,4 +1,4 @@
-"""Captures out of folders: our own, which can be written too, BOP scenes, DexYCB recordings."""
+"""Captures from folders: own ones, which can also be written, BOP scenes, FoundationPose, DexYCB."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from fungrasp.perception.io.capture import Box, Capture, Pixel
 from fungrasp.perception.io.image_files import read_capture, read_color
 from fungrasp.perception.io.intrinsics_files import MILLIMETER, intrinsics_from
 
-# Names of the files in a capture's own folder.
+# Files of a capture's own folder.
 COLOR_FILE, DEPTH_FILE, LENS_FILE, MASK_FILE = "rgb.png", "depth.png", "K.json", "mask.png"
-# Units [m] in which depth is written: the coarse one where the fine one does not reach.
+# Units of written depth [m]: the coarse one if the range of the fine one is too small.
 FINE, COARSE = 0.0001, 0.001
-# Stands for the image that comes with the package, where no folder has this name: a rendered one of a person
-# who holds the built-in spray bottle, and the truth about it.
+# Name of the built-in image, unless a folder has this name: a rendered person who holds the built-in spray
+# bottle, with ground truth.
 BUILTIN, BUILTIN_CAPTURE = "builtin", Path(__file__).parent / "builtin_capture"
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif")
@@ -38,24 +38,22 @@ def read_folder(
     box: Box | None = None,
     point: Pixel | None = None,
 ) -> Capture:
-    """Read a capture from a folder, whichever kind it is.
+    """Read a capture from a folder of any kind:
 
-    - ours: ``rgb.png``, ``depth.png``, ``K.json`` and, if there is one, ``mask.png``;
+    - own: ``rgb.png``, ``depth.png``, ``K.json`` and optionally ``mask.png``;
     - a BOP scene (github.com/thodan/bop_toolkit, ``docs/bop_datasets_format.md``): ``scene_camera.json`` with
       cam_K and depth_scale [mm per unit] by image; ``rgb/000000.png``, or .jpg, .tif; ``depth/000000.png``;
     - a capture for FoundationPose: see ``read_foundationpose``;
     - one camera of a DexYCB sequence: see ``read_dexycb``.
 
     Args:
-        folder: the folder; or "builtin", for the image that comes with the package.
-        image: number of the image in a BOP scene or a DexYCB sequence; None takes the first, or the last, in
-            which the object is held.
-        depth_unit: meters per unit of the depth image; None takes what the folder says.
-        mask, box, point: where the object is, see ``read_capture``; a mask of the folder's own counts where
-            none is given.
+        folder: the folder; or "builtin" for the built-in image.
+        image: number of the image. None: the last of a DexYCB sequence (object in hand), else the first.
+        depth_unit: meters per unit of the depth image; from the folder if None.
+        mask, box, point: see ``read_capture``; by default, the folder's own mask is used.
 
     Raises:
-        FungraspError: the folder is of no such kind, or a file in it is bad.
+        FungraspError: the folder is of no such kind, or a file in it is invalid.
     """
     folder = Path(folder)
     folder = BUILTIN_CAPTURE if str(folder) == BUILTIN and not folder.is_dir() else folder
@@ -89,12 +87,12 @@ def read_folder(
 
 
 def write_folder(capture: Capture, folder: str | Path) -> None:
-    """Write a capture as a folder of our own, which ``read_folder`` reads.
+    """Write a capture as a folder for ``read_folder``.
 
-    Depth is rounded to ``FINE``, or to ``COARSE`` where the image reaches far; a box is not written.
+    Depth is rounded to ``FINE``, or to ``COARSE`` if it reaches far; box and point are not written.
 
     Raises:
-        FungraspError: the folder can't be written to, or has a mask that is not this capture's.
+        FungraspError: the folder can't be written, or has a mask although the capture has none.
     """
     folder = Path(folder)
     if capture.mask is None and (folder / MASK_FILE).exists():
@@ -109,7 +107,7 @@ def write_folder(capture: Capture, folder: str | Path) -> None:
     for name, pixels in images.items():
         with atomic_path(folder / name) as temporary:
             Image.fromarray(pixels).save(temporary)
-    # Last, so that a folder with it is whole.
+    # Written last, so that a folder with this file is complete.
     with atomic_path(folder / LENS_FILE) as temporary:
         temporary.write_text(json.dumps({**asdict(capture.intrinsics), "depth_unit": unit}, indent=1) + "\n")
 
@@ -117,22 +115,22 @@ def write_folder(capture: Capture, folder: str | Path) -> None:
 def read_foundationpose(
     folder: str | Path, image: int | None = None, depth_unit: float | None = None, **hints: Any
 ) -> Capture:
-    """Read an image of a folder as FoundationPose takes it (github.com/NVlabs/FoundationPose).
+    """Read an image from a folder for FoundationPose (github.com/NVlabs/FoundationPose).
 
     ::
 
         <folder>/cam_K.txt                       3 x 3 numbers
-        <folder>/rgb/0000001.png                 names of any kind, the same in each folder
+        <folder>/rgb/0000001.png                 any names, the same in each folder
         <folder>/depth/0000001.png               [mm]
-        <folder>/masks/0000001.png               of the first image, if wanted
+        <folder>/masks/0000001.png               optional, usually of the first image
 
     Args:
-        image: number in the order of the names; None takes the first.
-        depth_unit: meters per unit of depth, in place of a millimeter.
+        image: index in the order of names; the first if None.
+        depth_unit: meters per unit of depth; 0.001 if None.
         hints: mask, box and point, see ``read_folder``.
 
     Raises:
-        FungraspError: a file is missing or bad.
+        FungraspError: a file is missing or invalid.
     """
     folder = Path(folder)
     colors = sorted(path for path in (folder / "rgb").glob("*") if path.suffix in _PICTURES)
@@ -165,11 +163,12 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None,
         <root>/calibration/intrinsics/<serial>_640x480.yml                     color: fx, fy, ppx, ppy
 
     Args:
-        camera: the camera's folder, ``<root>/<subject>/<sequence>/<serial>``.
-        depth_unit, hints: as of ``read_foundationpose``.
+        camera: folder of the camera, ``<root>/<subject>/<sequence>/<serial>``.
+        frame: number of the frame.
+        depth_unit, hints: see ``read_foundationpose``.
 
     Raises:
-        FungraspError: a file is missing or bad, or PyYAML is not installed.
+        FungraspError: a file is missing or invalid, or PyYAML is not installed.
     """
     camera = Path(camera).absolute()
     color = camera / f"color_{frame:06d}.jpg"
@@ -183,12 +182,12 @@ def read_dexycb(camera: str | Path, frame: int, depth_unit: float | None = None,
 
 @dataclass(frozen=True, eq=False)
 class BuiltinTruth:
-    """What is known about the built-in image because it was made."""
+    """Ground truth of the built-in image."""
 
     object_name: str
     """Name of the built-in object."""
     task: str
-    """What the grasp is for."""
+    """Task of the grasp."""
     pose_camera_object: np.ndarray
     """Pose of the object in the camera frame, shape [7]."""
     joints_camera: np.ndarray
@@ -196,7 +195,7 @@ class BuiltinTruth:
 
 
 def builtin_truth() -> BuiltinTruth:
-    """The truth about the image in ``BUILTIN_CAPTURE``."""
+    """Read the ground truth of the built-in image."""
     truth = json.loads((BUILTIN_CAPTURE / "truth.json").read_text())
     pose, joints = np.array(truth["pose_camera_object"]), np.array(truth["joints_camera"])
     return BuiltinTruth(truth["object_name"], truth["task"], pose, joints)
