@@ -1,8 +1,7 @@
-"""Hands that another program found in the image: HaMeR, WiLoR, or just 21 joints.
+"""Hands that another program detected in the image: HaMeR, WiLoR, or just 21 joints.
 
-These programs guess the hand's size and distance, mostly for a camera of another focal length. What they know
-is the hand's shape and where it is in the image: this is what is kept here. Size and distance are found in
-the depth image, as for the hands of our own detector (``fit_hand``).
+These programs guess the hand's size and distance, often for a camera of another focal length. The hand's
+shape and its position in the image are kept; size and distance are fitted to the depth image (``fit_hand``).
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ VERSION = 1  # Version of the file format.
 
 SOURCES = ("hamer", "wilor", "joints")
 
-# Our name of each field, and what the programs call it.
+# Names of fields in the files of other programs.
 ALIASES = {
     "joints": ("pred_keypoints_3d", "pred_3d_joints"),
     "translation": ("pred_cam_t_full", "transl"),
@@ -53,32 +52,31 @@ ALIASES = {
     "score": (),
 }
 
-BEND_SPREAD = 0.1  # Standard deviation of the directions of bones that such programs give [rad].
-# What is measured so far from the skin [m] agrees with it: thickness of the hand, errors of shape and camera.
+BEND_SPREAD = 0.1  # Standard deviation of bone directions from such programs [rad].
+# Distance from the skin within which depth agrees: thickness of the hand, errors of shape and camera [m].
 AGREEMENT = 0.012
-METRIC_SPREAD = 0.01  # Standard deviation of joints whose distance is known [m].
+METRIC_SPREAD = 0.01  # Standard deviation of joints of known distance [m].
 
 
 @guarded("hand file")
 def read_hand_estimate(path: str | Path, capture: Capture, *, side: Side | None = None) -> HandEstimate:
-    """Read a hand that HaMeR, WiLoR or another program found in the capture's color image.
+    """Read a hand that HaMeR, WiLoR or another program detected in the capture's color image.
 
-    The file is JSON or ``.npz`` with named arrays; docs/your-estimator.md says which. Size and distance of
-    the hand are not taken from it but fitted to the depth image, unless it says ``metric``.
+    The file is JSON or ``.npz`` with named arrays, see docs/your-estimator.md. Size and distance of the hand
+    are fitted to the depth image, unless the file says ``metric``.
 
     Args:
-        capture: the image that the program saw, with its depth; its mask, if there is one, says what is not
-            the hand.
-        side: which hand is meant, if the file has several; of that side, the one nearest to the capture's
-            mask, box or point, or the largest.
+        capture: image that the program saw, with depth; a mask shows the object, which is not the hand.
+        side: side of the hand, if the file has several. Of that side, the hand nearest to the capture's mask,
+            box or point is used, or the largest.
 
     Returns:
-        Joints in the camera frame, with covariances; a left hand is not mirrored. The score is the file's,
-        times how well the depth agrees, and lower where the hand's size is not one of people.
+        Hand in the camera frame; a left hand is not mirrored. The score is the file's, times the agreement
+        with the depth (if ``metric``, of the skin), reduced for an unusual size.
 
     Raises:
-        FungraspError: the file can't be read, lacks something, is not of this image or has no hand of that
-            side; there is no depth at the hand.
+        FungraspError: the file can't be read, is incomplete, is for another image or has no hand of that
+            side; or there is no depth at the hand.
     """
     fields = read_fields(path)
     hands = hands_of(fields, capture.intrinsics)
@@ -93,13 +91,13 @@ def read_hand_estimate(path: str | Path, capture: Capture, *, side: Side | None 
         depth = np.where(capture.mask, np.float32(0.0), capture.depth)
         capture = replace(capture, depth=depth, mask=None)
     found = _as_given(chosen, capture) if fields.flag("metric", False) else fit_hand(chosen, capture)
-    # What is far from the size of people's hands is probably none.
+    # A size far from that of people probably means a wrong detection.
     unusual = max(abs(np.log(hand_size(found.joints_camera))) / HAND_SIZE_SPREAD - 2.0, 0.0)
     return replace(found, score=found.score * float(np.exp(-0.5 * unusual**2)))
 
 
 def _as_given(detected: DetectedHand, capture: Capture) -> HandEstimate:
-    """The hand in the size that its shape has; its score is lower by the part of it that depth denies."""
+    """Return the hand in its given size, with its score times the fraction of skin at the measured depth."""
     joints = _of_given_size(detected, capture)
     samples, _ = SURFACE_SAMPLES.place(joints, np.zeros((21, 3, 0)))
     radius = SURFACE_SAMPLES.radius * hand_size(joints)
@@ -113,11 +111,10 @@ def _as_given(detected: DetectedHand, capture: Capture) -> HandEstimate:
 
 
 def _of_given_size(detected: DetectedHand, capture: Capture) -> np.ndarray:
-    """Joints [m], shape [21, 3], camera frame, of the size that the shape has: where it best meets the rays
-    of its landmarks."""
+    """Return joints [m], camera frame, shape [21, 3]: the given shape, placed to fit its landmarks."""
     slopes = capture.intrinsics.deproject(detected.pixels, np.ones(21))
     shape = turn_to(slopes.mean(axis=0)).apply(detected.shape_camera)
-    # (x + tx) = u (z + tz), likewise for y: linear in the translation.
+    # (x + tx) = u (z + tz), and likewise for y, is linear in the translation.
     u, v = slopes[:, 0], slopes[:, 1]
     one, zero = np.ones(21), np.zeros(21)
     rows = np.concatenate([np.stack([one, zero, -u], axis=1), np.stack([zero, one, -v], axis=1)])
@@ -133,33 +130,32 @@ def _of_given_size(detected: DetectedHand, capture: Capture) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class HandFields:
-    """A hand file."""
+    """Fields of a hand file."""
 
     where: str
     """Name of the file, for messages."""
     source: str
-    """The program that wrote it, one of ``SOURCES``."""
+    """Program that wrote it, one of ``SOURCES``."""
     values: Mapping[str, Any]
     """Arrays and numbers by their names in the file."""
 
     def has(self, name: str) -> bool:
-        """Whether the field is there, by one of its names."""
+        """Return whether the file has the field, by any of its names."""
         return self._key(name) is not None
 
     def text(self, name: str, default: str) -> str:
-        """A word."""
+        """Return a text."""
         return str(np.asarray(self.values.get(name, default)).item())
 
     def flag(self, name: str, default: bool) -> bool:
-        """Yes or no, one for all hands."""
+        """Return whether an option is set, for all hands."""
         return bool(np.asarray(self.values.get(name, default)).ravel()[0])
 
     def numbers(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """A field's numbers, one row per hand, shape [hands, *shape].
+        """Return the numbers of a field, one row per hand, shape [hands, *shape].
 
         Raises:
-            FungraspError: the field is missing, not of that shape (a leading axis of hands aside) or not
-                finite.
+            FungraspError: the field is missing, of another shape or not finite.
         """
         key = self._key(name)
         if key is None:
@@ -193,7 +189,7 @@ def read_fields(path: str | Path) -> HandFields:
     """Read a hand file.
 
     Raises:
-        FungraspError: it can't be read, is of a newer version, or its source is not known.
+        FungraspError: it can't be read, has a newer version, or an unknown source.
     """
     path = Path(path)
     if not path.is_file():
@@ -233,25 +229,25 @@ def _content(path: Path) -> Mapping[str, Any]:
     raise FungraspError(f"{path}: a hand file is .json or .npz, not '{suffix}'{hint}")
 
 
-SIZES = (0.4, 2.0)  # Smallest and largest hand as a part of an adult's; beyond, the unit is wrong.
-# Fingers bent back by more than this in the mean [rad] belong to a hand of the other side.
+SIZES = (0.4, 2.0)  # Smallest and largest size relative to an adult's; beyond, the unit is wrong.
+# Mean backward bend of the fingers beyond which they belong to a hand of the other side [rad].
 BENT_BACK = np.radians(20.0)
-UNLIKE = 0.5  # Part of the landmarks' spread; perspective and a network's errors make a tenth of it.
-ASPECT = 0.02  # Part by which the shapes of two images that are the same one may differ.
+UNLIKE = 0.5  # Largest misfit of landmarks and joints, relative; perspective and errors cause a tenth of it.
+ASPECT = 0.02  # Largest relative difference between aspect ratios of the same image.
 
 
 def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
-    """All hands of a file.
+    """Return all hands of a file.
 
     Args:
-        fields: of the file; docs/your-estimator.md has them.
+        fields: fields of the file, see docs/your-estimator.md.
 
     Returns:
-        Landmarks in the image; shapes as if the hand were in the middle of it, as of our own detector; scores
-        are the file's, 1 where it has none.
+        Landmarks in the image; shapes as if the hand were in the center of the image, as of ``HandDetector``;
+        scores of the file, 1 if it has none.
 
     Raises:
-        FungraspError: it lacks a field, or can't be of this image.
+        FungraspError: a field is missing or invalid, or the file is for another image.
     """
     joints = _joints(fields)
     count = len(joints)
@@ -275,11 +271,11 @@ def hands_of(fields: HandFields, intrinsics: Intrinsics) -> list[DetectedHand]:
 
 
 def _joints(fields: HandFields) -> np.ndarray:
-    """Joints of each hand [m], axes of the camera, the file's translation not added, shape [hands, 21, 3]."""
+    """Return the joints of each hand [m], camera axes, not translated, shape [hands, 21, 3]."""
     order = fields.text("order", "openpose")
     given = fields.numbers("joints", (21, 3))
     joints = given[:, joint_order(order)]
-    # The fingers' bones differ in length: in another order they have those of other fingers.
+    # Fingers differ in bone lengths, which reveals a wrong order.
     unlike = {name: float(order_misfit(given[:, places]).mean()) for name, places in ORDERS.items()}
     best = min(unlike, key=lambda name: unlike[name])
     if unlike[best] < unlike[order]:
@@ -305,7 +301,7 @@ def _sides(fields: HandFields, count: int) -> np.ndarray:
 
 
 def _each(fields: HandFields, name: str, shape: tuple[int, ...], count: int) -> np.ndarray:
-    """One row per hand; one for all is repeated."""
+    """Return a field's rows, one per hand; a single one is repeated."""
     values = fields.numbers(name, shape)
     if len(values) not in (1, count):
         raise FungraspError(f"{fields.where}: '{name}' is for {len(values)} hands, the joints for {count}")
@@ -313,7 +309,7 @@ def _each(fields: HandFields, name: str, shape: tuple[int, ...], count: int) -> 
 
 
 def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks [pixels], shape [hands, 21, 2], and the direction in which the program saw each hand, camera
+    """Return landmarks [pixels], shape [hands, 21, 2], and the direction in which each hand was seen, camera
     axes, shape [hands, 3]."""
     count = len(joints)
     ahead = np.tile([0.0, 0.0, 1.0], (count, 1))
@@ -321,7 +317,7 @@ def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tup
     order = joint_order(fields.text("order", "openpose"))
     pixels = fields.numbers("pixels", (21, 2))[:, order] * scale if fields.has("pixels") else None
     if pixels is not None and ((pixels >= 0) & (pixels <= scale)).all():
-        # MediaPipe's are shares of the image's width and height.
+        # MediaPipe gives fractions of the image's width and height.
         pixels = pixels / scale * size
     given = fields.has("translation")
     relative = fields.source != "joints" or (joints[..., 2] <= 0).any()
@@ -348,19 +344,19 @@ def _seen(fields: HandFields, joints: np.ndarray, intrinsics: Intrinsics) -> tup
 def _lens(
     fields: HandFields, intrinsics: Intrinsics, size: np.ndarray, count: int, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Focal length, shape [hands, 2], and optical axis, shape [2], of the camera that the program took the
-    image for [pixels of the capture]."""
+    """Return focal lengths, shape [hands, 2], and optical axis, shape [2], of the camera that
+    the program assumed [pixels of the capture]."""
     if fields.has("focal_length"):
         return _each(fields, "focal_length", (), count)[:, None] * scale, size / 2
     if fields.source in ("hamer", "wilor"):
-        # Their cameras are made up; without the focal length nothing fits.
+        # These programs assume a camera, so the focal length is required.
         fields.numbers("focal_length", ())
     own = np.array([[intrinsics.fx, intrinsics.fy]])
     return np.repeat(own, count, axis=0), np.array([intrinsics.cx, intrinsics.cy])
 
 
 def _image(fields: HandFields, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of the capture per pixel of the file's image, shape [2], and the capture's size, shape [2]."""
+    """Return the capture's pixels per pixel of the file's image, shape [2], and its size, shape [2]."""
     own = np.array([intrinsics.width, intrinsics.height], dtype=float)
     if not fields.has("image_size"):
         return np.ones(2), own
@@ -374,7 +370,7 @@ def _image(fields: HandFields, intrinsics: Intrinsics) -> tuple[np.ndarray, np.n
 
 
 def turn_to(direction: np.ndarray) -> Rotation:
-    """The shortest turn from the optical axis to a direction, shape [3]."""
+    """Return the smallest rotation from the optical axis to a direction, shape [3]."""
     axis = np.cross([0.0, 0.0, 1.0], direction)
     length = float(np.linalg.norm(axis))
     if length < 1e-12:
@@ -399,15 +395,13 @@ def _check_shape(joints: np.ndarray, side: str, where: str) -> None:
 
 
 def _check_alike(pixels: np.ndarray, joints: np.ndarray, where: str) -> None:
-    """Complain about landmarks that do not lie in the image as the joints do in space.
+    """Check that landmarks are arranged in the image like the joints in space.
 
-    Args:
-        pixels: shape [hands, 21, 2].
-        joints: [m], axes of the camera, shape [hands, 21, 3].
+    pixels: shape [hands, 21, 2]; joints: [m], camera axes, shape [hands, 21, 3].
     """
     for row, (seen, shape) in enumerate(zip(pixels, joints[..., :2], strict=True)):
         seen, shape = seen - seen.mean(axis=0), shape - shape.mean(axis=0)
-        # As a camera far away would see them.
+        # Scale of a distant camera.
         scale = np.sum(seen * shape) / np.sum(shape**2)
         if scale <= 0 or np.linalg.norm(seen - scale * shape) > UNLIKE * np.linalg.norm(seen):
             raise FungraspError(
