@@ -16,7 +16,7 @@ from fungrasp.geometry.distance_queries import signed_distance
 
 @compiled_part
 def _along(point, first, last):
-    """Return the nearest point of a line, 0 to 1, and the offset of the given point from it (x, y, z)."""
+    """Return the nearest point of a segment, 0 to 1, and the offset of the point from it (x, y, z)."""
     lx, ly, lz = last[0] - first[0], last[1] - first[1], last[2] - first[2]
     x, y, z = point[0] - first[0], point[1] - first[1], point[2] - first[2]
     square = lx * lx + ly * ly + lz * lz

@@ -1,1 +1,1 @@
-"""The hand in the image: landmarks, a metric skeleton, the fit to depth and object."""
+"""Detection of the hand, and fit of a metric skeleton to image and object."""

@@ -130,7 +130,7 @@ def which_side(right: float) -> dict[str, Any]:
 def choose_hand(
     hands: Sequence[DetectedHand], near: Box | None = None, side: Side | None = None
 ) -> tuple[DetectedHand, list[PerceptionWarning]]:
-    """Choose the hand that is meant.
+    """Choose one of several hands by box and side.
 
     Args:
         near: box around the object or the hand [pixels].

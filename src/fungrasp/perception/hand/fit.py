@@ -1,4 +1,4 @@
-"""Fit of a hand to an image in meters, with or without the object that it holds.
+"""Metric fit of a hand to an image, with or without the object that it holds.
 
 Landmarks give joint positions in the image; depth gives the position of the skin and excludes free space; the
 landmark model's 3D shape gives approximate bone directions; anatomy limits lengths and angles; the object,

@@ -41,7 +41,7 @@ from fungrasp.perception.hand.skeleton import (
 )
 from fungrasp.perception.io.estimates import HandEstimate
 
-TRUSTED_ERROR = 0.015  # Largest error of a joint whose probability is its confidence [m].
+TRUSTED_ERROR = 0.015  # Error of a joint [m]; its confidence is the probability of a smaller error.
 # Factor from the covariance of least squares to that of the errors, as errors of neighboring measurements are
 # correlated. Measured on rendered scenes with known truth.
 COVARIANCE_FACTOR = 1.3

@@ -71,9 +71,9 @@ def _sure_skin() -> HandCapsules:
 
 
 HAND_CAPSULES = _capsules()  # Four in the palm, three in each finger; the thumb's first is its ball.
-# Pixels inside are certainly skin, including the web between thumb and index finger. The capsules are thin,
-# as pixels beside them may show the object: with those of the fit, one of two real images was no longer
-# accepted; with the fit's made 15 % thinner, two of four.
+# Capsules that certainly show skin, with the web between thumb and index finger. They are thinner, because
+# pixels beside them may show the object: with the capsules of the fit, one of two real images was no longer
+# accepted; with those made 15 % thinner, two of four.
 SURE_SKIN = _sure_skin()
 
 

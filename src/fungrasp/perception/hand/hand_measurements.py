@@ -24,11 +24,11 @@ TABLE_NEAR = 0.008  # Height above the table within which points show the table 
 # Difference between neighboring pixels beyond which a depth camera measures a mixture of both sides [m].
 EDGE = 0.015
 POINTS = 400  # About how many points of the hand are used.
-FEW = 12  # Factor on this number for the points that are sorted: most show something else.
+FEW = 12  # Number of candidates per point, as most show something else.
 BONE = 0.006  # Distance from a guessed hand's bones within which points show the color of skin [m].
 LEAST_SKIN = 40  # Smallest number of points from which the color of skin is learned.
 MOST_SKIN = 400  # About the largest number of points from which the color of skin is learned.
-OTHER_COLOR = 4.0  # Difference from the skin's color of other things [standard deviations].
+OTHER_COLOR = 4.0  # Largest difference of a point from the skin's color [standard deviations].
 # Smallest standard deviation of the skin's color: log(red / green) and log(blue / green).
 COLOR_SPREAD = 0.04
 

@@ -100,7 +100,7 @@ SAME_HAND = 0.5  # Overlap (intersection over union) beyond which two results ar
 # scores than the first and are closer than the second, in hand lengths: 70 % of 170 rendered captures, with a
 # median landmark error of 7.7 pixels, and 7.5 after more windows.
 CONFIRMED_HAND, CONFIRMED = 0.8, 0.05
-# Scale of the mean distance between landmarks at which results confirm each other less, in hand lengths.
+# Mean distance between landmarks at which the agreement of two results is 1 / e, in hand lengths.
 SAME_ANSWER = 0.12
 
 

@@ -92,7 +92,7 @@ _ONE, _OTHER = _pairs()
 def nearest_between(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the nearest points of lines a-b and c-d, 0 to 1, shape [N] each. a, b, c, d: shape [N, 3]."""
+    """Return the nearest points of segments a-b and c-d, 0 to 1, [N] each. a, b, c, d: shape [N, 3]."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv = np.sum(u * u, axis=1), np.sum(u * v, axis=1), np.sum(v * v, axis=1)
     uw, vw = np.sum(u * w, axis=1), np.sum(v * w, axis=1)

@@ -152,7 +152,7 @@ class Capture:
     point: Pixel | None = None
     """A pixel that shows the object; None if not given."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """Doubts about the files."""
+    """Warnings about the files that it was read from."""
 
     def __post_init__(self) -> None:
         height, width = self.intrinsics.height, self.intrinsics.width

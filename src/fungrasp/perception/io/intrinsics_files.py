@@ -41,7 +41,7 @@ class FileIntrinsics:
     depth_unit: float | None = None
     """Meters per unit of the depth image; None if the file does not say."""
     warnings: tuple[PerceptionWarning, ...] = ()
-    """Doubts about the file; logged, too."""
+    """Warnings about the file; logged, too."""
 
 
 @guarded("file of intrinsics")

@@ -1,1 +1,1 @@
-"""The pose of a known mesh in a depth image."""
+"""Pose estimation of a known mesh in a depth image."""

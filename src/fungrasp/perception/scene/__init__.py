@@ -1,1 +1,1 @@
-"""The table, the world frame, and which pixels belong to what."""
+"""Table, world frame and segmentation of the image."""
