@@ -1,4 +1,4 @@
-"""``fungrasp robots bring-up``: a checklist of commands before a robot's first grasp."""
+"""``fungrasp robots bring-up``: run a checklist of commands before a robot's first grasp."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from fungrasp.robots.cell import RobotCell
 
 CHECKLIST = Path(deployment.__file__).with_name("bring_up.toml")
-"""The steps; fields are explained in the file."""
+"""File of the steps, which explains their fields."""
 
 STOP_AFTER = 4.0
-"""Without a person at the keyboard, the stop file is made this long after the start of a command [s]."""
+"""Time after the start of a command at which the stop file is made, without an operator [s]."""
 
 PASSED, FAILED, SKIPPED = "passed", "failed", "skipped"
 """Results of a step."""
 
 YES, SKIP = "yes", "skip"
-"""Answers; a reason follows "skip"."""
+"""Answers of the operator; a reason follows "skip"."""
 
 TITLE = "# Bring-up of "
 _SECTION = re.compile(r"^## (?P<step>[a-z-]+): (?P<status>passed|failed|skipped)$", re.MULTILINE)
@@ -47,15 +47,15 @@ class BringUpStep:
     name: str
     """Name in the log."""
     sentence: str
-    """What the step does and what to check."""
+    """Description of the step and of its check."""
     words: tuple[str, ...]
     """Command line, without "fungrasp"."""
     question: str = ""
-    """Question to the operator afterwards; "" if the command itself reports success."""
+    """Question to the operator after the command; "" if the command itself reports success."""
     stop: str = ""
-    """How the operator has to stop the command during motion: "key" or "file"."""
+    """How the operator must stop the command during motion: "key", "file", or "" if not at all."""
     file: bool = False
-    """Whether it needs the file of touched points."""
+    """Whether the step needs the file of touched points."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class BringUp:
     cell: CellName
     """A robot cell with real or emulated devices (not a twin): built-in, or a TOML file."""
     log: Path = Path("bring-up.md")
-    """Markdown log. If it exists, continue after the last step that did not fail."""
+    """Markdown log. If it exists, continue at the first step that neither passed nor was skipped."""
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp for the last steps."""
     policy: str = "plan"
@@ -113,7 +113,7 @@ class BringUp:
         print(f"bring-up complete; the log is {self.log}", flush=True)
 
     def steps(self, cell: RobotCell, hand: Hand) -> list[BringUpStep]:
-        """The checklist of a cell."""
+        """Return the checklist of a cell."""
         from fungrasp.core.formats.text_files import read_toml
         from fungrasp.robots.single_devices import joint_names
 
@@ -136,7 +136,7 @@ class BringUp:
         return [step for step in steps if step.name != "stop-file" or cell.stop_file]
 
     def _done(self, step: BringUpStep, cell: RobotCell) -> tuple[str, list[str]]:
-        """Run a step. Returns its result and lines for the log."""
+        """Run a step. Return its result and lines for the log."""
         from fungrasp.robots.single_devices import STAYS
 
         unattended = self.yes or not sys.stdin.isatty()
@@ -167,7 +167,7 @@ class BringUp:
         return PASSED if answer.lower() == YES else FAILED, [*lines, f"operator: {step.question} {answer}"]
 
     def _ask(self, question: str) -> str:
-        """The answer to a question."""
+        """Return the operator's answer to a question."""
         if self.yes:
             return YES
         try:
@@ -177,10 +177,10 @@ class BringUp:
 
 
 def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
-    """Run a command in its own process, with the terminal.
+    """Run a command in its own process.
 
     Args:
-        keyboard: whether a person answers.
+        keyboard: whether the process may read from the terminal.
 
     Returns:
         Exit status and the printed lines.
@@ -193,7 +193,7 @@ def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        # Ctrl-C is for the command alone, whose robot may hold an object.
+        # Ctrl-C must only stop the command, whose robot may hold an object.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             assert process.stdout is not None
@@ -208,7 +208,7 @@ def run_fungrasp(words: Sequence[str], keyboard: bool) -> tuple[int, list[str]]:
 
 @contextmanager
 def _stop_file(file: Path, made: bool) -> Iterator[None]:
-    """Make the stop file after a while if ``made``, and remove it at the end."""
+    """Make the stop file after ``STOP_AFTER`` if ``made``, and remove it at the end."""
     timer = threading.Timer(STOP_AFTER, file.touch)
     if made:
         timer.start()
@@ -228,11 +228,12 @@ class BringUpLog:
     def __init__(self, path: Path, cell: str, digest: str):
         """
         Args:
-            path: the file; an existing log is continued.
-            digest: of the cell and its hand.
+            path: file of the log; an existing log is continued.
+            cell: name of the cell.
+            digest: digest of the cell and its hand.
 
         Raises:
-            FungraspError: the file is not a log, or is from another cell.
+            FungraspError: the file is not a log, or the log of another cell.
         """
         from fungrasp.core import __version__
         from fungrasp.core.formats.checks import read_bytes
@@ -258,14 +259,14 @@ class BringUpLog:
 
     @property
     def other_cell(self) -> bool:
-        """Whether cell or hand have changed since the last step."""
+        """Whether the cell or hand has changed since the last step."""
         return bool(self.done) and f"cell {self._digest}" not in self._text.rpartition("\n## ")[2]
 
     def append(self, step: BringUpStep, status: str, lines: Sequence[str]) -> None:
         """Add the result of a step.
 
         Raises:
-            FungraspError: the file can't be written.
+            FungraspError: the file cannot be written.
         """
         from fungrasp.core.files import atomic_path
         from fungrasp.core.formats.checks import one_line

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Calibrate(Answering):
-    """Calibrate the fixed camera of a cell from images of a board held by the hand: its pose in the world
-    frame, written to a file for the cell."""
+    """Calibrate the fixed camera of a cell from images of a board in the hand. The result, the pose of the
+    camera in the world frame, is written to a file for the cell."""
 
     cell: CellName
     """A built-in robot cell, or a TOML file."""
@@ -29,7 +29,7 @@ class Calibrate(Answering):
     """Folder with images of the board, arm.json (arm joints [rad] by image file name) and camera.json
     (intrinsics)."""
     board: Board = field(default_factory=Board)
-    """The board."""
+    """Calibration board."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.calibration.camera import save_calibration

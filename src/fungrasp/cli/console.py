@@ -1,4 +1,4 @@
-"""Output of commands: answers, tables, progress bars and files."""
+"""Output of commands: results, tables, progress bars and files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 STDOUT = "-"
-"""Value of ``--json`` without a file, where it takes one."""
+"""Value of ``--json`` without a file, for commands with ``--json FILE``."""
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,17 @@ class CommandResult:
     value: Any
     """JSON values, NumPy arrays or paths; NaN and infinities become null."""
     text: str = ""
-    """The same for people; "" if everything has been printed."""
+    """Result for people; "" if everything has been printed."""
     fault: str = ""
-    """Error message of a command that has a result nevertheless."""
+    """Error message of a failed command with a result."""
     status: int = 0
     """Exit status if there is no fault."""
 
     def show(self, as_json: bool) -> None:
-        """Print it.
+        """Print the result.
 
         Raises:
-            FungraspError: there is a fault.
+            FungraspError: the result has a fault.
             SystemExit: the status is not 0.
         """
         from fungrasp.core.formats.text_files import finite
@@ -76,21 +76,21 @@ class Answering:
 
 
 def suggestion(*words: object) -> str:
-    """A "next:" line with the next command. words: its arguments, paths as Path; None and "" are left out."""
+    """Return a line with the next command. words: its arguments, paths as Path; None and "" are ignored."""
     given = (shlex.quote(str(word)) if isinstance(word, Path) else str(word) for word in words if word)
     return " ".join(("next: fungrasp", *given))
 
 
 def option(name: str, value: object) -> str:
-    """An option with its value; "" for None. name: with dashes."""
+    """Return an option with its value; "" for None. name: name with dashes."""
     return "" if value is None else f"{name} {shlex.quote(str(value))}"
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a JSON file atomically; values must not be NaN.
+    """Write a JSON file atomically. Values must be finite.
 
     Raises:
-        FungraspError: the file can't be written.
+        FungraspError: the file cannot be written.
     """
     from fungrasp.core.files import atomic_path
 
@@ -99,10 +99,10 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def write_human_grasps(path: Path, grasps: HumanGraspSet) -> CommandResult:
-    """Write a grasp file, and report the number of grasps and their unusual features.
+    """Write a grasp file, and report the number of grasps and their anomalies.
 
     Raises:
-        FungraspError: the file can't be written.
+        FungraspError: the file cannot be written.
     """
     from fungrasp.grasps import save_human_grasps
     from fungrasp.grasps.anatomy import check_anatomy, grouped

@@ -1,4 +1,4 @@
-"""``fungrasp demo``: retarget, test and show a few human grasps, one of them from an image."""
+"""``fungrasp demo``: retarget, test and show a few human grasps, one of which is from an image."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
 """Grasps to show without --grasp, if the file has them."""
 
 LOW_CONFIDENCE = 3
-"""Exit status if the page was written but the robot did not try the grasp."""
+"""Exit status if the robot does not try the only grasp because of its low confidence."""
 
 RENDERED = "<p>The image is rendered, not a photograph, so the true poses are known.</p>"
 
@@ -31,32 +31,32 @@ Folder = Annotated[str | None, optional_value("[FOLDER]", "builtin", "folder")]
 
 @dataclass(frozen=True)
 class Demo(GraspsOption, Answering):
-    """Grasp a few built-in objects, and the object in the built-in image if the hand models are installed.
-    Writes a film and a page."""
+    """Grasp a few built-in objects, and with hand models the object in the built-in image; write a film and a
+    page."""
 
     hand: str = "allegro"
     """Name of a hand, or the path of its TOML file."""
     grasp: tuple[str, ...] = ()
-    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a row number. Default: a varied
-    few, and the built-in image."""
+    """Grasps to show: an object ("mug"), object and task ("mug:drink") or a row number. Default: a few
+    different ones and the built-in image."""
     count: int = 3
-    """Number of grasps to show without --grasp, the image included."""
+    """Number of grasps to show without --grasp, including the image."""
     from_image: Folder = None
-    """Show only the grasp in an RGB-D image: the built-in one, or a folder with rgb.png, depth.png and
+    """Show only the grasp in an RGB-D image: the built-in image, or a folder with rgb.png, depth.png and
     K.json. Replaces --grasps, --objects, --grasp and --count."""
     mesh: str | None = None
-    """The object in the folder's image: a mesh file [m], or the name of a built-in object."""
+    """The object in the image: a mesh file [m], or the name of a built-in object."""
     mass: float | None = None
     """Mass of that object [kg]. Default: known for built-in objects."""
     task: str = ""
-    """Purpose of the grasp in that image: "drink", "hand over" ..."""
+    """Purpose of the grasp in the image: "drink", "hand over" ..."""
     policy: str | None = None
     """What moves the hand: "reference" (planned motion, open loop) or a policy (`fungrasp policies list`).
     Default: the freely licensed student of the hand, or "reference" if there is none."""
     seed: int = 0
     """Random seed of perception."""
     out: Path = Path("demo")
-    """Folder for the film and the page."""
+    """Folder for film and page."""
     threads: int = 0
     """0 means all processors; results are the same for any number."""
 
@@ -112,7 +112,7 @@ class Demo(GraspsOption, Answering):
         return Shown(human, load_objects(human, self.objects), source)
 
     def _usual_image(self) -> str | None:
-        """The built-in image, if no other grasps are requested and the hand models are installed."""
+        """Return the built-in image if no other grasps are requested and the hand models are installed."""
         from importlib.util import find_spec
 
         from fungrasp.perception.hand.mediapipe_models import have_weights
@@ -122,7 +122,7 @@ class Demo(GraspsOption, Answering):
         return BUILTIN if usual and find_spec("ai_edge_litert") and have_weights() else None
 
     def _seen(self, folder: str, meanwhile: Callable[[], None] | None) -> Perceived:
-        """Perceive an image. meanwhile: work to do in this process at the same time, or None."""
+        """Perceive an image. meanwhile: work for this process at the same time, or None."""
         from fungrasp.perception.pipeline import perceive_folder
 
         arguments = (folder, self.mesh, self.mass, self.task, self.seed)
@@ -130,7 +130,7 @@ class Demo(GraspsOption, Answering):
             if meanwhile is None:
                 seen = perceive_folder(*arguments)
             else:
-                # A process, not a thread: the first run compiles, which threads can't do in parallel.
+                # A process, not a thread: compilation in the first run cannot run in parallel threads.
                 from concurrent.futures import ProcessPoolExecutor
                 from multiprocessing import get_context
 
@@ -177,7 +177,7 @@ def _compile(picked: Shown, hand: str) -> None:
 
 
 def _joined(picked: Shown | None, seen: Perceived | None, folder: str | None) -> Shown:
-    """The picked grasps and the perceived one."""
+    """Join the picked grasps and the perceived one."""
     from html import escape
 
     from fungrasp.grasps import HumanGraspSet

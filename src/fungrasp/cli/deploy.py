@@ -1,4 +1,4 @@
-"""``fungrasp deploy``: one grasp on a robot or its simulated twin."""
+"""``fungrasp deploy``: grasp an object with a robot or its simulated twin."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class Deploy(Answering):
     spec: DeploymentSpec = field(default_factory=DeploymentSpec)
     """Settings of the deployment."""
     hand: str = ""
-    """Expected hand of the robot; any other is refused. Empty: no check."""
+    """Expected hand of the robot; another hand is an error. Empty: no check."""
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp."""
     picture: Path | None = None
-    """Before anything moves, simulate the motion, check every setpoint with the safety filter, and draw it to
-    this file (.png)."""
+    """Before the robot moves, simulate the motion, check every setpoint with the safety filter, and draw the
+    motion to this file (.png)."""
     yes: bool = False
-    """Do not ask before each phase of a real robot."""
+    """Do not ask before each phase on a real robot."""
     log: Path | None = None
     """MCAP file to write; must not exist. Default: deploy-<time>.mcap."""
     fast: bool = False
@@ -111,11 +111,11 @@ class Deploy(Answering):
 def _terminal(
     switch: StopSwitch, asks: bool, draw: Callable[[Robot, PreparedGrasp], None] | None
 ) -> DeploymentObserver:
-    """An observer that prints phases and how to stop.
+    """Return an observer that prints the phases and how to stop.
 
     Args:
-        asks: ask before each phase.
-        draw: called with the first plan.
+        asks: whether to ask before each phase.
+        draw: function to call with the first plan.
     """
     from fungrasp.deployment.observer import PhaseQuestions
 

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from fungrasp.robots.single_devices import GuardedDriver
 
 STILL = {"arm": 0.005, "hand": 0.06}
-"""Largest motion of a holding joint [rad]: servos of arms are stiff, those of hands are not."""
+"""Largest motion of a holding joint [rad]; the servos of hands are less stiff than those of arms."""
 
 COMPARED = 2.0
-"""Time in which an arm driver reports its comparison with the controller [s]."""
+"""Longest wait for an arm driver's comparison with its controller [s]."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Touch(OfCell):
     at: tuple[float, float, float]
     """The known point, in the world frame of the cell [m]."""
     hand_point: tuple[float, float, float] | None = None
-    """The touching point of the hand, in the hand frame (see `pose_flange_hand`) [m]. Default: the center of
+    """Point of the hand that touches, in the hand frame (see `pose_flange_hand`) [m]. Default: the center of
     the flange touches."""
 
     def run(self) -> CommandResult:
@@ -149,9 +149,9 @@ class Jog(OfDevice):
     """Move one joint of an arm or a hand slowly by a small angle and back, while the others hold."""
 
     joint: Annotated[str, tyro.conf.Positional]
-    """Name of the joint (see `robots read`), or "all": one after the other, away from the nearer limit."""
+    """Name of the joint (see `robots read`), or "all" for one after the other, away from the nearer limit."""
     by: float = 0.1
-    """Angle [rad], 0.2 at most."""
+    """Angle [rad], at most 0.2."""
     yes: bool = False
     """Do not ask first; for emulated devices only."""
 
@@ -177,7 +177,7 @@ class Jog(OfDevice):
         return CommandResult(value, fault="; ".join(wrong))
 
     def _moved(self, driver: GuardedDriver, number: int, name: str) -> tuple[dict[str, Any], list[str]]:
-        """Move one joint. Returns the measurements and the faults."""
+        """Move one joint. Return measurements and faults."""
         import numpy as np
 
         from fungrasp.robots.single_devices import jog
@@ -203,8 +203,8 @@ def _moving(part: str, cell: RobotCell, hand: Hand, what: str, yes: bool) -> Ite
 
     Args:
         part: "arm" or "hand".
-        what: the motion, for the question.
-        yes: skip the question.
+        what: motion, as a phrase for the question.
+        yes: whether to skip the question.
     """
     from fungrasp.robots.cell import is_wired
     from fungrasp.robots.single_devices import guarded_driver

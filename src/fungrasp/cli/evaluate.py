@@ -1,4 +1,4 @@
-"""``fungrasp evaluate``: success rates of grasps in simulation."""
+"""``fungrasp evaluate``: measure success rates of grasps in simulation."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
     seeds: Annotated[tuple[int, ...], tyro.conf.arg(name="seed")] = (0,)
     """Random seeds; each grasp is tested once with each."""
     randomization: tyro.conf.Suppress[tyro.conf.Fixed[Randomization]] = NOMINAL
-    """Made of ``differs``."""
+    """Set by ``differs``."""
     lift: tyro.conf.Suppress[tyro.conf.Fixed[LiftProtocol]] = field(default_factory=LiftProtocol)
     """Set in Python only."""
     physics: tyro.conf.Suppress[tyro.conf.Fixed[SceneSettings]] = field(default_factory=SceneSettings)
-    """Made of ``noslip``, ``device`` and ``buffers``."""
+    """Set by ``noslip``, ``device`` and ``buffers``."""
     selection: tyro.conf.Suppress[tyro.conf.Fixed[SelectionSettings | None]] = None
     """Set in Python only."""
 
     differs: WorldDifferences = field(default_factory=WorldDifferences)
-    """How worlds differ from the estimate, instead of a protocol."""
+    """Differences of worlds from the estimate, instead of a protocol."""
     hand: str | None = None
     """Name of a hand, or the path of its TOML file. Default: the hand of robot grasps; allegro for human
     grasps."""
@@ -56,23 +56,22 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
     """Write all numbers to this file (.json); without a file, print them. If interrupted, run the same
     command again to continue."""
     out: Path | None = None
-    """Write a compact result: a JSON file with settings and summary, beside it a CSV file with one row per
-    episode."""
+    """Write a compact result: a JSON file with settings and summary, and a CSV file with one row per episode
+    beside it."""
     record: Path | None = None
     """Record each episode to this folder (.npz)."""
     picture: Path | None = None
     """Draw some grasps with their outcomes to this PNG file."""
     noslip: int = 0
-    """Solver iterations that reduce creep in friction; 5 make physics 1.6 times as slow."""
+    """Number of solver iterations that reduce slip in contacts; 5 make physics 1.6 times slower."""
     device: Literal["cuda", "cpu-warp", "cpu"] | None = None
     """Where to simulate: on an NVIDIA GPU, with the GPU code on the CPU (slow), or on the CPU. Default: a
     GPU if one is found and the extra "gpu" is installed."""
     buffers: tuple[int, int] | None = None
-    """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: determined by a
-    probe."""
+    """GPU buffers per world: contacts (mean) and constraint rows (maximum). Default: measured in a probe."""
 
     def __post_init__(self) -> None:
-        """Skip the checks of ``LiftTestSpec``; ``_spec`` makes them."""
+        """Skip the checks of ``LiftTestSpec``: ``_spec`` creates a checked one."""
 
     def run(self) -> CommandResult:
         from contextlib import nullcontext
@@ -125,8 +124,7 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
         return CommandResult(result.json(), "\n".join(lines))
 
     def _where_from(self, robot: bool) -> tuple[str, ...]:
-        """Options that ``view`` needs to find the grasps of a result. robot: whether --grasps has robot
-        grasps."""
+        """Return the options of ``view`` that name the grasps. robot: whether --grasps has robot grasps."""
         if not robot:
             return ()
         return option("--grasps", self.grasps), option("--objects", self.objects)

@@ -1,4 +1,4 @@
-"""``fungrasp export``: recorded episodes in other formats."""
+"""``fungrasp export``: write recorded episodes in other formats."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Export(ObjectsOption, Answering):
     format: Literal["lerobot", "mcap"] = "lerobot"
     """Output format."""
     cameras: tuple[Literal["front", "wrist"], ...] = ()
-    """Cameras to render for LeRobot: front (over the table), wrist (on the hand)."""
+    """Cameras to render for LeRobot: front (above the table), wrist (on the hand)."""
     size: tuple[int, int] = (320, 240)
     """Width and height of the images [pixels]."""
     threads: int = 0
-    """Threads for rendering; 0 means all processors."""
+    """Number of threads for rendering; 0 means all processors."""
 
     def run(self) -> CommandResult:
         from fungrasp.media.mcap_episodes import write_mcap_episodes
@@ -65,7 +65,7 @@ class Export(ObjectsOption, Answering):
         from fungrasp.media.lerobot_dataset import episode_pictures, write_lerobot_dataset
         from fungrasp.objects import load_object
 
-        # Use tests start from the end of a lift test, and their controls are not recorded.
+        # Recordings of use tests have no controls.
         lifts = [episode for episode in self._episodes() if not episode.is_use_test]
         whole = len(self.cameras) * sum(len(episode.times) for episode in lifts)
 

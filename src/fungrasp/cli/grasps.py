@@ -94,7 +94,7 @@ class _Import(Answering):
         return write_human_grasps(self.out, self.grasps())
 
     def grasps(self) -> HumanGraspSet:
-        """Grasps of the data set."""
+        """Return the grasps of the data set."""
         raise NotImplementedError
 
 
@@ -111,7 +111,7 @@ class ImportDexYCB(_Import):
     """Import DexYCB, the folder of subjects, calibration and models: one grasp per sequence."""
 
     mano: Path | None = None
-    """Folder with your MANO model: adds joint rotations, and contacts of the hand's surface."""
+    """Folder with your MANO model. It adds joint rotations and contacts of the hand's surface."""
     objects: Path | None = None
     """Folder with object meshes. Default: DexYCB's own models."""
     left_hands: Literal["skip", "mirror"] = "skip"
@@ -198,7 +198,7 @@ class ImportHO3D(_Import):
 
 @dataclass(frozen=True)
 class ImportOther(Answering):
-    """Use an importer of another package (entry point fungrasp.grasps)."""
+    """Run an importer of another package (entry point fungrasp.grasps)."""
 
     importer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """Name of the importer."""
@@ -232,11 +232,11 @@ class ImportGrasps:
 
     @property
     def json(self) -> bool:
-        """Whether JSON is asked for."""
+        """Whether to print JSON."""
         return self.data.json
 
     def run(self) -> CommandResult:
-        """Do it."""
+        """Run the importer."""
         return self.data.run()
 
 
@@ -382,12 +382,12 @@ class MakeGrasps(ClusterOption, Answering):
     objects: tuple[str, ...] = ()
     """Only grasps of these built-in objects."""
     mesh: Path | None = None
-    """Grasp this mesh or shape (box:60x28x30) instead: around the whole, from above, at handles and thin
-    parts."""
+    """Grasp this mesh or shape (box:60x28x30) instead: around the whole object, from above, at handles and
+    at thin parts."""
     mass: float | None = None
     """Mass of that object [kg]."""
     parts: Path | None = None
-    """JSON file with parts to hold, as boxes in the mesh's frame [m]: {"handle": [[x, y, z], [x, y, z]]}."""
+    """JSON file with parts to hold, as boxes in the mesh frame [m]: {"handle": [[x, y, z], [x, y, z]]}."""
     seed: tuple[int, ...] = (0,)
     """Random seeds. With several, each grasp is synthesized with each, and different results are kept."""
 
@@ -420,7 +420,7 @@ class MakeGrasps(ClusterOption, Answering):
     def _specifications(
         self,
     ) -> tuple[Sequence[GraspSpecification], dict[str, ObjectModel] | None, SynthesisSettings]:
-        """Specifications, objects (None: built-in) and settings."""
+        """Return specifications, objects (None: built-in) and settings."""
         from fungrasp.objects import is_plain_shape, load_object, object_from_file
         from fungrasp.synthesis import SynthesisSettings
         from fungrasp.synthesis.automatic_specifications import automatic_specifications, parts_from_boxes
@@ -457,7 +457,7 @@ COMMAND = {
 
 
 def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
-    """Mask of the rows selected by numbers and slices, shape [count] bool."""
+    """Return the mask of rows selected by numbers and slices, shape [count] bool."""
     import re
 
     import numpy as np
@@ -474,7 +474,7 @@ def _rows(entries: tuple[str, ...], count: int) -> np.ndarray:
 
 
 def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, ObjectModel]:
-    """Objects of a file's grasps by name, as far as known, with the mass of the first grasp of each."""
+    """Load the known objects of a file's grasps by name, each with the mass in its first grasp."""
     import numpy as np
 
     from fungrasp.objects import load_object, mesh_files, object_names
@@ -483,7 +483,7 @@ def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, 
 
     known = {*object_names(), *mesh_files(folder)}
     names, masses = (np.ravel(fields.get(f"object_{field}", ())).tolist() for field in ("name", "mass"))
-    # Without masses, one that any object may have.
+    # Any mass will do here if the file has none.
     masses = (
         masses if len(masses) == len(names) and all(0 < m < np.inf for m in masses) else [1e-3] * len(names)
     )
@@ -526,7 +526,7 @@ def _description(grasp: HumanGrasp | RobotGrasp) -> str:
 
 
 def _fields(grasp: HumanGrasp | RobotGrasp) -> dict[str, Any]:
-    """All fields of a grasp by name, ``extra`` included."""
+    """Return all fields of a grasp by name, including ``extra`` values."""
     values = {field.name: getattr(grasp, field.name) for field in dataclasses.fields(grasp)}
     return {**values, **values.pop("extra", {})}
 

@@ -51,7 +51,7 @@ class ShowHand(Answering):
     """Show a hand: fingers, joint limits, couplings, actuators."""
 
     name: HandName
-    """A known hand, or the path of a hand's TOML file or folder."""
+    """Name of a hand, or the path of its TOML file or folder."""
     picture: Path | None = None
     """Draw the hand from four sides to this file (.png or .jpg)."""
 
@@ -74,7 +74,7 @@ class CheckHand(Answering):
     """Check a hand's files. Exit status 1: the hand can't be used."""
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
-    """A hand's TOML file or folder, a URDF, an MJCF, or the name of a known hand."""
+    """Name of a hand, the path of its TOML file or folder, or a URDF or MJCF file."""
 
     def run(self) -> CommandResult:
         from fungrasp.hands import hand_files
@@ -106,7 +106,7 @@ class AddHand(Answering):
     finger: tuple[str, ...] = ()
     """Fingers by one of their bodies: index=BODY middle=BODY ...; other fingers are ignored."""
     side: Literal["right", "left"] | None = None
-    """The human hand that it corresponds to."""
+    """Corresponding human hand."""
     normal: tuple[float, float, float] | None = None
     """Direction from the palm to a held object, in the frame of the palm body."""
     couple: tuple[str, ...] = ()
@@ -114,7 +114,7 @@ class AddHand(Answering):
     radius: float | None = None
     """Radius of fingers without geometry [m]."""
     force: bool = False
-    """Overwrite the folder."""
+    """Overwrite existing files."""
 
     def run(self) -> CommandResult:
         from fungrasp.hands import load_hand
@@ -136,7 +136,7 @@ class ExportHand(Answering):
     """Write a hand as a single self-contained MJCF file with position actuators."""
 
     name: HandName
-    """A known hand, or the path of a hand's TOML file or folder."""
+    """Name of a hand, or the path of its TOML file or folder."""
     out: Path
     """File to write, for example allegro.xml."""
     arm: str | None = None
@@ -194,7 +194,7 @@ def _vector(values: Sequence[float]) -> str:
 
 
 def _findings(path: str | Path, findings: Sequence[Finding]) -> tuple[list[dict[str, str]], str, int]:
-    """Findings as rows, as text, and the exit status: 1 for errors."""
+    """Return findings as rows and as text, and the exit status: 1 for errors."""
     rows = [{"severity": finding.severity, "message": finding.message} for finding in findings]
     errors, warnings = (sum(row["severity"] == severity for row in rows) for severity in ("error", "warning"))
     lines = [f"{row['severity']}: {row['message']}" for row in rows]

@@ -1,4 +1,4 @@
-"""``fungrasp identify``: joint dynamics of a real hand."""
+"""``fungrasp identify``: identify the joint dynamics of a real hand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fungrasp.sim2real.identification.motion_log import MotionLog
 
 HELD_OUT = 0.5
-"""Share of a log, at its end, that is predicted instead of fitted."""
+"""Share of a log, at its end, for testing."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Collect(Answering):
     cell: CellName
     """A built-in robot cell, or a TOML file."""
     excitation: Excitation = field(default_factory=Excitation)
-    """The motion."""
+    """Settings of the motion."""
     torque_share: float = 0.5
-    """Torque limit, as a share of the cell's."""
+    """Torque limit, as a share of the cell's limit."""
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Gravity in the palm's frame [m/s^2]; zero ignores weight in the fit."""
+    """Gravity in the palm frame [m/s^2]; with zero, the fit ignores weight."""
     weight: float = 0.0
     """Mass attached to each fingertip [kg]. If the fingers are light compared to their drives, 0.2 kg in one
     of several logs determines the scale of the dynamics."""
@@ -101,7 +101,7 @@ class Collect(Answering):
 
 @dataclass(frozen=True)
 class Fit(Answering):
-    """Fit stiffness, damping, friction, armature and delay to the first half of a log; test on the second."""
+    """Fit stiffness, damping, friction, armature and delay to one half of a log; test on the other half."""
 
     log: Annotated[Path, tyro.conf.Positional]
     """Log of `identify collect` (.jsonl), or a step response of an Inspire hand (.csv)."""
@@ -134,7 +134,7 @@ class Fit(Answering):
             log = read_step_csv(self.log, self.joint, float(low), float(high))
         else:
             log = load_motion_log(self.log)
-        # A single step can't be split in halves: every other row is held out instead.
+        # A single step cannot be split in halves: every other row is held out instead.
         logs = [log, *(load_motion_log(path) for path in self.others)]
         if not step:
             logs = self._excited(logs)
@@ -192,7 +192,7 @@ class Fit(Answering):
         return float(np.sqrt(np.mean(error[1::2] ** 2)))
 
     def _excited(self, logs: list[MotionLog]) -> list[MotionLog]:
-        """The logs, with only the joints that moved in all of them."""
+        """Return the logs with only the joints that move in all of them."""
         some = [log.excited() for log in logs]
         common = [name for name in some[0].joints if all(name in log.joints for log in some)]
         missing = [name for name in logs[0].joints if name not in common]
@@ -209,7 +209,7 @@ class Fit(Answering):
         return f"{value:.4g} ± {found.relative_error[quantity][joint]:.0%}"
 
     def _notes(self, found: IdentifiedDynamics) -> dict[str, list[str]]:
-        """Comments for the values in the file."""
+        """Return comments for the values in the file."""
         notes: dict[str, list[str]] = {}
         for name, known in found.identified.items():
             deviation = found.relative_error[name]

@@ -1,7 +1,7 @@
 """The program ``fungrasp``: finds the command, parses its arguments and runs it.
 
-Only the command's own module is imported. Its ``COMMAND`` is a dataclass with a method ``run``, or a table of
-them by subcommand name. In a table, "module:class" names a command that is imported on use.
+Only the module of the command is imported. Its ``COMMAND`` is a dataclass with a method ``run``, or a table
+of such dataclasses by subcommand. In a table, "module:class" names a command that is imported on use.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: without the program's name; by default those of this process.
+        arguments: arguments without the program's name. None: those of this process.
 
     Returns:
-        Exit status: 0 done; 2 bad input or full disk (one line on stderr); 130 interrupted; 141 output pipe
-        closed.
+        Exit status: 0 for success, 2 for invalid input or a full disk (one line on stderr), 130 if
+        interrupted, 141 if the output pipe is closed.
 
     Raises:
         SystemExit: after help or a usage error, or if a command has its own exit status.
@@ -73,11 +73,11 @@ def run_command(program: str, command: Any, arguments: Sequence[str]) -> int:
     """Run a command that is not in ``COMMANDS``.
 
     Args:
-        program: name shown in its help.
-        command: a dataclass with a method ``run``, or a table of them by subcommand name.
+        program: program name for the help.
+        command: dataclass with a method ``run``, or a table of such dataclasses by subcommand.
 
     Returns:
-        Exit status, as of ``main``.
+        Exit status, see ``main``.
     """
     return _status(lambda: _run(_parse(program, command, list(arguments))))
 
@@ -93,7 +93,7 @@ def _status(work: Callable[[], int]) -> int:
         print("fungrasp: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # The interpreter flushes stdout once more when it exits.
+        # The interpreter flushes stdout again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return BROKEN_PIPE
     except MemoryError as error:
@@ -106,7 +106,7 @@ def _status(work: Callable[[], int]) -> int:
 
 
 def every_command() -> dict[str, Any]:
-    """All commands by name, or tables of subcommands, with all modules imported."""
+    """Import and return all commands or tables of subcommands, by name."""
     commands: dict[str, Any] = {}
     for name, (place, _) in COMMANDS.items():
         command = _loaded(place)
@@ -117,11 +117,11 @@ def every_command() -> dict[str, Any]:
 
 
 def parsed(arguments: Sequence[str]) -> Any:
-    """The command for these arguments, ready to run.
+    """Return the command with its arguments, ready to run.
 
     Raises:
-        FungraspError: unknown command or invalid value.
-        SystemExit: a usage error was printed.
+        FungraspError: the command is unknown or a value is invalid.
+        SystemExit: after help or a usage error.
     """
     first, *rest = arguments
     if first not in COMMANDS:
@@ -155,7 +155,7 @@ def _print_completion(arguments: list[str]) -> NoReturn:
 
 
 def _choices(commands: Mapping[str, Any]) -> Any:
-    """A union type with one choice per command; a table of commands becomes a nested choice."""
+    """Return a union type with one choice per command; tables of commands become nested choices."""
     import tyro
 
     kinds = []
@@ -197,7 +197,7 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
         with redirect_stderr(said):
             return tyro.cli(command, prog=program, args=arguments, config=tuple(config))
     except SystemExit as stop:
-        # A dataclass rejected a value: one line, like all our errors.
+        # Errors of a dataclass about its values are reported in one line.
         for error in (stop.__context__, getattr(stop.__context__, "__context__", None)):
             if isinstance(error, FungraspError):
                 raise error from None
@@ -206,7 +206,7 @@ def _parse(program: str, command: Any, arguments: list[str]) -> Any:
 
 
 def _loaded(command: Any) -> Any:
-    """A command of a table, imported if the table has only its place."""
+    """Return a command, imported if it is given as "module:name"."""
     if not isinstance(command, str):
         return command
     module, _, name = command.partition(":")

@@ -21,7 +21,7 @@ class ListObjects(Answering):
     """List the known objects."""
 
     objects: Path | None = None
-    """A folder of meshes to list too."""
+    """A folder of further meshes to list."""
 
     def run(self) -> CommandResult:
         from fungrasp.objects import builtin_object, mesh_files, object_names
@@ -43,7 +43,7 @@ class ListObjects(Answering):
 
 @dataclass(frozen=True)
 class ShowObject(Answering):
-    """Show an object: size, mass, inertia, parts, mesh repairs, and its convex pieces for physics."""
+    """Show an object: size, mass, inertia, parts, mesh repairs, and the convex pieces for physics."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|PATH")]
     """A built-in object, a mesh in --objects, or the path of a mesh file."""
@@ -73,7 +73,7 @@ class ShowObject(Answering):
         return CommandResult(description, _text(description))
 
     def _load(self) -> tuple[ObjectModel, bool]:
-        """The object, and whether its mass is known; if not, it is loaded with 1 kg."""
+        """Load the object, with 1 kg if its mass is unknown; return it and whether the mass is known."""
         from fungrasp.objects import load_object, mesh_files, object_from_file
 
         if self.objects is None and Path(self.name).suffix and Path(self.name).is_file():
@@ -101,7 +101,7 @@ def _text(d: dict[str, Any]) -> str:
         ("center", f"({', '.join(f'{x * 100:.2f}' for x in d['center_of_mass'])}) cm"),
     ]
     if d["inertia"] is not None:
-        # Rounding errors and -0 become 0.
+        # Rounding errors and -0.0 become 0.
         least = 1e-9 * max(map(max, d["inertia"]))
         rounded = [[x if abs(x) > least else 0.0 for x in row] for row in d["inertia"]]
         rows += [("inertia", f"[{', '.join(f'{x:.3e}' for x in row)}] kg m2") for row in rounded]

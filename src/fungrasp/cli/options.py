@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from fungrasp.simulation import BufferSizes, Device
 
 CellName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
-"""A robot cell: a TOML file, or one that comes with the package."""
+"""A built-in robot cell, or a TOML file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectsOption:
-    """Your own meshes."""
+    """Option for meshes."""
 
     objects: Path | None = None
     """Folder of meshes <name>.obj; built-in objects need none."""
@@ -33,7 +33,7 @@ class ObjectsOption:
 
 @dataclass(frozen=True, kw_only=True)
 class GraspsOption(ObjectsOption):
-    """Which grasps, and the meshes of their objects."""
+    """Options for grasps and the meshes of their objects."""
 
     grasps: str = "builtin"
     """A grasp file (.npz), or "builtin"."""
@@ -41,24 +41,24 @@ class GraspsOption(ObjectsOption):
 
 @dataclass(frozen=True, kw_only=True)
 class MirrorOption:
-    """Grasps of right hands for a left hand."""
+    """Option for mirrored grasps."""
 
     mirror: bool = False
-    """First mirror human grasps and their objects (right to left hands or back). Mirrored objects are named
-    <name>_mirrored."""
+    """First mirror human grasps and their objects (right to left hands or vice versa). Mirrored objects are
+    named <name>_mirrored."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThreadsOption:
-    """Number of threads."""
+    """Option for the number of threads."""
 
     threads: int = 0
-    """0 means all processors; results are the same for any number."""
+    """Number of threads; 0 means all processors. Results do not depend on it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClusterOption:
-    """Work on a Ray cluster."""
+    """Option for a Ray cluster."""
 
     ray: tuple[str, ...] | None = None
     """Run on a Ray cluster at this address ("auto": this machine's cluster); without an address, on all local
@@ -66,10 +66,10 @@ class ClusterOption:
 
     @property
     def cluster(self) -> RayCluster | None:
-        """The requested cluster; None without ``--ray``.
+        """Requested cluster; None without ``--ray``.
 
         Raises:
-            FungraspError: more than one address.
+            FungraspError: there is more than one address.
         """
         from fungrasp.core.jobs import RayCluster
 
@@ -81,13 +81,10 @@ class ClusterOption:
 def device_and_buffers(
     device: str | None, buffers: tuple[int, int] | None
 ) -> tuple[Device, BufferSizes | None]:
-    """Device and buffer sizes for ``--device`` and ``--buffers``. Default device: a GPU if one is found.
-
-    Args:
-        buffers: contacts and constraint rows per world.
+    """Return the device, by default a GPU if one is found, and the buffer sizes.
 
     Raises:
-        FungraspError: invalid value, or the device lacks software.
+        FungraspError: a value is invalid, or software for the device is missing.
     """
     from fungrasp.simulation import BufferSizes, found_device
     from fungrasp.simulation.warp_device import open_warp
@@ -99,17 +96,17 @@ def device_and_buffers(
 
 
 def print_use(cluster: RayCluster | None) -> None:
-    """Report how much of a cluster was used, if there was one."""
+    """Print how much of a cluster was used, if there was one."""
     if cluster is not None and cluster.use is not None:
         print(f"on the cluster: {cluster.use.words}", file=sys.stderr)
 
 
 def optional_value(metavar: str, default: str, what: str) -> Any:
-    """A tyro option that takes zero or one values; annotate ``str | None`` with it.
+    """Return an annotation of ``str | None`` for an option with zero or one values.
 
     Args:
-        metavar: shown in the help.
-        default: used if no value follows the option.
+        metavar: name of the value in the help.
+        default: value if none follows the option.
         what: name of the value in the error for several values, such as "folder".
     """
 
@@ -128,16 +125,16 @@ def optional_value(metavar: str, default: str, what: str) -> Any:
 
 
 JsonOut = Annotated[str | None, optional_value("[FILE]", STDOUT, "file")]
-"""``--json FILE``; without a file, JSON goes to stdout."""
+"""Type of an option ``--json FILE``; without a file, JSON goes to stdout."""
 
 
 def json_path(json: str | None) -> Path | None:
-    """The file of a ``JsonOut``; None for stdout or no JSON."""
+    """Return the file of a ``JsonOut``; None for stdout or no JSON."""
     return None if json is None or json == STDOUT else Path(json)
 
 
 def wired_cell(name: str) -> tuple[RobotCell, Hand]:
-    """A cell with real or emulated devices, and its hand."""
+    """Load a cell, which must not be a twin, and its hand."""
     from fungrasp.hands import load_hand
     from fungrasp.robots.assembly import is_twin
     from fungrasp.robots.cell import load_cell
@@ -149,8 +146,11 @@ def wired_cell(name: str) -> tuple[RobotCell, Hand]:
 
 
 def ask_before_motion(switch: StopSwitch, what: str) -> None:
-    """Ask at the keyboard of a switch before a device moves, and say how to stop it. what: will be done, as a
-    phrase. Raises: FungraspError: any other answer than yes, or no terminal."""
+    """Ask the operator whether to move a device, and print how to stop it. what: motion, as a phrase.
+
+    Raises:
+        FungraspError: the answer is not "yes", or there is no terminal.
+    """
     question = f"This will {what}. Nobody within reach, a hand on the emergency stop? Type 'yes': "
     try:
         answer = switch.ask(question)

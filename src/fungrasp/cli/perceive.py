@@ -1,4 +1,4 @@
-"""``fungrasp perceive``: from an RGB-D image of a held object to a human grasp."""
+"""``fungrasp perceive``: turn an RGB-D image of a held object into a human grasp."""
 
 from __future__ import annotations
 
@@ -55,15 +55,15 @@ class Perceive:
     table: str | None = None
     """Plane of the table top, nx,ny,nz,d [m]: camera frame, normal upwards. Default: detected."""
     hand_file: Path | None = None
-    """The hand, from another program such as HaMeR or WiLoR (.json or .npz)."""
+    """Hand estimate of another program such as HaMeR or WiLoR (.json or .npz)."""
     object_pose_file: Path | None = None
-    """The object's pose, from another program: a 4x4 matrix or a FoundationPose folder."""
+    """Object pose of another program: a 4x4 matrix or a FoundationPose folder."""
     improve_pose: bool = False
-    """Fit that pose to the depth."""
+    """Fit the object pose of another program to the depth."""
     hand_from: str | None = None
-    """Entry point of another package that finds the hand."""
+    """Entry point of another package that estimates the hand."""
     object_pose_from: str | None = None
-    """Entry point of another package that finds the object's pose."""
+    """Entry point of another package that estimates the object pose."""
     seed: int = 0
     """Random seed."""
     report: Path | None = None
@@ -75,7 +75,7 @@ class Perceive:
         from time import perf_counter
 
         start = perf_counter()
-        # BLAS threads cost more than they save on small matrices. To be set before NumPy is imported.
+        # BLAS threads slow down small matrices. NumPy reads this variable on import.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         self._check()
         from fungrasp.perception.pipeline import perceive
@@ -96,7 +96,7 @@ class Perceive:
         written, fault = self._write(perceived, perf_counter() - start)
         touching = int(perceived.grasp.link_contacts.sum())
         name = perceived.object_model.name
-        # Warnings of the image files were logged when they were read.
+        # Warnings about image files are logged already.
         for warning in perceived.warnings[len(perceived.capture.warnings) :]:
             logging.getLogger(__name__).warning(warning)
         lines = [
@@ -117,7 +117,7 @@ class Perceive:
         return CommandResult(value, "\n".join(lines), fault=fault, status=status)
 
     def _check(self) -> None:
-        """Check that options fit together and hand models are installed."""
+        """Check that the options are consistent and the hand models installed."""
         from fungrasp.core.files import check_writable
         from fungrasp.perception.hand.mediapipe_models import load_weights
 
@@ -131,11 +131,11 @@ class Perceive:
         if self.improve_pose and self.object_pose_file is None and self.object_pose_from is None:
             raise FungraspError("--improve-pose needs --object-pose-file or --object-pose-from")
         if self.hand_file is None and self.hand_from is None:
-            # First, before slow imports and files.
+            # Fails before slow imports and files.
             load_weights()
 
     def _hand(self) -> Any:
-        """Hand estimate or estimator given by the user, or None."""
+        """Return the hand estimator given by the user, or None."""
         if self.hand_file is None and self.hand_from is None:
             return None
         from fungrasp.core.plugins import load_plugin
@@ -147,7 +147,7 @@ class Perceive:
         return partial(read_hand_estimate, self.hand_file, side=self.side)
 
     def _object_pose(self) -> Any:
-        """Pose estimate or estimator given by the user, or None."""
+        """Return the object pose or its estimator given by the user, or None."""
         if self.object_pose_file is None and self.object_pose_from is None:
             return None
         from fungrasp.core.plugins import load_plugin
@@ -160,11 +160,7 @@ class Perceive:
         return read_object_pose(self.object_pose_file, image=self.source.image)
 
     def _write(self, perceived: Perceived, seconds: float) -> tuple[list[str], str]:
-        """Write the grasp, then the other files.
-
-        Returns:
-            Lines to print, and the error if a later file can't be written, else "".
-        """
+        """Write all files, the grasp first. Return lines to print, and the errors of other files or ""."""
         from fungrasp.grasps import save_human_grasps
 
         save_human_grasps(self.out, perceived.grasps)
@@ -201,10 +197,10 @@ COMMAND = Perceive
 
 
 def parse_plane(text: str | None) -> np.ndarray | None:
-    """Parse a plane ``nx,ny,nz,d``: unit normal and offset [m], shape [4].
+    """Parse a plane ``nx,ny,nz,d``: unit normal and offset [m], shape [4]. None: no plane.
 
     Raises:
-        FungraspError: not a plane.
+        FungraspError: the text is not a plane.
     """
     import numpy as np
 

@@ -93,12 +93,12 @@ def _text(card: PolicyCard) -> str:
             lines += ["", title, *(f"  {name:<{width}}  {value}" for name, value in pairs)]
     if card.limits:
         lines += ["", "limits", *(f"  {sentence}" for sentence in card.limits)]
-    # Without control characters, because files may be untrusted.
+    # Control characters are removed because files may be untrusted.
     return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
 
 
 def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Values of a nested table, each with its path of names."""
+    """Yield the values of a nested table, each after its path of names."""
     for name, value in measured.items():
         path = f"{above} {name}".strip()
         if isinstance(value, Mapping):
@@ -108,7 +108,7 @@ def _leaves(measured: Mapping[str, Any], above: str = "") -> Iterator[tuple[str,
 
 
 def _successes(measured: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Every success rate, with its path of names."""
+    """Yield each success rate after its path of names."""
     for path, value in _leaves(measured):
         if path.split()[-1] == "success" and isinstance(value, int | float):
             yield path.removesuffix("success").strip(), value

@@ -1,4 +1,4 @@
-"""``fungrasp retarget``: from human grasps to grasps of a robot hand."""
+"""``fungrasp retarget``: turn human grasps into grasps of a robot hand."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class Retarget(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, Answeri
     """Grasp file to write (.npz). Run the same command again to continue an interrupted run; finished parts
     are kept in <out>.partial."""
     spec: Annotated[RetargetSpec, tyro.conf.arg(name="")] = field(default_factory=RetargetSpec)
-    """How grasps are retargeted."""
+    """Settings of retargeting."""
     quality: Path | None = None
     """Write a quality summary to this file (.json)."""
     exact: bool = False
     """Measure quality with exact mesh distances (the solver's are up to 1 mm off) and add the weakest
     resisted wrench. Doubles the time."""
     picture: Path | None = None
-    """Draw some of the grasps, human and robot side by side, to this PNG file."""
+    """Draw some grasps, human and robot side by side, to this PNG file."""
 
     def run(self) -> CommandResult:
         from time import perf_counter

@@ -47,7 +47,7 @@ class New(Answering):
     file: Annotated[Path, tyro.conf.Positional]
     """TOML file to write; must not exist."""
     hand: str = "allegro"
-    """The hand on the arm."""
+    """Hand on the arm."""
 
     def run(self) -> CommandResult:
         from fungrasp.robots.cell import write_new_cell
@@ -59,10 +59,10 @@ class New(Answering):
 
 @dataclass(frozen=True)
 class Check(Answering):
-    """Check a robot cell's file, without connecting to devices."""
+    """Check the file of a robot cell, without connecting to devices."""
 
     cell: CellName
-    """A cell that comes with fungrasp, or a TOML file."""
+    """A built-in robot cell, or a TOML file."""
     touched: Path | None = None
     """JSON file of `robots touch`. Points touched by the center of the flange check the base pose; points
     touched by the hand check the mount."""
@@ -154,9 +154,9 @@ class Emulate:
     cell: CellName = "ur5e-allegro-emulated"
     """A cell with loopback addresses."""
     choice: GraspChoice = field(default_factory=GraspChoice)
-    """The grasp; the object is placed for it."""
+    """The grasp, which determines where the object is placed."""
     twin: int = 0
-    """Number of the twin, 0, 1, 2 ... It determines the hidden parameters."""
+    """Index of the twin, 0, 1, 2 ..., which determines its hidden parameters."""
     seconds: float | None = None
     """Stop after this time [s]. Default: run until Ctrl-C."""
 
@@ -223,7 +223,7 @@ class ShowLog(Answering):
 
 
 def _axis(vector: np.ndarray) -> str:
-    """Name of a direction."""
+    """Return the name of a direction, such as "+x", or its components."""
     for number, part in enumerate(vector):
         if abs(part) > 0.999:
             return f"{'+-'[int(part < 0)]}{'xyz'[number]}"
@@ -231,7 +231,7 @@ def _axis(vector: np.ndarray) -> str:
 
 
 def _range(values: np.ndarray) -> str:
-    """Smallest and largest value; one number if they are equal."""
+    """Return the smallest and largest value, or one number if they are equal."""
     low, high = f"{values.min():.2g}", f"{values.max():.2g}"
     return low if low == high else f"{low} to {high}"
 

@@ -1,4 +1,4 @@
-"""Entry point. Ctrl-C during imports ends the program without a traceback, as it does later."""
+"""Entry point. Ctrl-C ends the program without a traceback, even during imports."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def start() -> int:
         SystemExit: see ``main``.
     """
     try:
-        # Importing takes a tenth of a second or more, so it happens inside the try.
+        # Imports take a tenth of a second or more.
         from fungrasp.cli.main import main
 
         return main()

@@ -1,7 +1,4 @@
-"""``fungrasp train`` and ``distill``: reinforcement learning of teachers, distillation of students.
-
-Most options are the fields of ``TrainSpec`` and ``StudentSpec``.
-"""
+"""``fungrasp train`` and ``distill``: train teachers by reinforcement learning, and distill students."""
 
 from __future__ import annotations
 
@@ -45,13 +42,13 @@ class Train(ObjectsOption, Answering):
     method: str = "contact"
     """Retargeting method: contact, angle-copy or dexgraspnet."""
     terms: tuple[str, ...] = ()
-    """License terms of each of --grasps, for the policy card."""
+    """License terms of each grasp file, for the policy card."""
     out: Path | None = None
     """Folder for the training and its policy.onnx. Default: runs/<hand>."""
     sees: Literal["contacts", "nothing", "history"] | None = None
-    """Short for --ppo.sees."""
+    """Short form of --ppo.sees."""
     layout: LayoutName | None = None
-    """Short for --environment.layout."""
+    """Short form of --environment.layout."""
     worlds: str | None = None
     """Randomization preset that replaces --environment.randomization: "nominal", "moderate", "wide", or
     "reality" (as in the reality protocol of evaluation)."""
@@ -85,14 +82,14 @@ class Train(ObjectsOption, Answering):
                 self.folder, sets, hand, spec, planning=show, progress=progress_lines(int(spec.steps))
             )
         if int(os.environ.get("RANK", "0")) > 0:
-            # Only the first of several processes prints the result.
+            # Of several processes, only the first prints the result.
             raise SystemExit(0)
         return _trained(policy)
 
 
 @dataclass(frozen=True)
 class Distill(Answering):
-    """Distill a student that sees only what a robot measures, and infers contacts from joint motion.
+    """Distill a student that uses only a robot's measurements, and infers contacts from joint motion.
 
     Run the same command again to continue an interrupted run.
     """
@@ -118,11 +115,10 @@ COMMAND = Train
 
 
 def prepare_torch() -> None:
-    """Check that the packages for training are installed, and limit torch to one thread, which is faster for
-    small networks.
+    """Check that the training packages are installed, and set torch to one thread, faster for small networks.
 
     Raises:
-        FungraspError: a package is not installed.
+        FungraspError: a package is missing.
     """
     try:
         for name in ("torch", "rsl_rl", "tensorboard"):
@@ -135,9 +131,8 @@ def prepare_torch() -> None:
 
 
 def progress_lines(steps: int) -> Callable[[Any], None]:
-    """A function that prints steps, success rate and remaining time to stderr from time to time. It takes an
-    object with ``steps``, ``seconds`` and ``success``.
-    """
+    """Return a function that regularly prints steps, success rate and remaining time to stderr. Its argument
+    has the attributes ``steps``, ``seconds`` and ``success``."""
     last: float | None = None
     first: Any = None
 
@@ -161,7 +156,7 @@ def progress_lines(steps: int) -> Callable[[Any], None]:
 
 
 def _trained(policy: Path) -> CommandResult:
-    """The policy file, its card and the training time."""
+    """Return the policy file, its card and the training time."""
     from fungrasp.policies.checkpoint.checkpoint_file import load_policy
 
     card = load_policy(policy).card

@@ -26,17 +26,17 @@ class View(ObjectsOption):
     """A grasp file or recorded episode (.npz), a result (.json), a deployment log (.mcap), a hand (.toml,
     or its name), or the folder of a capture. Default: the built-in grasps."""
     hand: str = "allegro"
-    """Initial robot hand for human grasps: its name, or the path of its TOML file."""
+    """Initial robot hand for human grasps: name of a hand, or the path of its TOML file."""
     mesh: str | None = None
     """The object in a capture: a mesh file [m], or the name of a built-in object."""
     grasps: Path | None = None
-    """Robot grasps of a result, if their file has moved."""
+    """File with the robot grasps of a result, if it was moved."""
     recordings: Path | None = None
-    """Folder of a result's recorded episodes, if it has moved."""
+    """Folder with the recorded episodes of a result, if it was moved."""
     out: Path | None = None
-    """Write a static page to this file instead; it needs no server."""
+    """Write a static page, which needs no server, to this file instead."""
     host: str = "127.0.0.1"
-    """Address to listen on; 0.0.0.0 lets everyone on the network open the page and use this machine's
+    """Address to listen on. With 0.0.0.0, everyone on the network can open the page and use this machine's
     processors."""
     port: int | None = None
     """Port to listen on. Default: the first free one from 8080."""
