@@ -70,7 +70,7 @@ class BringUp:
     choice: GraspChoice = field(default_factory=GraspChoice)
     """The grasp for the last steps."""
     policy: str = "plan"
-    """What moves the hand: "plan" or "reference"."""
+    """Policy that moves the hand: "plan" or "reference"."""
     speed: float = 0.1
     """Speed of the last steps, as a share of the cell's speed."""
     touched: Path | None = None

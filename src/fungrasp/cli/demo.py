@@ -51,8 +51,8 @@ class Demo(GraspsOption, Answering):
     task: str = ""
     """Purpose of the grasp in the image: "drink", "hand over" ..."""
     policy: str | None = None
-    """What moves the hand: "reference" (planned motion, open loop) or a policy (`fungrasp policies list`).
-    Default: the freely licensed student of the hand, or "reference" if there is none."""
+    """Policy that moves the hand: "reference" (planned motion, open loop) or a learned one (`fungrasp
+    policies list`). Default: the freely licensed student of the hand, or "reference" if there is none."""
     seed: int = 0
     """Random seed of perception."""
     out: Path = Path("demo")

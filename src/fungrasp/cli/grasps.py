@@ -242,7 +242,7 @@ class ImportGrasps:
 
 @dataclass(frozen=True)
 class CheckGrasps(ObjectsOption, Answering):
-    """Check human grasps: units, joint order, side, frames, table. Exit status 1: most can't be used."""
+    """Check human grasps: units, joint order, side, frames, table. Exit status 1: most cannot be used."""
 
     file: GraspFile
     """A file of human grasps."""

@@ -71,7 +71,7 @@ class ShowHand(Answering):
 
 @dataclass(frozen=True)
 class CheckHand(Answering):
-    """Check a hand's files. Exit status 1: the hand can't be used."""
+    """Check a hand's files. Exit status 1: the hand cannot be used."""
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
     """Name of a hand, the path of its TOML file or folder, or a URDF or MJCF file."""
@@ -89,8 +89,8 @@ class CheckHand(Answering):
 class AddHand(Answering):
     """Make a hand folder from any URDF or MJCF: a model and a TOML file, ready for --hand.
 
-    Palm, fingers, thumb, tips and side are detected from the bodies and the geometry. If something can't be
-    detected, the error names the option for it.
+    Palm, fingers, thumb, tips and side are detected from the bodies and the geometry. If one of them cannot
+    be detected, the error names its option.
     """
 
     path: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]

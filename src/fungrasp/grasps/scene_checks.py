@@ -118,6 +118,7 @@ class _Fit:
         return (self.gap <= HELD) & (np.abs(self.height) <= REST_ERROR)
 
 
+# Messages by changed field of the convention.
 REASONS = {
     "quaternion": "quaternions are xyzw, not wxyz",
     "rotation": "rotations are transposed",

@@ -1,4 +1,4 @@
-"""Findings from adding and checking a hand; the finger that a body's name tells."""
+"""Findings from adding and checking a hand; fingers by the names of bodies."""
 
 from __future__ import annotations
 
@@ -54,6 +54,6 @@ _PATTERN = re.compile(
 
 
 def finger_of(name: str) -> str | None:
-    """Return the finger that a body's name tells ("rh_ffproximal": "index"), or None."""
+    """Return the finger that a body is named after ("rh_ffproximal": "index"), or None."""
     match = _PATTERN.search(name.lower())
     return match.lastgroup if match else None

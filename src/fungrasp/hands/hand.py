@@ -32,7 +32,7 @@ HAND_TOML: Schema = {
     "fingers": {"*": {"links": [str], "joints": [str], "tip": str}},
     "actuators": {**_SERVO, "source": str, "joints": {"*": _SERVO}},
 }
-
+"""Fields of a hand's TOML file; ``side`` is checked by ``read_hand_toml``."""
 
 FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 """Finger names, in the order of the human joints and links (docs/concepts.md)."""

@@ -13,8 +13,7 @@ from fungrasp.hands.hand import Hand
 from fungrasp.hands.kinematic_tree import ancestors, body_name, coupled_positions, joint_name, place_of
 
 LARGEST = 0.5
-"""Largest diagonal of the bounding box of a hand with straight fingers [m]; the largest robot hands have
-0.45."""
+"""Largest diagonal of the bounding box of a straight hand [m]; the largest robot hands have 0.45."""
 
 MASSES = (0.01, 5.0)
 """Range of hand masses [kg], from small printed hands to steel hands with motors."""

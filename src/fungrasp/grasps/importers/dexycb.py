@@ -1,5 +1,4 @@
-"""Grasps from DexYCB (Chao et al., CVPR 2021; dex-ycb.github.io), one per sequence: when the object has
-moved.
+"""Grasps from DexYCB (Chao et al., CVPR 2021; dex-ycb.github.io), one per sequence, after the object moves.
 
 Files: ``<root>/<subject>/<sequence>/meta.yml`` (serials, num_frames, ycb_ids, ycb_grasp_ind, mano_sides);
 ``<sequence>/<serial>/labels_000000.npz`` (pose_y, pose_m, joint_3d; camera frame);

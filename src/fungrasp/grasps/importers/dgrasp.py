@@ -1,6 +1,6 @@
 """Human grasps from the label pickles of D-Grasp (Christen et al., CVPR 2022; github.com/christsa/dgrasp).
 
-``dexycb_train_labels.pkl`` maps DexYCB's object numbers to dicts of arrays with one row per grasp. By
+``dexycb_train_labels.pkl`` maps DexYCB's object numbers to dicts of arrays with one row per grasp. In
 D-Grasp's simulation, ``final_ee`` contains 21 joints as in ``HUMAN_JOINTS``, ``final_contacts`` 16 links as
 in ``HUMAN_LINKS``, and ``final_qpos`` the wrist position, then wrist and joint rotations as intrinsic XYZ
 Euler angles in the same order of fingers. Poses are positions and wxyz quaternions; the world has z up, with

@@ -39,7 +39,7 @@ def grasp_from_motion(
     up: str = "z",
     task: str = "",
 ) -> HumanGrasp:
-    """Return the grasp in the first frame with a tracked hand in which the object has moved by ``MOVED``.
+    """Return the grasp in the first frame with a hand in which the object has moved farther than ``MOVED``.
 
     Args:
         joints: joints of a right hand [m], world frame, shape [T, 21, 3], or a function from the index of a

@@ -351,8 +351,7 @@ class _Follower:
         self._start = self._start[moved]
 
     def _gap(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the constraint violations of the loops [m], rotations scaled to lengths, and their
-        Jacobian."""
+        """Return the loops' constraint violations [m], rotations scaled to lengths, and their Jacobian."""
         data = self._data
         data.qpos[:] = self._rest + self._columns @ position + self._offset
         mujoco.mj_fwdPosition(self._model, data)

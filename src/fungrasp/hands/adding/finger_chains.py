@@ -168,7 +168,6 @@ def flexing_joints(poses: Poses, chain: Chain) -> list[int]:
 NEARLY_NOTHING = 0.006
 """Links shorter than this get no default shape [m]."""
 
-
 RIM = 1e-3
 """Points whose distance differs by less from the farthest belong to the same end [m]."""
 

@@ -31,7 +31,6 @@ from fungrasp.hands.kinematic_tree import subtree
 MAX_PARENTS = 4
 """Number of folders above the model's in which meshes are searched for."""
 
-
 DENSITY = 1000.0
 """MuJoCo's default density, for shapes without a mass [kg/m^3]."""
 
@@ -66,7 +65,7 @@ class ForeignModel:
     """A model with its meshes apart."""
 
     model: mujoco.MjModel
-    """Model with points in place of mesh geoms. Static bodies are not fused, and every hinge has limits."""
+    """Model without meshes: static bodies are not fused, and every hinge has limits."""
     meshes: dict[int, list[MeshShape]]
     """Meshes by body id."""
     stripped: frozenset[int]
@@ -80,6 +79,7 @@ class ForeignModel:
 
 
 Carriers = dict[mujoco.MjsGeom, tuple[np.ndarray, np.ndarray, bool, float]]
+"""Vertices [m], faces, whether it collides, and mass [kg] by the geom that keeps the pose."""
 
 
 def read_foreign(path: Path, palm: str | None = None, tied: Sequence[str] = ()) -> ForeignModel:

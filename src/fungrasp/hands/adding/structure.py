@@ -205,8 +205,8 @@ def _thumb(
     answers: Answers,
     findings: list[Finding],
 ) -> int:
-    """Return the index of the thumb: the chain without which the others bend most alike. Names decide between
-    similar candidates; for identical fingers around a center, it is the first."""
+    """Return the index of the thumb: the only chain named after it, else the chain without which the others
+    bend most alike; the first of identical fingers around a center."""
     given = answers.thumb or (answers.fingers or {}).get("thumb")
     if given is not None:
         return _chain_of(model, chains, given, "--thumb")
@@ -350,7 +350,7 @@ SIDES = {
     side: re.compile(rf"(?<![a-z0-9])(?:{words})(?![a-z0-9])")
     for side, words in {"right": "right|rh|r", "left": "left|lh|l"}.items()
 }
-"""Parts of names that tell the side of a hand; "l1" is not one, as it names a link."""
+"""Parts of names that indicate the side of a hand; "l1", a link, does not."""
 
 
 def find_side(
