@@ -1,10 +1,9 @@
-"""UR5 and UR5e over RTDE with the client library ur_rtde.
+"""Driver of UR5 and UR5e over RTDE, with the client library ur_rtde.
 
-Between goals the arm is led by setpoints at the controller's rate, 500 Hz (CB3: 125 Hz), that keep our
-limits of speed, acceleration and jerk (ruckig): ``servoj`` has none of its own. The controller stops the
-program when it hears nothing for 0.2 s. Success is never judged by what a call returns: after a controller
-has died, ur_rtde's calls go on returning true and its positions stay at their last values. Only a clock of
-the controller that advances counts.
+The arm gets setpoints at the controller's rate, 500 Hz (CB3: 125 Hz), within our limits of speed,
+acceleration and jerk (ruckig), as ``servoj`` has none. The controller stops the program if it receives
+nothing for 0.2 s. Return values do not show success: after a controller has died, ur_rtde's calls still
+return true, and positions keep their last values. Only a controller clock that advances does.
 """
 
 from __future__ import annotations
@@ -29,71 +28,70 @@ from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotE
 VARIABLES = ["timestamp", "actual_q", "actual_qd", "runtime_state", "safety_status_bits"]
 VARIABLES += ["robot_status_bits", "speed_scaling", "target_speed_fraction", "actual_TCP_pose"]
 PAYLOAD_TOLERANCE, PAYLOAD_CENTER_TOLERANCE = 0.1, 0.01
-"""Of the payload [kg] and of its center along each axis [m]."""
+"""Tolerances of the payload's mass [kg] and of its center along each axis [m]."""
 PLAYING = 2
 RTDE_PORT = 30004
 IN_USE = (
     "another program, or a fieldbus, controls this arm: its input registers are in use; end that one first"
 )
 STOP_TIMEOUT = 2.0
-"""A program that was told to stop has stopped within this time [s]."""
+"""Longest wait for a program to stop, and for a connection [s]."""
 EMERGENCY_BITS = 1 << 5 | 1 << 6 | 1 << 7
 PROTECTIVE_BIT = 1 << 2
 SAFEGUARD_BIT = 1 << 4
 SAFETY_FAULT_BITS = 1 << 3 | 1 << 8 | 1 << 9 | 1 << 10
 JOINTS = 6
 STATE_RATE = 125.0
-"""Of the states that the controller sends [Hz]; setpoints go out at the controller's own rate, which on an
-e-Series is four times as high. The client library takes about as long to receive a state as we to make a
-setpoint."""
+"""Rate of states from the controller [Hz]. Setpoints go out at the controller's own rate, four times as high
+on an e-Series. The client library takes as long to receive a state as we need for a setpoint."""
 BASE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-"""The controller's frame Base in our models' ``base_link``: half a turn about z."""
+"""Pose of the controller's frame Base in the models' ``base_link``: half a turn about z."""
 FLANGE_TOLERANCE = 0.005
-"""Distance of the model's flange from the controller's that is refused [m]: the calibration of an arm changes
-a millimeter or two; a UR5 and a UR5e differ by 60 to 90 mm."""
+"""Distance between the flanges of model and controller beyond which the arm is refused [m]: calibration
+changes a millimeter or two; a UR5 and a UR5e differ by 60 to 90 mm."""
 FULL_SPEED = 0.99
-"""Below this share the controller stretches the time of its motions: ``servoj`` takes longer than our period,
-setpoints are left out, and the arm falls behind, or catches up when the slider is raised."""
+"""Share of its speed below which the controller is too slow: ``servoj`` takes longer than our period,
+setpoints are skipped, and the arm lags, or catches up when the slider is raised."""
 LARGEST_JUMP = 0.1
-"""A measured joint this far from the one before is not believed [rad] ..."""
+"""Change of a joint, beyond that at ``LARGEST_SPEED``, which makes a reading implausible [rad]."""
 LARGEST_SPEED = 6.3
-"""... plus this times the controller's time between them [rad/s]: twice the speed of a UR's joints."""
+"""Twice the largest speed of a UR's joints [rad/s]."""
 
 
 @dataclass(frozen=True)
 class URSettings:
-    """How a UR arm is connected and how fast it may move."""
+    """Connection of a UR arm, and limits of its motion."""
 
     address: str = "192.168.0.10"
     """Address of the controller."""
     model: str = "UR5"
-    """As the controller says it ("UR5" for UR5 and UR5e); another one is refused."""
+    """Model as the controller reports it ("UR5" for UR5 and UR5e); any other is refused."""
     arm: str = "ur5e"
-    """Model of the arm, "ur5" (CB3), "ur5e" or a file; one whose flange is not where the controller says is
-    refused. In a cell it is the arm's ``model``."""
+    """Model of the arm, "ur5" (CB3), "ur5e" or a file, in a cell ``arm.model``; refused if its flange is not
+    where the controller reports it."""
     serial: str = ""
-    """Serial number of the arm; another one is refused. Empty: any."""
+    """Serial number of the arm; any other is refused. Empty: any."""
     velocity: float = 1.0
-    """Highest speed of each joint [rad/s]: a third of the arm's own."""
+    """Largest speed of each joint [rad/s]; the default is a third of the arm's own."""
     acceleration: float = 2.5
-    """Highest acceleration of each joint [rad/s^2]."""
+    """Largest acceleration of each joint [rad/s^2]."""
     jerk: float = 50.0
-    """Highest jerk of each joint [rad/s^3]."""
+    """Largest jerk of each joint [rad/s^3]."""
     range: float = 2 * np.pi
-    """The joints turn so far to both sides [rad]."""
+    """Range of each joint to both sides [rad]."""
     lookahead: float = 0.05
-    """Of servoj [s], 0.03 to 0.2: the arm follows so much later."""
+    """Lookahead time of servoj [s], 0.03 to 0.2; the arm lags by it."""
     gain: float = 300.0
-    """Of servoj, 100 to 2000."""
+    """Gain of servoj, 100 to 2000."""
     watchdog: float = 5.0
-    """The controller stops its program when it hears less often [Hz]."""
+    """Rate of messages below which the controller stops its program [Hz]."""
     stale_after: float = 0.04
-    """A controller's clock that stands still so long is a lost connection [s]."""
+    """Time without an advance of the controller's clock after which the connection is lost [s]."""
     payload: float = -1.0
-    """Mass of hand, adapter and cables [kg]; the arm is refused where the pendant says another. Negative: not
-    compared."""
+    """Mass of hand, adapter and cables [kg]; the arm is refused if the pendant has another mass. Negative:
+    not compared."""
     payload_center: tuple[float, ...] = ()
-    """Center of that mass from the flange, in its frame [m]; empty: not compared."""
+    """Center of this mass, flange frame [m]; empty: not compared."""
 
     def __post_init__(self) -> None:
         if len(self.payload_center) not in (0, 3):
@@ -105,10 +103,9 @@ class URSettings:
 
 
 class URLoop(DeviceLoop):
-    """Of a UR arm."""
+    """Control loop of a UR arm."""
 
     def __init__(self, settings: URSettings):
-        """settings: how the arm is connected and how fast it may move."""
         self.settings = settings
         self.name = f"{settings.model} at {settings.address}"
         self.stale_after = settings.stale_after
@@ -135,36 +132,34 @@ class URLoop(DeviceLoop):
         self._compared = ""
 
     def open(self) -> None:
-        """See ``DeviceLoop.open``: model, serial number and state of the controller are checked. A program
-        that runs goes on."""
+        """See ``DeviceLoop.open``. Model, serial number and state of the controller are checked."""
         dashboard = import_client("dashboard_client", "ur", "a UR arm")
         receive = import_client("rtde_receive", "ur", "a UR arm")
         self._ruckig = import_client("ruckig", "ur", "a UR arm")
         with self._errors_as_ours():
             self._check(dashboard.DashboardClient(self.settings.address))
-            # It receives in a thread of its own, at the controller's rate if it is not told another one.
-            # Controllers before 3.11 don't say what they carry.
+            # Controllers before 3.11 do not report the payload.
             variables = VARIABLES + ["payload", "payload_cog"] * (self.settings.payload >= 0)
             with _patient_threads():
                 self._receive = receive.RTDEReceiveInterface(self.settings.address, STATE_RATE, variables)
         if not self._receive.getActualQ():
             raise RobotError(f"{self.name}: the controller sends no joint positions; restart it")
         self._path = self._ruckig.Ruckig(JOINTS, self._period)
-        # Kept between steps: it holds the path that the steps are taken from.
+        # Kept between steps, as it holds the path.
         self._step = self._ruckig.OutputParameter(JOINTS)
         self._going = (self._ruckig.Result.Working, self._ruckig.Result.Finished)
         self._advanced = self._due = time.monotonic()
 
     def take_control(self) -> None:
-        """See ``DeviceLoop.take_control``: the client library's program takes the place of any other one.
-        Speed and kinematics are checked."""
+        """See ``DeviceLoop.take_control``. The client library's program replaces any other one. Speed,
+        kinematics and payload are checked."""
         slowed = self._slowed_in_words()
         if slowed:
             raise RobotError(f"{self.name}: {slowed}")
         if self._control is None:
             control = import_client("rtde_control", "ur", "a UR arm")
             self._end_other_program()
-            # Before the program runs: compiling the model takes longer than its watchdog waits.
+            # Before the program runs, as compiling the model takes longer than its watchdog allows.
             flange = arm_flange(self.settings.arm)
             with self._errors_as_ours(), _patient_threads():
                 self._control = control.RTDEControlInterface(self.settings.address, STATE_RATE)
@@ -176,8 +171,8 @@ class URLoop(DeviceLoop):
         self._advanced = self._due = time.monotonic()
 
     def _end_other_program(self) -> None:
-        """End a program that runs on the controller, unless a client commands it. The client library would
-        wait for ever where another program runs after one of its own: it tells only that one to stop."""
+        """End a program on the controller, unless a client commands it. The client library only stops its own
+        program, and would wait forever for another one."""
         if self._receive.getRuntimeState() != PLAYING:
             return
         if self._commanded():
@@ -196,10 +191,10 @@ class URLoop(DeviceLoop):
             time.sleep(0.01)
 
     def _commanded(self) -> bool:
-        """Whether a client holds the input registers by which a program is commanded."""
+        """Return whether a client uses the input registers by which a program is commanded."""
         try:
             with socket.create_connection((self.settings.address, RTDE_PORT), STOP_TIMEOUT) as connection:
-                # Packages: length with the header, letter, data. V: version of the protocol, I: inputs.
+                # Packages: length with header, type, data. V: version of the protocol, I: inputs.
                 for kind, data in ((b"V", b"\0\2"), (b"I", b"input_int_register_0")):
                     connection.sendall(struct.pack(">Hc", 3 + len(data), kind) + data)
                 stream = b""
@@ -215,7 +210,7 @@ class URLoop(DeviceLoop):
 
     @contextlib.contextmanager
     def _errors_as_ours(self) -> Iterator[None]:
-        """Errors of connecting, in one line."""
+        """Raise connection errors as ``RobotError``, in one line."""
         try:
             yield
         except RuntimeError as error:
@@ -231,7 +226,7 @@ class URLoop(DeviceLoop):
         try:
             return self._follow(goal)
         except RuntimeError as error:
-            # ur_rtde's calls say so where the connection is lost before the controller's clock tells.
+            # ur_rtde may notice a lost connection before the controller's clock shows it.
             raise RobotError(f"{self.name}: {one_line(error)}; check the cable to the controller") from error
 
     def _follow(self, goal: LoopGoal) -> JointState:
@@ -239,7 +234,7 @@ class URLoop(DeviceLoop):
         now = time.monotonic()
         clock = self._receive.getTimestamp()
         state, stale = self._known, self.settings.stale_after
-        # What came while this process was held up waits to be received: it gets a second look.
+        # After a pause of this process, states may wait to be received: look twice.
         self._silence += min(now - self._looked, 0.5 * stale)
         self._looked = now
         if clock != self._clock or state is None:
@@ -249,17 +244,17 @@ class URLoop(DeviceLoop):
             waited = 1e3 * (now - self._advanced)
             raise RobotError(f"{self.name}: the controller's clock stands still for {waited:.0f} ms")
         if state.status is DeviceStatus.READY or self._slowed:
-            # An arm that is slowed down is braked by setpoints, as one that is told to hold.
+            # A slowed arm is braked by setpoints, as for HOLD.
             self._move(goal, state)
         elif state.status is DeviceStatus.FAULT and goal.mode is LoopMode.IDLE:
-            # Somebody has connected anew after the program was stopped: it starts when control is taken.
+            # The driver has connected again after the program stopped: ``take_control`` restarts it.
             self._taken = False
             state = self._known = self._state()
         return state
 
     def halt(self) -> None:
-        """See ``DeviceLoop.halt``: where the controller still answers, brake and end its program. Where it
-        doesn't, its watchdog does so."""
+        """See ``DeviceLoop.halt``. Brake and end the program; without a connection, the controller's watchdog
+        does so."""
         if self._control is None or time.monotonic() - self._advanced > self.settings.stale_after:
             return
         with contextlib.suppress(Exception):
@@ -267,8 +262,8 @@ class URLoop(DeviceLoop):
             self._control.stopScript()
 
     def close(self) -> None:
-        """See ``DeviceLoop.close``: the connections end with the process. Closing them takes ur_rtde a second
-        where the controller answers, and for ever where it does not."""
+        """See ``DeviceLoop.close``. The connections end with the process, as closing them takes ur_rtde a
+        second, or forever if the controller does not answer."""
 
     def _check(self, dashboard: Any) -> None:
         dashboard.connect(2000)
@@ -294,7 +289,7 @@ class URLoop(DeviceLoop):
             dashboard.disconnect()
 
     def _check_kinematics(self, model: Callable[[Sequence[float]], np.ndarray]) -> str:
-        """The model's flange must be where the controller's is: plans are made with the model. In words."""
+        """Compare the flanges of the model, for which plans are made, and of the controller, in words."""
         tool = compose(BASE, _pose(self._receive.getActualTCPPose()))
         flange = compose(tool, invert(_pose(self._control.getTCPOffset())))
         apart = float(np.linalg.norm(flange[:3] - model(self._receive.getActualQ())))
@@ -307,8 +302,7 @@ class URLoop(DeviceLoop):
         return f"the model's flange is {1e3 * apart:.1f} mm from the controller's"
 
     def _check_payload(self) -> str:
-        """What the controller takes the arm to carry: with a wrong mass it feels contacts that are none, or
-        none that are. In words."""
+        """Compare the payload, in words. With a wrong mass, the controller detects false contacts or none."""
         s = self.settings
         if s.payload < 0:
             return "payload not compared"
@@ -356,7 +350,7 @@ class URLoop(DeviceLoop):
         running = self._receive.getRuntimeState() == PLAYING
         largest = LARGEST_JUMP + LARGEST_SPEED * max(self._clock - self._last_clock, 0.0)
         last = positions if self._last is None else self._last
-        # Without numpy, which takes longer for six numbers; what is not a number is not below either.
+        # NumPy would take longer for six numbers. NaN fails the comparison.
         if not (
             len(positions) == len(velocities) == JOINTS
             and all(abs(a - b) < largest for a, b in zip(positions, last, strict=True))
@@ -369,7 +363,7 @@ class URLoop(DeviceLoop):
         elif safety & PROTECTIVE_BIT:
             status, message = DeviceStatus.PROTECTIVE_STOP, "protective stop: acknowledge it on the pendant"
         elif safety & SAFEGUARD_BIT:
-            # The controller resumes by itself as the guard is closed; we don't.
+            # The controller resumes when the guard is closed; this driver does not.
             status, message = DeviceStatus.FAULT, "safeguard stop: close the guard, then connect again"
         elif safety & SAFETY_FAULT_BITS:
             status, message = DeviceStatus.FAULT, f"safety status {safety:#x}: look at the pendant"
@@ -383,7 +377,7 @@ class URLoop(DeviceLoop):
         )
 
     def _slowed_in_words(self) -> str:
-        """What slows the controller down; "" at full speed."""
+        """Return what slows the controller down, as a phrase; "" at full speed."""
         combined = self._receive.getSpeedScalingCombined()
         if combined >= FULL_SPEED:
             return ""
@@ -429,15 +423,15 @@ class URLoop(DeviceLoop):
         lead.max_velocity = [s.velocity] * JOINTS
         lead.max_acceleration = [s.acceleration] * JOINTS
         lead.max_jerk = [s.jerk] * JOINTS
-        # Joints arrive when they can; a common duration would slow all joints to the slowest.
+        # A common duration would slow all joints to the slowest.
         lead.synchronization = self._ruckig.Synchronization.No
         return lead
 
 
 def arm_flange(arm: str) -> Callable[[Sequence[float]], np.ndarray]:
-    """Where the flange of an arm's model is, in its ``base_link`` [m], shape [3], by joints [rad], shape [6].
-    arm: name or file of the model."""
-    # Here: looking at an arm needs no engine.
+    """Return a function from joints [rad], shape [6], to the position of the model's flange, frame
+    ``base_link`` [m], shape [3]. arm: name or file of the model."""
+    # Imported here, as reading an arm needs no physics engine.
     import mujoco
 
     from fungrasp.hands.arm import FLANGE_SITE, arm_spec
@@ -455,8 +449,8 @@ def arm_flange(arm: str) -> Callable[[Sequence[float]], np.ndarray]:
 
 @contextlib.contextmanager
 def _patient_threads() -> Iterator[None]:
-    """Threads that are started within may oversleep by 2 ms, a period of the setpoints. The client library's
-    two look for data every 0.1 ms, which takes as much of a processor as all our steps; Linux only (prctl(2),
+    """Context in which new threads may oversleep by 2 ms, a setpoint period. Two threads of the client
+    library poll every 0.1 ms, which takes as much of a processor as all our steps. Linux only (prctl(2),
     PR_SET_TIMERSLACK)."""
     file = Path("/proc/thread-self/timerslack_ns")
     with contextlib.suppress(OSError):
@@ -467,11 +461,12 @@ def _patient_threads() -> Iterator[None]:
 
 
 def _controller_period(version: str) -> float:
-    """Of an e-Series (software 5 and later) or a CB3 controller [s]. version: "URSoftware 5.11.0.1 (...)"."""
+    """Return the period of an e-Series (software 5 and later) or CB3 controller [s]. version: such as
+    "URSoftware 5.11.0.1 (...)"."""
     found = re.search(r"(\d+)\.\d+", version)
     return 0.002 if found is None or int(found[1]) >= 5 else 0.008
 
 
 def _pose(vector: list[float]) -> np.ndarray:
-    """Pose, shape [7], of the controller's position and rotation vector."""
+    """Convert the controller's position and rotation vector to a pose, shape [7]."""
     return np.concatenate([vector[:3], quaternion_from_rotation_vector(np.array(vector[3:]))])

@@ -1,4 +1,4 @@
-"""Drivers of robot hands, and what they take from the hand's model."""
+"""Drivers of robot hands, and their common parts."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from fungrasp.robots.control_loop.device_loop import ConfirmedWrites, DeviceLoop
 from fungrasp.robots.device import DeviceStatus, JointLimits, JointState, RobotError
 
 OPEN_SPEED = 0.5
-"""Of opening after a fault [rad/s]: full stroke in about 3 s, so that an object is let go, not thrown."""
+"""Speed of opening after a stop [rad/s]: full stroke in about 3 s, so that the object is not thrown."""
 
 
 def hand_joint_limits(name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest positions of a hand's independent joints [rad], shape [U] each, in model order: the
-    order of drivers. count: of joints that the device has. Raises: RobotError: the model has another number
-    of joints."""
-    # Here, because the process of a device must start fast and needs no model.
+    """Return lower and upper limits of a hand's independent joints in model order [rad], shape [U] each.
+    count: number of joints of the device. Raises: RobotError: the model has another number of joints."""
+    # Imported here, as the process of a device must start fast and needs no model.
     from fungrasp.hands import load_hand
 
     hand = load_hand(name)
@@ -36,12 +35,12 @@ def hand_joint_limits(name: str, count: int) -> tuple[np.ndarray, np.ndarray]:
 def next_setpoint(
     setpoint: np.ndarray | None, goal: LoopGoal, measured: np.ndarray, limits: JointLimits, step: float
 ) -> np.ndarray | None:
-    """Setpoint of a hand that is led by setpoints, a step later [rad], shape [U]; None where it has none.
+    """Return the next setpoint of a hand [rad], shape [U]; None if it has none.
 
     Args:
-        setpoint: the last one [rad], shape [U]; None for none.
-        measured: joint positions, where the first one is [rad], shape [U].
-        step: time since the last one [s].
+        setpoint: last setpoint [rad], shape [U]; None before the first.
+        measured: measured joints, from which the first setpoint starts [rad], shape [U].
+        step: time since the last setpoint [s].
     """
     if goal.mode is LoopMode.POWER_OFF:
         return None
@@ -53,18 +52,17 @@ def next_setpoint(
     if goal.mode is LoopMode.FOLLOW:
         wanted = goal.positions
     elif goal.mode is LoopMode.OPEN:
-        # Flat, as far as the limits allow: an Allegro's thumb does not reach zero.
+        # Zero, or the nearest position within the limits: an Allegro's thumb does not reach zero.
         wanted, largest = np.clip(np.zeros(len(measured)), limits.lower, limits.upper), OPEN_SPEED * step
-    # As ``np.clip``, in a third of its time.
+    # Like ``np.clip``, in a third of its time.
     return setpoint + np.minimum(np.maximum(wanted - setpoint, -largest), largest)
 
 
 class PolledHand(DeviceLoop):
-    """What hands have in common that are read once a period; when they are under our control, they are told
-    each time what follows from the goal."""
+    """Common part of hands that are read once a period and, under control, get commands each time."""
 
     def __init__(self, period: float, write: Callable[[str, Any], bool]):
-        """period: between reads [s]; write: see ``ConfirmedWrites``."""
+        """period: time between two readings [s]; write: see ``ConfirmedWrites``."""
         self._period, self._writes = period, ConfirmedWrites(write)
         self._state: JointState | None = None
         self._taken, self._fault = False, ""
@@ -76,7 +74,7 @@ class PolledHand(DeviceLoop):
             time.sleep(rest)
         self._due = max(self._due, time.monotonic() - self._period) + self._period
         if goal.mode is LoopMode.IDLE and self._fault:
-            # Somebody has connected anew after a fault.
+            # The driver has connected again after a fault.
             self._acknowledge()
             self._fault, self._errors_due = "", 0.0
         before = self._state
@@ -91,12 +89,12 @@ class PolledHand(DeviceLoop):
         return state
 
     def _acknowledge(self) -> None:
-        """Clear what the hand remembers of a fault."""
+        """Clear a fault in the hand."""
 
     @abstractmethod
     def _read_state(self) -> JointState | None:
-        """The hand's state, kept as ``_state``; None where it does not answer, or can't be believed."""
+        """Read the state and keep it as ``_state``; None without an answer, or for an implausible one."""
 
     @abstractmethod
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
-        """Want what follows from the goal. elapsed: between the last two states [s]."""
+        """Send commands for the goal. elapsed: time between the last two states [s]."""

@@ -1,9 +1,9 @@
-"""Allegro Hand V4 and V5 over CAN: torque control on the host, one step for each set of positions.
+"""Driver of the Allegro Hand V4 and V5 over CAN: torque control on the host, one step per set of positions.
 
 torque = kp (setpoint - q) - kd v + feed-forward
 
-The setpoint runs to the goal at no more than the limit of speed; v is the difference of positions through a
-first-order low-pass. The hand sends positions every 3 ms by its own clock, so the loop runs at 333 Hz.
+The setpoint moves to the goal within the speed limit; v is the difference of positions through a first-order
+low-pass. The hand sends positions every 3 ms by its own clock, so the loop runs at 333 Hz.
 """
 
 from __future__ import annotations
@@ -21,63 +21,62 @@ from fungrasp.robots.hands import allegro_bus as codec
 from fungrasp.robots.hands import hand_joint_limits, next_setpoint
 
 ANSWER_TIMEOUT = 1.0
-"""A hand that doesn't answer a request for so long does not [s]."""
+"""Longest wait for an answer of the hand [s]."""
 LARGEST_JUMP = 0.2
-"""A position this far from the one before is not believed [rad] ..."""
+"""Change of a position, beyond that at ``LARGEST_SPEED``, which makes it implausible [rad]."""
 LARGEST_SPEED = 20.0
-"""... plus this times the time between them [rad/s]: twice the speed of the hand without load."""
+"""Twice the speed of the hand without load [rad/s]."""
 BEYOND = 0.5
-"""Nor is one so far beyond the joint's limits [rad]: a real hand's zero is off by less."""
+"""Distance beyond the joint limits that makes a position implausible [rad]; zeros are off by less."""
 JUMPS = 40
-"""So many frames beyond belief in a row, ten sets, are a fault of the hand, not of a frame."""
+"""Number of consecutive implausible frames, ten sets, that is a fault of the hand."""
 LISTENING = 0.1
-"""Positions that come within so long are sent for somebody else [s]; then the hand is asked for them."""
+"""Wait for positions that another program has requested [s]; after it, they are requested."""
 OTHERS = 0.1
-"""Torques that somebody else has sent within so long are a program that drives the hand [s]."""
+"""Time after another program's torques in which it counts as controlling the hand [s]."""
 INFO_INTERVAL = 1.0
-"""The hand is asked so often for its temperature and faults [s]: it says them on request only."""
+"""Time between two requests of temperature and faults [s], which the hand sends only on request."""
 CAN_WAIT = 0.002
-"""A frame that a full queue does not take within so long is left out [s]; torques come again 3 ms later."""
+"""Time after which a frame is dropped if the queue is full [s]; torques are sent again 3 ms later."""
 SERVOS = "servos"
-"""Name of the write that switches them on or off."""
+"""Name of the write that switches the servos on or off."""
 SURE = 10
-"""A hand that is heard but does not say whether its servos are off was told often enough, after so many
-times."""
+"""Number of commands after which the servos count as off, if the hand sends positions but no confirmation."""
 
 
 @dataclass(frozen=True)
 class AllegroSettings:
-    """How an Allegro Hand is connected and controlled."""
+    """Connection and control of an Allegro Hand."""
 
     interface: str = "socketcan"
-    """Bus of python-can: "socketcan", "pcan" ..., "loopback" (emulator), "virtual" (tests)."""
+    """Interface of python-can: "socketcan", "pcan" ..., "loopback" (emulator), "virtual" (tests)."""
     channel: str = "can0"
-    """Channel of the bus."""
+    """Channel of the interface."""
     generation: int = 4
-    """4 or 5: their units differ, the wrong one is refused."""
+    """Generation, 4 or 5; any other than the hand's is refused."""
     side: str = "right"
-    """"right" or "left"; the wrong one is refused."""
+    """"right" or "left"; any other than the hand's is refused."""
     hand: str = "allegro"
-    """Model of the hand: order and limits of the joints."""
+    """Model of the hand, with order and limits of the joints."""
     device: int = 0
     """Number set in the hand, 0 to 3."""
     period_ms: int = 3
-    """At which the hand sends positions [ms]."""
+    """Period at which the hand sends positions [ms]."""
     kp: float = 4.0
-    """Stiffness [N m/rad]: that of the model, which plans and policies were made with."""
+    """Stiffness [N m/rad]. Plans and policies are made for the model's, the default."""
     kd: float = 0.15
-    """Damping [N m s/rad]: that of the model."""
+    """Damping [N m s/rad]; the model's by default."""
     velocity_filter: float = 0.01
-    """Time constant of the velocities' low-pass [s]: a count of the V5 is 0.5 rad/s in one period, which kd
-    would turn into half its torque."""
+    """Time constant of the velocities' low-pass [s]. Without it, one count of the V5 is 0.5 rad/s, for which
+    ``kd`` asks half of its torque."""
     speed: float = 4.0
-    """Highest speed of the setpoints [rad/s]."""
+    """Largest speed of the setpoints [rad/s]."""
     torque_share: float = 1.0
-    """Share of the generation's highest torque that may be sent, 0 to 1."""
+    """Largest torque as a share of the generation's, above 0 and at most 1."""
     stale_after: float = 0.05
-    """Silence after which the hand counts as disconnected and its torques are taken away [s]."""
+    """Silence after which the hand counts as disconnected [s]."""
     bitrate: int = 1_000_000
-    """Of the bus [bit/s]."""
+    """Bit rate of the bus [bit/s]."""
 
     def __post_init__(self) -> None:
         if self.generation not in (4, 5):
@@ -89,10 +88,9 @@ class AllegroSettings:
 
 
 class AllegroLoop(DeviceLoop):
-    """Of an Allegro Hand."""
+    """Control loop of an Allegro Hand."""
 
     def __init__(self, settings: AllegroSettings):
-        """settings: how the hand is connected and controlled."""
         self.settings = settings
         self.name = (
             f"Allegro V{settings.generation} {settings.side} at {settings.interface}:{settings.channel}"
@@ -112,7 +110,7 @@ class AllegroLoop(DeviceLoop):
             )
         torque = settings.torque_share * self._units.torque_limits
         self.limits = JointLimits(lower, upper, np.full(16, settings.speed), torque)
-        # In steps every array operation counts: 333 times a second, it finds the processor's caches cold.
+        # Computed once, as each array operation counts in steps at 333 Hz.
         self._middle, self._believed = 0.5 * (lower + upper), 0.5 * (upper - lower) + BEYOND
         self._least_torque = -torque
         self._bus: Any = None
@@ -129,18 +127,18 @@ class AllegroLoop(DeviceLoop):
         self._taken = self._periodic = False
 
     def torque_limit(self, share: float) -> AllegroLoop:
-        """See ``LoopDriver.torque_limit``: the same hand, not opened."""
+        """Return a limited loop for the same hand (``LoopDriver.torque_limit``)."""
         return AllegroLoop(replace(self.settings, torque_share=share * self.settings.torque_share))
 
     def open(self) -> None:
-        """See ``DeviceLoop.open``: the hand must name the generation and side that are expected."""
+        """See ``DeviceLoop.open``. The hand must report the configured generation and side."""
         self._open_bus()
         self._verify()
         listening = time.monotonic() + LISTENING
         while self._state is None and time.monotonic() < listening:
             self._receive(listening - time.monotonic())
         if self._state is None:
-            # Nobody else has asked for them.
+            # No other program has requested positions.
             self._ask_for_positions()
         deadline = time.monotonic() + ANSWER_TIMEOUT
         while self._state is None:
@@ -149,8 +147,8 @@ class AllegroLoop(DeviceLoop):
                 raise RobotError(f"{self.name} names itself but sends no positions: switch it off and on")
 
     def take_control(self) -> None:
-        """See ``DeviceLoop.take_control``: whoever had the hand before leaves no torque, and whoever has it
-        now keeps it."""
+        """See ``DeviceLoop.take_control``. Torques of an earlier program are switched off. Raises:
+        RobotError: another program still controls the hand."""
         if time.monotonic() - self._others < OTHERS:
             raise RobotError(f"{self.name}: another program sends torques to this hand: end that one first")
         if not self._servos_on:
@@ -161,14 +159,14 @@ class AllegroLoop(DeviceLoop):
         self._taken = True
 
     def resume(self, positions: np.ndarray) -> None:
-        """See ``DeviceLoop``: the hand kept its last torques, and holds with the setpoint that it had."""
+        """See ``DeviceLoop``. The hand has kept its last torques, and now holds at the last goal."""
         self._setpoint = np.clip(positions, self.limits.lower, self.limits.upper)
         self._writes.put(SERVOS, True)
         self._taken = True
 
     @property
     def _servos_on(self) -> bool:
-        """Whether the servos are to be on."""
+        """Whether the servos should be on."""
         return bool(self._writes.wanted(SERVOS))
 
     def _ask_for_positions(self) -> None:
@@ -181,17 +179,17 @@ class AllegroLoop(DeviceLoop):
         deadline = time.monotonic() + self.settings.stale_after
         while self._state is before and time.monotonic() < deadline:
             self._receive(deadline - time.monotonic())
-        # After a pause of this process: older positions than the newest are of no use.
+        # After a pause of this process, only the newest positions matter.
         while self._receive(0.0) is not None:
             pass
         state = self._state
         assert state is not None
         if goal.mode is LoopMode.IDLE and self._fault:
-            # Somebody has connected anew after a fault: what does the hand say now?
+            # The driver has connected again after a fault: ask whether it persists.
             self._fault = ""
             self._ask_info(ANSWER_TIMEOUT / 4)
         if time.monotonic() >= self._info_due:
-            # One that isn't answered is no fault: firmware of the V5 may ignore it.
+            # A missing answer is no fault: firmware of the V5 may ignore the request.
             self._ask_info(0.0)
         if state is before:
             raise RobotError(
@@ -209,8 +207,7 @@ class AllegroLoop(DeviceLoop):
         return state
 
     def recover(self) -> None:
-        """See ``DeviceLoop``: the bus is opened anew, and the hand asked for its positions; it goes on with
-        the setpoint that it had."""
+        """See ``DeviceLoop``. Opens the bus again, requests positions, and keeps the setpoint."""
         with contextlib.suppress(Exception):
             self._bus.shutdown()
         self._open_bus()
@@ -226,7 +223,7 @@ class AllegroLoop(DeviceLoop):
             self._writes.put(SERVOS, True, anew=True)
 
     def halt(self) -> bool:
-        """See ``DeviceLoop.halt``: no torque, servos off, until the hand says so."""
+        """See ``DeviceLoop.halt``. Switches torques and servos off."""
         try:
             self._writes.put(SERVOS, False, anew=True)
             self._said_on = None
@@ -254,7 +251,7 @@ class AllegroLoop(DeviceLoop):
             self._bus = None
 
     def _switch_servos(self, name: str, on: bool) -> bool:
-        """Switch all servos on or off; whether the hand has said since that they are."""
+        """Switch all servos on or off; return whether the hand has confirmed it."""
         if self._said_on is on:
             return True
         self._send(codec.SERVOS_ON if on else codec.SERVOS_OFF)
@@ -262,7 +259,7 @@ class AllegroLoop(DeviceLoop):
         return False
 
     def _ask_info(self, wait: float) -> None:
-        """Ask the hand for its temperature and faults, and wait for the answer at most so long [s]."""
+        """Request temperature and faults. wait: longest wait for the answer [s]."""
         now = time.monotonic()
         self._info_due, self._said_on = now + INFO_INTERVAL, None
         self._send(codec.INFO, request=True)
@@ -300,13 +297,13 @@ class AllegroLoop(DeviceLoop):
         try:
             self._bus.send(message, timeout=CAN_WAIT)
         except (self._can.CanError, OSError):
-            # A full queue (ENOBUFS) for a moment; ``step`` judges one that lasts.
+            # The queue may be full for a moment (ENOBUFS); ``step`` raises if it stays full.
             self._refused_since = min(self._refused_since, time.monotonic())
         else:
             self._refused_since = np.inf
 
     def _receive(self, timeout: float) -> Any:
-        """Take one frame; the fourth finger's positions of a set make a state."""
+        """Receive one frame; positions of all four fingers make a state."""
         try:
             message = self._bus.recv(max(timeout, 0.0))
         except (self._can.CanError, OSError) as error:
@@ -314,7 +311,7 @@ class AllegroLoop(DeviceLoop):
         if message is None:
             return None
         if message.is_error_frame:
-            # Its identifier holds bits of what went wrong on the bus: some look like those of positions.
+            # Its identifier consists of error bits, and may look like that of positions.
             self._take_error(message.arbitration_id)
             return None
         if message.arbitration_id & 3 != self.settings.device or message.is_remote_frame:
@@ -326,15 +323,14 @@ class AllegroLoop(DeviceLoop):
             if len(self._frames) == codec.FINGERS_ON_BUS:
                 self._take_positions(message.timestamp)
         elif 0 <= code - codec.TORQUE < codec.FINGERS_ON_BUS:
-            # Our own frames don't come back.
+            # Own frames are not received.
             self._others = time.monotonic()
         elif code == codec.INFO and message.dlc >= 7:
             self._take_info(codec.decode_info(bytes(message.data)))
         return message
 
     def _take_positions(self, stamp: float) -> None:
-        """A frame of each finger is there; frames that can't be are dropped, and their next ones waited
-        for."""
+        """Make a state from one frame per finger; implausible frames are dropped, to wait for the next."""
         before = self._state
         joints = codec.decode_positions(self._units, [self._frames[f] for f in range(codec.FINGERS_ON_BUS)])
         velocities = np.zeros(16)
@@ -342,7 +338,7 @@ class AllegroLoop(DeviceLoop):
             elapsed = stamp - before.device_time
             move = joints - before.positions
             jumps = np.abs(move) > LARGEST_JUMP + LARGEST_SPEED * max(elapsed, 0.0)
-            # However long ago the last ones were.
+            # This check does not depend on the time between readings.
             jumps |= np.abs(joints - self._middle) > self._believed
             if jumps.any():
                 self._drop(jumps)
@@ -358,7 +354,7 @@ class AllegroLoop(DeviceLoop):
         )
 
     def _take_error(self, classes: int) -> None:
-        """An error frame of the adapter; classes: bits of its identifier."""
+        """Handle an error frame of the adapter. classes: bits of its identifier."""
         self._error_frames += 1
         if classes & codec.BUS_OFF:
             raise RobotError(
@@ -370,7 +366,7 @@ class AllegroLoop(DeviceLoop):
         return f" ({self._error_frames} error frames on the bus)" if self._error_frames else ""
 
     def _drop(self, jumps: np.ndarray) -> None:
-        """Frames of the fingers of which a joint jumps; jumps: shape [16]."""
+        """Drop the frames of fingers with implausible joints. jumps: shape [16] bool."""
         bad = np.flatnonzero(jumps.reshape(codec.FINGERS_ON_BUS, -1).any(axis=1)).tolist()
         self._jumps += len(bad)
         if self._jumps >= JUMPS:
@@ -381,7 +377,7 @@ class AllegroLoop(DeviceLoop):
     def _take_info(self, info: codec.AllegroInfo) -> None:
         self._said_on = info.servos_on
         if self._taken and self._servos_on != info.servos_on:
-            # It missed a frame, or was switched off and on.
+            # The hand missed a frame, or was switched off and on.
             self._writes.put(SERVOS, self._servos_on, anew=True)
         self._fault = ""
         if info.overheated:

@@ -1,7 +1,7 @@
-"""The bus of an Allegro Hand, and its CAN frames, generations 4 and 5.
+"""CAN bus and frames of an Allegro Hand, generations 4 and 5.
 
-Both use the same identifiers, ``code << 2 | device``, and four little-endian int16 for the joints of a
-finger; their units differ, and a frame says nothing of its generation. Facts from the published drivers of
+Both generations have the same identifiers, ``code << 2 | device``, and four little-endian int16 for the
+joints of a finger. Their units differ, and frames do not tell the generation. Source: published drivers of
 Wonik Robotics (allegro_hand_ros_v4, allegro_hand_ros2_v5).
 
 | code | from | data |
@@ -29,7 +29,7 @@ SERVOS_ON, SERVOS_OFF = 0x40, 0x41
 TORQUE, POSITION, PERIODS = 0x60, 0x20, 0x81
 INFO, SERIAL = 0x80, 0x88
 FINGERS_ON_BUS = 4
-"""Index, middle, ring, thumb; four joints each, from the base to the tip."""
+"""Index, middle, ring, thumb, with four joints each, from base to tip."""
 
 FINGER_BYTES = 8
 """Four int16."""
@@ -42,17 +42,17 @@ class AllegroGeneration:
     """Units of a generation of the hand."""
 
     number: int
-    """4 or 5, as in the high byte of the hardware version."""
+    """Number of the generation, 4 or 5, as in the high byte of the hardware version."""
     radians_per_count: float
-    """Of positions [rad]."""
+    """Unit of positions [rad]."""
     counts_per_torque: np.ndarray
-    """Of torques [1/(N m)], shape [16]."""
+    """Torque counts per torque [1/(N m)], shape [16]."""
     largest_count: np.ndarray
-    """Of torques, shape [16]."""
+    """Largest torque counts, shape [16]."""
 
     @property
     def torque_limits(self) -> np.ndarray:
-        """Highest torques that can be sent [N m], shape [16]."""
+        """Largest torques that can be sent [N m], shape [16]."""
         return self.largest_count / self.counts_per_torque
 
 
@@ -60,20 +60,20 @@ ALLEGRO_V4 = AllegroGeneration(
     number=4,
     radians_per_count=np.deg2rad(333.3 / 65536),
     counts_per_torque=np.full(16, 1200.0),
-    # Pulse width per joint of the published driver at 12 V.
+    # Pulse widths of the published driver at 12 V.
     largest_count=np.array([375.0, 675.0, 450.0, 285.0] * 3 + [525.0, 405.0, 270.0, 270.0]),
 )
 ALLEGRO_V5 = AllegroGeneration(
     number=5,
     radians_per_count=np.deg2rad(0.088),
-    # 1.43 A per N m; milliamperes on the wire, clipped as in the published driver.
+    # 1.43 A per N m, sent in milliamperes; clipped as in the published driver.
     counts_per_torque=np.full(16, 1430.0),
     largest_count=np.full(16, 240.0),
 )
 ALLEGRO_V5_GEARED = AllegroGeneration(
     number=5,
     radians_per_count=ALLEGRO_V5.radians_per_count,
-    # Hands whose serial number names another type than A: twice the gear ratio at the fingers' second joints.
+    # Hands of another type than A have twice the gear ratio at the fingers' second joints.
     counts_per_torque=np.where(np.isin(np.arange(16), (1, 5, 9)), 715.0, 1430.0),
     largest_count=np.full(16, 240.0),
 )
@@ -81,74 +81,74 @@ ALLEGRO_V5_GEARED = AllegroGeneration(
 
 @dataclass(frozen=True)
 class AllegroInfo:
-    """What a hand says of itself."""
+    """Version and status of a hand."""
 
     hardware: int
-    """Version; its high byte is the generation."""
+    """Hardware version; its high byte is the generation."""
     firmware: int
-    """Version."""
+    """Firmware version."""
     left: bool
-    """Of the V4: a left hand. The V5 says its side in the serial number."""
+    """Whether a V4 is a left hand; the serial number tells the side of a V5."""
     temperature: int
-    """[°C]."""
+    """Temperature [°C]."""
     servos_on: bool
-    """Servos have power."""
+    """Whether the servos have power."""
     overheated: bool
-    """High temperature fault."""
+    """Whether the hand reports a high temperature."""
     communication_fault: bool
-    """Internal communication fault."""
+    """Whether the hand reports an internal communication fault."""
 
 
 def identifier(code: int, device: int = 0) -> int:
-    """CAN identifier of a code; device: 0 to 3, the number set in the hand."""
+    """Return the CAN identifier of a code. device: number set in the hand, 0 to 3."""
     return code << 2 | device
 
 
 def code_of(can_identifier: int) -> int:
-    """Code of a CAN identifier."""
+    """Return the code of a CAN identifier."""
     return can_identifier >> 2
 
 
 def decode_positions(generation: AllegroGeneration, frames: Sequence[bytes]) -> np.ndarray:
-    """Positions of all fingers [rad], shape [16]. frames: one of each finger, in their order."""
+    """Decode positions of all fingers [rad], shape [16]. frames: one of each finger, in order."""
     return np.frombuffer(b"".join(frames), dtype="<i2") * generation.radians_per_count
 
 
 def encode_torques(generation: AllegroGeneration, torques: np.ndarray) -> list[bytes]:
-    """Frames of all fingers' torques [N m], shape [16], clipped to what the generation allows."""
+    """Encode torques of all fingers [N m], shape [16], clipped to ``torque_limits``; one frame per finger."""
     largest = generation.largest_count
-    # Minimum and maximum take a third of the time of ``np.clip``.
+    # Like ``np.clip``, in a third of its time.
     within = np.minimum(np.maximum(torques * generation.counts_per_torque, -largest), largest)
     data = np.rint(within).astype("<i2").tobytes()
     return [data[at : at + FINGER_BYTES] for at in range(0, len(data), FINGER_BYTES)]
 
 
 def encode_periods(position: int, imu: int = 0, temperature: int = 0) -> bytes:
-    """Frame of the periods at which the hand sends [ms]; 0: never."""
+    """Encode the periods at which the hand sends [ms]; 0: never."""
     return _PERIODS.pack(position, imu, temperature)
 
 
 def decode_info(data: bytes) -> AllegroInfo:
-    """What a hand says of itself."""
+    """Decode version and status of a hand."""
     hardware, firmware, side, temperature, status = _INFO.unpack(data[: _INFO.size])
     flags = (bool(status & bit) for bit in (1, 2, 4))
     return AllegroInfo(hardware, firmware, side != 0, temperature, *flags)
 
 
 SERIAL_ADAPTERS = ("pcan", "kvaser", "ixxat", "slcan", "gs_usb")
-"""Interfaces that set the bit rate themselves; that of "socketcan" is set with ``ip link``."""
+"""Interfaces that set the bit rate themselves; for "socketcan", ``ip link`` sets it."""
 
 LOOPBACK = "loopback"
 """Interface of emulated devices (``fungrasp_emulators``)."""
 
 
 def open_can_bus(interface: str, channel: str, bitrate: int = 1_000_000) -> Any:
-    """A ``can.Bus``.
+    """Open a ``can.Bus``.
 
     Args:
-        interface: of python-can, or "loopback", between processes of this computer.
-        channel: of the interface; that of "loopback" is a port of UDP, "43113".
-        bitrate: [bit/s].
+        interface: interface of python-can, or "loopback" between processes of this computer.
+        channel: channel of the interface; for "loopback" a UDP port, such as "43113".
+        bitrate: bit rate [bit/s].
 
     Raises:
         RobotError: python-can is not installed, or there is no such bus.
@@ -170,4 +170,4 @@ def _loopback(channel: str) -> Any:
 
 
 BUS_ERROR, BUS_OFF = 0x80, 0x40
-"""Classes in the identifier of an error frame, as SocketCAN sets them (``linux/can/error.h``)."""
+"""Error classes in the identifier of an error frame (SocketCAN, ``linux/can/error.h``)."""

@@ -1,7 +1,6 @@
-"""Inspire RH56 over Modbus, TCP or a serial line, or the maker's own serial protocol.
+"""Driver of the Inspire RH56 over Modbus (TCP or serial line) or the manufacturer's serial protocol.
 
-The hand has position servos of its own: a goal is written once, at the speed and force that were set on
-connecting. It begins to move about 66 ms after a command.
+The hand has position servos: a goal is written once. It begins to move about 66 ms after a command.
 """
 
 from __future__ import annotations
@@ -18,15 +17,15 @@ from fungrasp.robots.hands import PolledHand, hand_joint_limits
 from fungrasp.robots.hands import inspire_link as codec
 
 ERROR_INTERVAL = 0.2
-"""Errors are read so often [s]; they change slowly, and every read takes a real hand 6 ms."""
+"""Time between two readings of errors [s]; they change slowly, and a reading takes a real hand 6 ms."""
 OPEN_SPEED_SETTING = 250
-"""Of opening after a fault: full stroke in about 1.5 s."""
+"""Speed setting of opening after a stop: full stroke in about 1.5 s."""
 HOLD_AHEAD, HOLD_STILL = 0.1, 6
-"""A motor that moves by no more than so many units within so long [s] stands still."""
+"""Time [s], and largest motion of a resting motor within it [angle units]."""
 SERIAL_PROTOCOLS = ("serial", "rtu")
 """Protocols on a serial port."""
 ANGLE_TOLERANCE = 50
-"""Angles outside 0 to 1000 by more are not believed."""
+"""Distance from the range 0 to 1000 beyond which an angle is implausible."""
 CLEARING, SPEEDS, FORCES, ANGLES = "clearing of errors", "speed limits", "force limits", "angles"
 WRITTEN = {
     CLEARING: codec.CLEAR_ERRORS,
@@ -34,35 +33,34 @@ WRITTEN = {
     FORCES: codec.FORCE_SET,
     ANGLES: codec.ANGLE_SET,
 }
-"""What is written to the hand, and where. All is acknowledged; limits are read back, too."""
+"""Addresses of written values. All writes are acknowledged; limits are also read back."""
 
 
 @dataclass(frozen=True)
 class InspireSettings:
-    """How an Inspire hand is connected and how fast and strong it may close."""
+    """Connection of an Inspire hand, and its limits of speed and force."""
 
     address: str = "192.168.11.210"
-    """Address of the hand, or a serial port ("/dev/ttyUSB0"). Hands are delivered with the same address."""
+    """Address of the hand, or a serial port ("/dev/ttyUSB0"). All hands are delivered with this address."""
     port: int = 6000
-    """Of TCP."""
+    """TCP port."""
     baud: int = 115200
-    """Of a serial port."""
+    """Baud rate of a serial port [bit/s]."""
     protocol: str = ""
-    """"tcp", Modbus over a network, is meant where nothing is said; on a serial port one of two must be said:
-    "serial", the maker's own with frames EB 90, or "rtu", Modbus. A hand speaks one of them, as it was
-    ordered."""
+    """Network: "tcp" (Modbus), the default. Serial port: "serial" (the manufacturer's protocol, frames EB 90)
+    or "rtu" (Modbus), depending on how the hand was ordered; there is no default."""
     device: int = 1
-    """Number of the hand (its register HAND_ID); another one is refused."""
+    """Number of the hand (register HAND_ID); any other is refused."""
     hand: str = "inspire"
-    """Model of the hand: limits of the joints. The hand does not say its side."""
+    """Model of the hand, with the limits of the joints. The hand does not report its side."""
     speed: int = 500
-    """0 to 1000. At higher speeds the fingers overshoot the force that is set: 500 g peak at 1700 g."""
+    """Speed setting, 1 to 1000. At higher speeds the force overshoots: a limit of 500 g peaks at 1700 g."""
     force: int = 500
-    """Highest force of a finger [g]."""
+    """Force limit of a finger [g], 1 to 1000."""
     period: float = 0.02
-    """Between reads [s]; a real hand answers in 6 ms."""
+    """Time between two readings [s]; a real hand answers in 6 ms."""
     answer_timeout: float = 0.1
-    """An answer that takes longer is lost [s]."""
+    """Longest wait for an answer [s]."""
     stale_after: float = 0.25
     """Silence after which the hand counts as disconnected [s]."""
 
@@ -81,19 +79,18 @@ class InspireSettings:
 
 
 class InspireLoop(PolledHand):
-    """Of an Inspire hand."""
+    """Control loop of an Inspire hand."""
 
     def __init__(self, settings: InspireSettings):
-        """settings: how the hand is connected."""
         self.settings = settings
-        # Several hands may be reached through one computer, each at a port of its own.
+        # Several hands may share an address, with different ports.
         port = "" if settings.port == InspireSettings.port else f":{settings.port}"
         self.name = f"Inspire RH56 at {settings.address}{port}"
         self.stale_after = settings.stale_after
         lower, upper = hand_joint_limits(settings.hand, codec.MOTORS)
         self._range = upper - lower
         speed = codec.closing_speed(settings.speed) / codec.OPEN_ANGLE * self._range
-        # The hand takes no torques; what it can give is in the model.
+        # The hand takes no torques; the model has its largest ones.
         self.limits = JointLimits(lower, upper, speed, np.full(codec.MOTORS, np.inf))
         self._link: codec.InspireLink | None = None
         self._sent: list[int] | None = None
@@ -101,7 +98,7 @@ class InspireLoop(PolledHand):
         super().__init__(settings.period, self._write)
 
     def torque_limit(self, share: float) -> InspireLoop:
-        """See ``LoopDriver.torque_limit``: the same hand, not opened."""
+        """Return a limited loop for the same hand (``LoopDriver.torque_limit``)."""
         return InspireLoop(replace(self.settings, force=max(1, round(share * self.settings.force))))
 
     def open(self) -> None:
@@ -123,7 +120,7 @@ class InspireLoop(PolledHand):
         self._writes.finish(self.name)
 
     def resume(self, positions: np.ndarray) -> None:
-        """See ``DeviceLoop``: the hand has its goal, and whatever it squeezes stays squeezed."""
+        """See ``DeviceLoop``. The hand has kept its goal, and its grip."""
         self._taken = True
         self._put_limits(self.settings.speed)
 
@@ -133,8 +130,8 @@ class InspireLoop(PolledHand):
             self._writes.work()
 
     def recover(self) -> None:
-        """See ``DeviceLoop``: what was on its way as the hand was lost is written again, and its limits. One
-        that was switched off meanwhile stays where it is."""
+        """See ``DeviceLoop``. Unconfirmed values and the limits are written again. A hand that was switched
+        off stays where it is."""
         assert self._link is not None, "open() comes first"
         self._link.close()
         if not self._link.connect() or self._read(codec.ANGLE_ACTUAL, codec.MOTORS) is None:
@@ -142,11 +139,11 @@ class InspireLoop(PolledHand):
         self._state = None
         self._writes.forget(SPEEDS, FORCES)
         if self._mode is LoopMode.OPEN:
-            # Told anew.
+            # So that the next step writes it again.
             self._mode = LoopMode.HOLD
 
     def halt(self) -> bool:
-        """See ``DeviceLoop.halt``: fingers that squeeze go on, others stay; the drives hold without power."""
+        """See ``DeviceLoop.halt``. Squeezing fingers go on, others stop; the drives hold without power."""
         try:
             if self._state is not None and self._mode in (LoopMode.FOLLOW, LoopMode.OPEN):
                 self._hold(self._state)
@@ -165,14 +162,14 @@ class InspireLoop(PolledHand):
         self._writes.put(FORCES, [self.settings.force] * codec.MOTORS)
 
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
-        """A faulted hand is told all the same."""
+        """See ``PolledHand``. A faulted hand gets commands as well."""
         faulted = state.status is not DeviceStatus.READY
         if goal.mode is LoopMode.FOLLOW:
             self._put_limits(self.settings.speed)
             self._goto(codec.encode_angles(goal.positions, self.limits.lower, self.limits.upper))
         elif goal.mode is LoopMode.OPEN and self._mode is not LoopMode.OPEN:
             if faulted:
-                # Motors with an error may not move before it is cleared.
+                # Motors with an error may not move until it is cleared.
                 self._writes.put(CLEARING, [1], anew=True)
             self._put_limits(OPEN_SPEED_SETTING)
             self._goto([codec.OPEN_ANGLE] * codec.MOTORS, anew=True)
@@ -185,10 +182,10 @@ class InspireLoop(PolledHand):
         self._writes.put(ANGLES, angles, anew)
 
     def _hold(self, state: JointState) -> None:
-        """Fingers that move stay where they are; those that something holds up keep squeezing it."""
+        """Stop moving fingers; fingers that an object has stopped keep squeezing it."""
         angles = codec.encode_angles(state.positions, self.limits.lower, self.limits.upper)
         if self._mode is LoopMode.FOLLOW and self._sent is not None:
-            # In the order of the hand's motors, as registers are.
+            # In the order of the motors.
             moving = codec.encode_angles(
                 state.positions + HOLD_AHEAD * state.velocities, self.limits.lower, self.limits.upper
             )
@@ -210,8 +207,7 @@ class InspireLoop(PolledHand):
             velocities = (positions - before.positions) / max(now - before.received, 1e-3)
         if now >= self._errors_due:
             self._errors_due = now + ERROR_INTERVAL
-            # Values have no checksum over TCP, a weak one on a serial line: a fault counts when the same is
-            # read twice.
+            # Values have no checksum over TCP and a weak one on a serial line: faults are read twice.
             said = self._read_faults()
             self._fault = _faults_in_words(said) if said is not None and said == self._read_faults() else ""
         status = DeviceStatus.FAULT if self._fault else DeviceStatus.READY
@@ -219,8 +215,7 @@ class InspireLoop(PolledHand):
         return self._state
 
     def _read_faults(self) -> list[int] | None:
-        """Bits of faults by motor, without those that belong to grasping; None where there is none, or nobody
-        answers."""
+        """Read the fault bits by motor, without those of grasping; None without fault or answer."""
         registers = self._read(codec.ERRORS, codec.MOTORS // 2)
         if registers is None:
             return None
@@ -249,7 +244,7 @@ class InspireLoop(PolledHand):
 
 
 def _faults_in_words(faults: list[int]) -> str:
-    """The first of some faults, as a phrase. faults: bits by motor, of which at least one is set."""
+    """Return the first fault, as a phrase. faults: bits by motor, at least one of them set."""
     names = ("little finger", "ring finger", "middle finger", "index finger", "thumb bend", "thumb rotation")
     motor = next(motor for motor, bits in enumerate(faults) if bits)
     return f"{names[motor]}: {next(what for bit, what in codec.FAULTS.items() if faults[motor] >> bit & 1)}"

@@ -1,21 +1,20 @@
-"""Registers and units of the Inspire RH56 hand, and ways to them: Modbus over TCP or a serial line, or the
-maker's own protocol on a serial line. All carry the same registers.
+"""Registers, units and connections of the Inspire RH56 hand: Modbus over TCP or a serial line, or the
+manufacturer's protocol on a serial line. All have the same registers.
 
 Six motors in the order little, ring, middle, index finger, thumb bend, thumb rotation. Angles are 0 (closed)
-to 1000 (open), forces grams, speeds 0 to 1000. Register addresses count bytes, yet six motors are six
-registers in a row. Facts from the maker's examples (inspire_demos) and from a published characterization of
-the hand (correlllab, rh56_controller); how angles relate to radians between the two ends is not published:
-linear here.
+to 1000 (open), forces grams, speeds 0 to 1000. Register addresses count bytes, but six motors are six
+consecutive registers. Sources: the manufacturer's examples (inspire_demos) and a published characterization
+(correlllab, rh56_controller). The relation of angles to radians is not published, and taken as linear.
 
-Frames of the maker's protocol, 115200 bit/s, 8 data bits, no parity (The Dexterous Hands RH56 Series, User
-Manual, and published clients):
+Frames of the manufacturer's protocol, 115200 bit/s, 8 data bits, no parity (The Dexterous Hands RH56 Series,
+User Manual, and published clients):
 
     request: EB 90  id  length  command  address (2)  data      checksum
     answer:  90 EB  id  length  command  address (2)  data      checksum
 
-The length counts the bytes from the command to the last one of the data; the checksum is the low byte of the
-sum from the id on. Numbers are little endian. A read (0x11) carries the number of bytes that it wants, and
-its answer those bytes; a write (0x12) carries the bytes, and its answer one byte, 1 if they were taken.
+The length counts the bytes from the command to the end of the data; the checksum is the low byte of the sum
+from the id on. Numbers are little endian. A read (0x11) contains the number of bytes, and its answer these
+bytes; a write (0x12) contains the bytes, and its answer one byte, 1 if they were accepted.
 """
 
 from __future__ import annotations
@@ -35,90 +34,91 @@ MOTORS = 6
 HAND_ID, CLEAR_ERRORS = 1000, 1004
 ANGLE_SET, FORCE_SET, SPEED_SET = 1486, 1498, 1522
 ANGLE_ACTUAL, ERRORS = 1546, 1606
-"""Errors are six bytes, two to a register, the first in the low byte."""
+"""Errors are six bytes, two per register, the first in the low byte."""
 
 SINGLE_BYTES = frozenset({HAND_ID, CLEAR_ERRORS})
-"""Registers of one byte. Over Modbus each is a register of its own; on a serial line a second byte would be
-written to the next one, which after CLEAR_ERRORS is SAVE."""
+"""Registers of one byte. On a serial line, a second byte would be written to the next register, which after
+CLEAR_ERRORS is SAVE; over Modbus, each is a separate register."""
 
 OPEN_ANGLE = 1000
 MODEL_ORDER = np.array([3, 2, 1, 0, 5, 4])
-"""Motor of each joint of the hand's model: index, middle, ring, pinky, thumb yaw, pitch. Its own inverse."""
+"""Motor of each joint of the model (index, middle, ring, pinky, thumb yaw, pitch); its own inverse."""
 
 SPEED_SETTINGS = np.array([0.0, 25, 50, 100, 250, 500, 750, 1000])
 CLOSING_SPEEDS = np.array([0.0, 70, 141, 286, 706, 1449, 2049, 2342])
-"""Measured speed at each setting [1/s], medians over 100 to 200 closings of a real hand."""
+"""Measured speed at each setting [angle units/s], medians over 100 to 200 closings of a real hand."""
 
 FAULTS = {1: "too hot", 3: "motor fault", 4: "communication fault"}
-"""Bits of an error that end operation; 0 (stalled) and 2 (overcurrent) belong to grasping."""
+"""Error bits that end operation; 0 (stalled) and 2 (overcurrent) belong to grasping."""
 
 REQUEST, ANSWER = b"\xeb\x90", b"\x90\xeb"
 READ, WRITE = 0x11, 0x12
 TAKEN = b"\x01"
-"""Data of the answer to a write that was carried out."""
+"""Data of the answer to an accepted write."""
 BEFORE_DATA = 7
-"""Bytes of a frame before its data."""
+"""Number of bytes in a frame before its data."""
 COMMAND_SIZE = 3
-"""Of command and address, which the length counts."""
+"""Number of bytes of command and address, which the length counts."""
 
 
 def closing_speed(setting: np.ndarray | float) -> np.ndarray:
-    """Speed of a motor [1/s] at a setting of 0 to 1000."""
+    """Return the speed of a motor [angle units/s] at a setting, 0 to 1000."""
     return np.asarray(np.interp(setting, SPEED_SETTINGS, CLOSING_SPEEDS))
 
 
 def encode_angles(positions: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[int]:
-    """Angles 0 to 1000 of the motors.
+    """Return the angles of the motors, 0 to 1000.
 
     Args:
         positions: joints of the model [rad], shape [6].
-        lower: open [rad], shape [6].
-        upper: closed [rad], shape [6].
+        lower: positions of the open hand [rad], shape [6].
+        upper: positions of the closed hand [rad], shape [6].
     """
     angles = OPEN_ANGLE * (upper - positions) / (upper - lower)
     return [int(a) for a in np.clip(np.rint(angles), 0, OPEN_ANGLE)[MODEL_ORDER]]
 
 
 def decode_angles(registers: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Joints of the model [rad], shape [6]; registers: six, of the motors; else as ``encode_angles``."""
+    """Return the joints of the model [rad], shape [6]. registers: angles of the motors; lower, upper: see
+    ``encode_angles``."""
     angles = signed(registers)[MODEL_ORDER]
     return upper - angles / OPEN_ANGLE * (upper - lower)
 
 
 def signed(registers: Sequence[int]) -> np.ndarray:
-    """Registers as signed numbers, shape [N]."""
+    """Return registers as signed numbers, shape [N]."""
     return np.array(registers, dtype=np.uint16).astype(np.int16).astype(float)
 
 
 def unpack_bytes(registers: Sequence[int]) -> list[int]:
-    """Six bytes of three registers."""
+    """Return the bytes of registers, low bytes first."""
     return [byte for register in registers for byte in (register & 0xFF, register >> 8)]
 
 
 @dataclass(frozen=True)
 class InspireFrame:
-    """A request or an answer, without its head and checksum."""
+    """A request or an answer, without head and checksum."""
 
     device: int
     """Number of the hand."""
     command: int
     """``READ`` or ``WRITE``."""
     address: int
-    """Of the first byte."""
+    """Address of the first byte."""
     data: bytes
-    """Of a request to read: one byte, how many it wants."""
+    """Data; for a read request, the number of bytes."""
 
 
 def encode_frame(head: bytes, frame: InspireFrame) -> bytes:
-    """Bytes of a frame; head: ``REQUEST`` or ``ANSWER``."""
+    """Encode a frame. head: ``REQUEST`` or ``ANSWER``."""
     content = struct.pack("<BBBH", frame.device, len(frame.data) + COMMAND_SIZE, frame.command, frame.address)
     content += frame.data
     return head + content + bytes([sum(content) & 0xFF])
 
 
 def split_frames(head: bytes, stream: bytes) -> tuple[list[InspireFrame], bytes]:
-    """Whole frames in a stream, and what may be the start of another; bytes that are none are skipped, as are
-    frames whose checksum is wrong. head: ``REQUEST`` or ``ANSWER``."""
+    """Return the complete frames of a stream, and the possible start of another one. Other bytes and frames
+    with a wrong checksum are skipped. head: ``REQUEST`` or ``ANSWER``."""
     frames = []
     while True:
         at = stream.find(head)
@@ -142,38 +142,38 @@ def split_frames(head: bytes, stream: bytes) -> tuple[list[InspireFrame], bytes]
 
 
 def register_bytes(registers: Sequence[int]) -> bytes:
-    """Bytes of registers, 0 to 65535 each."""
+    """Pack registers, 0 to 65535 each, into bytes."""
     return struct.pack(f"<{len(registers)}H", *registers)
 
 
 def registers_of(data: bytes) -> list[int]:
-    """Registers of bytes; a single byte is a register too."""
+    """Unpack registers from bytes; a single byte is a register, too."""
     return [v for (v,) in struct.iter_unpack("<H", data + bytes(len(data) % 2))]
 
 
 class ModbusLink:
-    """Modbus, by pymodbus. Over TCP values have no checksum."""
+    """Modbus connection by pymodbus. Over TCP, values have no checksum."""
 
     def __init__(self, client: Any, device: int, line: bool):
-        """client: of pymodbus, not connected; line: whether on a serial line."""
+        """client: pymodbus client, not connected; line: whether it uses a serial line."""
         self._client, self._device, self._line = client, device, line
         error = import_client("pymodbus.exceptions", "inspire", "an Inspire hand").ModbusException
         self._errors: tuple[type[Exception], ...] = (error, OSError)
 
     def connect(self) -> bool:
-        """Open the connection. Returns: whether that was possible."""
+        """Open the connection; return whether it succeeded."""
         with contextlib.redirect_stderr(None):
             return bool(self._client.connect())
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
-        """Registers, 0 to 65535 each; None: no answer, or one that can't be."""
+        """Read registers, 0 to 65535 each; None without a valid answer."""
         answer = self._ask("read_holding_registers", address, count=count)
         if answer is not None and len(answer.registers) != count:
             return self._resume()
         return None if answer is None else answer.registers
 
     def write(self, address: int, values: list[int]) -> bool:
-        """Write registers. Returns: whether the hand says that it took them."""
+        """Write registers; return whether the hand acknowledges them."""
         answer = self._ask("write_registers", address, values=values)
         if answer is not None and (answer.address, answer.count) != (address, len(values)):
             self._resume()
@@ -181,7 +181,7 @@ class ModbusLink:
         return answer is not None
 
     def _ask(self, function: str, address: int, **what: Any) -> Any:
-        """The hand's answer; None where it refuses or does not answer."""
+        """Return the answer of the hand; None if it refuses or does not answer."""
         try:
             answer = getattr(self._client, function)(address, device_id=self._device, **what)
         except self._errors:
@@ -194,9 +194,8 @@ class ModbusLink:
             self._client.close()
 
     def _resume(self) -> None:
-        """A connection that was reset is opened again; the state's age says whether that was in time. On a
-        serial line an answer has no number: one that is late would be taken for that of the next request, so
-        that what still comes is left out."""
+        """Open a connection again that was reset. On a serial line, drop late answers: without numbers, they
+        would be taken for the answer to the next request."""
         with contextlib.suppress(Exception):
             if not self._client.is_socket_open():
                 self._client.connect()
@@ -209,43 +208,43 @@ class ModbusLink:
 
 
 class SerialLink:
-    """The maker's own protocol, frames EB 90, by pyserial; its methods are those of ``ModbusLink``."""
+    """Connection with the manufacturer's protocol, frames EB 90, by pyserial."""
 
     def __init__(self, port: str, baud: int, device: int, answer_timeout: float):
-        """baud: of the line [bit/s]; answer_timeout: an answer that takes longer is lost [s]."""
+        """baud: baud rate [bit/s]; answer_timeout: longest wait for an answer [s]."""
         self._serial = import_client("serial", "inspire", "an Inspire hand on a serial port")
         self._options = {"port": port, "baudrate": baud, "timeout": 0.0, "write_timeout": answer_timeout}
         self._device, self._answer_timeout = device, answer_timeout
         self._port: Any = None
 
     def connect(self) -> bool:
-        """See ``ModbusLink``, as for the other methods."""
+        """See ``ModbusLink.connect``."""
         try:
-            # Another program on the same port would take half of the answers.
+            # Another program on the same port would receive half of the answers.
             self._port = self._serial.Serial(**self._options, exclusive=True)
         except OSError:
             return False
         return True
 
     def read(self, address: int, count: int) -> Sequence[int] | None:
-        """Registers."""
+        """See ``ModbusLink.read``."""
         size = 1 if address in SINGLE_BYTES else 2 * count
         data = self._ask(InspireFrame(self._device, READ, address, bytes([size])))
         return registers_of(data) if data is not None and len(data) == size else None
 
     def write(self, address: int, values: list[int]) -> bool:
-        """Write registers."""
+        """See ``ModbusLink.write``."""
         data = bytes(values) if address in SINGLE_BYTES else register_bytes(values)
         return self._ask(InspireFrame(self._device, WRITE, address, data)) == TAKEN
 
     def close(self) -> None:
-        """End the connection."""
+        """See ``ModbusLink.close``."""
         with contextlib.suppress(Exception):
             if self._port is not None:
                 self._port.close()
 
     def _ask(self, request: InspireFrame) -> bytes | None:
-        """Data of the answer to a request; answers to others, which came late, are left out."""
+        """Return the data of the answer to a request; late answers to others are dropped."""
         try:
             self._port.reset_input_buffer()
             self._port.write(encode_frame(REQUEST, request))
@@ -268,20 +267,20 @@ class SerialLink:
 
 
 InspireLink = ModbusLink | SerialLink
-"""A way to a hand."""
+"""Connection to a hand."""
 
 
 def open_link(address: str, port: int, baud: int, protocol: str, device: int, timeout: float) -> InspireLink:
-    """A connected way to a hand.
+    """Connect to a hand.
 
     Args:
-        address: of the hand, or a serial port.
-        baud: of a serial port [bit/s].
+        address: address of the hand, or a serial port.
+        baud: baud rate of a serial port [bit/s].
         protocol: "tcp" or "rtu" (Modbus), or "serial".
-        timeout: of an answer [s].
+        timeout: longest wait for an answer [s].
 
     Raises:
-        RobotError: a package is missing, or nobody answers there.
+        RobotError: a package is missing, or the connection fails.
     """
     link: InspireLink
     if protocol == "serial":

@@ -1,5 +1,5 @@
-"""LEAP hand: sixteen Dynamixel servos (XC330, XL330) with position control and a limit of current.
-Registers and units are facts from the maker's e-Manual."""
+"""Driver of the LEAP hand: sixteen Dynamixel servos (XC330, XL330) with current-based position control.
+Registers and units are from the manufacturer's e-Manual."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ MODEL_NUMBER, OPERATING_MODE, CURRENT_LIMIT, TORQUE_ENABLE, HARDWARE_ERROR = 0, 
 D_GAIN, I_GAIN, P_GAIN, GOAL_CURRENT, GOAL_POSITION = 80, 82, 84, 102, 116
 PRESENT_CURRENT = 126
 PRESENT = struct.Struct("<hii")
-"""Current, velocity and position lie in a row from ``PRESENT_CURRENT`` on."""
+"""Current, velocity and position, consecutive from ``PRESENT_CURRENT`` on."""
 CURRENT_BASED_POSITION = 5
-"""Operating mode: position control with a limit of current."""
+"""Operating mode: position control with a current limit."""
 
 RADIANS_PER_COUNT = 2 * np.pi / 4096
 CENTER = 2048
-"""Count of a servo's middle; zero of the LEAP hand's joints."""
+"""Count at the middle of a servo's range, the zero of the hand's joints."""
 SPEED_PER_COUNT = 0.229 * 2 * np.pi / 60
-"""[rad/s]."""
+"""Unit of velocities [rad/s]."""
 AMPERES_PER_COUNT = 0.001
 TORQUES_PER_AMPERE = {"full": 0.52, "lite": 0.35}
-"""By build of the hand, from the data sheets' stall points at 5 V [N m/A]: XC330-M288, 0.93 N m at 1.8 A;
-XL330-M288, 0.52 N m at 1.47 A."""
+"""Torque constants by build of the hand [N m/A], from the stall points at 5 V in the data sheets: XC330-M288,
+0.93 N m at 1.8 A; XL330-M288, 0.52 N m at 1.47 A."""
 
 HARDWARE_ERRORS = {0: "input voltage", 2: "too hot", 3: "encoder", 4: "electrical shock", 5: "overload"}
-"""Bits of the register HARDWARE_ERROR; a servo with one has switched its torque off until it is rebooted."""
+"""Bits of the register HARDWARE_ERROR; with one of them, a servo has no torque until it is rebooted."""
 
 SERVOS = 16
 CURRENT_LIMITS = {"full": 550, "lite": 350}
-"""Of the maker's examples, by build [mA]."""
+"""Current limits of the manufacturer's examples, by build [mA]."""
 SIDE_JOINTS, SIDE_SHARE = (0, 4, 8), 0.75
-"""Servos that move fingers sideways, and the share of the gains that the maker's examples give them."""
+"""Servos that move fingers sideways, and their share of the gains, as in the manufacturer's examples."""
 TORQUE, MODE, FULL_CURRENT, CURRENT = "torque", "operating mode", "current limit", "goal current"
 GAIN_I, GAIN_P, GAIN_D = "I gain", "P gain", "D gain"
 WRITTEN = {
@@ -52,49 +52,47 @@ WRITTEN = {
     GAIN_P: (P_GAIN, 2),
     GAIN_D: (D_GAIN, 2),
 }
-"""What is written to each servo and read back: address and size. Servos do not acknowledge what all of them
-are told at once."""
+"""Address and size of written registers. They are read back, as servos do not acknowledge group writes."""
 ERROR_INTERVAL = 0.5
-"""Hardware errors are read so often [s]."""
+"""Time between two readings of hardware errors [s]."""
 LARGEST_JUMP = 0.3
-"""Beyond what ``LARGEST_SPEED`` explains, a position this far from the last is not believed [rad]."""
+"""Change of a position, beyond that at ``LARGEST_SPEED``, which makes it implausible [rad]."""
 LARGEST_SPEED = 15.0
-"""[rad/s]; the servos' speed without load is 8."""
+"""Almost twice the speed of the servos without load [rad/s]."""
 
 
 def position_counts(positions: np.ndarray) -> list[int]:
-    """Counts of joint positions [rad], shape [U]."""
+    """Convert joint positions [rad], shape [U], to counts."""
     return [int(c) for c in np.rint(positions / RADIANS_PER_COUNT) + CENTER]
 
 
 def joint_positions_of(counts: np.ndarray) -> np.ndarray:
-    """Joint positions [rad], shape [U], of counts."""
+    """Convert counts to joint positions [rad], shape [U]."""
     return (np.asarray(counts) - CENTER) * RADIANS_PER_COUNT
 
 
 @dataclass(frozen=True)
 class LeapSettings:
-    """How a LEAP hand is connected and controlled."""
+    """Connection and control of a LEAP hand."""
 
     port: str = "/dev/ttyUSB0"
     """Serial port."""
     baud: int = 4_000_000
-    """Of the port [bit/s]."""
+    """Baud rate of the port [bit/s]."""
     hand: str = "leap"
-    """Model of the hand; its joints are named by the numbers of their servos."""
+    """Model of the hand, whose joints have the numbers of their servos as names."""
     p_gain: int = 600
-    """Of the servos' position control, as the maker's examples set it."""
+    """P gain of the servos' position control, by default that of the manufacturer's examples."""
     d_gain: int = 200
-    """Of the servos' position control."""
+    """D gain of the servos' position control."""
     build: str = ""
-    """"full" or "lite", which have other motors: must be said."""
+    """"full" or "lite", which have different motors; required."""
     current_limit: int = 0
-    """Highest current of a servo [mA]; 0: as the maker's examples set it, 550 for the full hand, 350 for the
-    lite one."""
+    """Current limit of a servo [mA]; 0: that of the manufacturer's examples, 550 (full) or 350 (lite)."""
     speed: float = 4.0
-    """Highest speed of the setpoints [rad/s]."""
+    """Largest speed of the setpoints [rad/s]."""
     period: float = 0.02
-    """Between reads [s]: the hand's bus gives up to 90 reads of one quantity per second, 30 of three."""
+    """Time between two readings [s]. The bus allows 90 readings of one quantity per second, 30 of three."""
     stale_after: float = 0.15
     """Silence after which the hand counts as disconnected [s]."""
 
@@ -106,15 +104,14 @@ class LeapSettings:
 
     @property
     def current(self) -> int:
-        """Highest current of a servo [mA]."""
+        """Current limit of a servo [mA]."""
         return self.current_limit or CURRENT_LIMITS[self.build]
 
 
 class LeapLoop(PolledHand):
-    """Of a LEAP hand."""
+    """Control loop of a LEAP hand."""
 
     def __init__(self, settings: LeapSettings):
-        """settings: how the hand is connected and controlled."""
         self.settings = settings
         self.name = f"LEAP hand at {settings.port}"
         self.stale_after = settings.stale_after
@@ -139,11 +136,11 @@ class LeapLoop(PolledHand):
         super().__init__(settings.period, self._write)
 
     def torque_limit(self, share: float) -> LeapLoop:
-        """See ``LoopDriver.torque_limit``: the same hand, not opened."""
+        """Return a limited loop for the same hand (``LoopDriver.torque_limit``)."""
         return LeapLoop(replace(self.settings, current_limit=round(share * self.settings.current)))
 
     def open(self) -> None:
-        """See ``DeviceLoop.open``: all sixteen servos must answer."""
+        """See ``DeviceLoop.open``. All sixteen servos must answer."""
         self._open_port()
         self._make_packets()
         for servo in self._servos:
@@ -159,7 +156,7 @@ class LeapLoop(PolledHand):
         raise RobotError(f"{self.name}: the servos answer, but send no positions")
 
     def take_control(self) -> None:
-        """See ``DeviceLoop.take_control``: modes, limits and gains can be set without torque only."""
+        """See ``DeviceLoop.take_control``. Modes, limits and gains can only be set without torque."""
         self._taken = True
         if self._powered:
             return
@@ -169,13 +166,13 @@ class LeapLoop(PolledHand):
         self._writes.finish(self.name)
 
     def resume(self, positions: np.ndarray) -> None:
-        """See ``DeviceLoop``: the servos hold with the setpoint that they have, which was on its way."""
+        """See ``DeviceLoop``. The servos go to the last goal and hold there."""
         self._taken = True
         self._setpoint = np.clip(positions, self.limits.lower, self.limits.upper)
         self._put(TORQUE, 1)
 
     def recover(self) -> None:
-        """See ``DeviceLoop``: servos that were switched off meanwhile have no torque, and stay so."""
+        """See ``DeviceLoop``. If servos were switched off, the torque stays off, and this is a fault."""
         with contextlib.suppress(Exception):
             self._port.closePort()
         self._open_port()
@@ -188,7 +185,7 @@ class LeapLoop(PolledHand):
             self._setpoint, self._fault = None, "servos were switched off"
 
     def halt(self) -> None:
-        """See ``DeviceLoop.halt``: the servos keep their last setpoint and its limit of current."""
+        """See ``DeviceLoop.halt``. The servos keep their last setpoint and the current limit."""
 
     def close(self) -> None:
         with contextlib.suppress(Exception):
@@ -196,7 +193,7 @@ class LeapLoop(PolledHand):
 
     @property
     def _powered(self) -> bool:
-        """Whether the servos are to have torque."""
+        """Whether the servos should have torque."""
         return 1 in (self._writes.wanted(TORQUE) or ())
 
     def _put(self, what: str, value: int, anew: bool = False) -> None:
@@ -222,11 +219,11 @@ class LeapLoop(PolledHand):
         try:
             if not self._port.setBaudRate(self.settings.baud):
                 raise RobotError(f"{self.name}: the port has no {self.settings.baud} bit/s")
-            # Another program on the same port would take half of the answers.
+            # Another program on the same port would receive half of the answers.
             self._port.ser.exclusive = True
         except OSError as error:
             raise RobotError(f"{self.name}: cannot open the port: {error}") from error
-        # The library polls without a pause; a read that may wait a little leaves the processor to others.
+        # The library polls without pause: a short timeout leaves the processor to others.
         self._port.ser.timeout = 0.002
 
     def _move(self, goal: LoopGoal, state: JointState, elapsed: float) -> None:
@@ -240,7 +237,7 @@ class LeapLoop(PolledHand):
         for servo, counts in zip(self._servos, position_counts(self._setpoint), strict=True):
             self._writer.addParam(servo, struct.pack("<i", counts))
         self._send(self._writer.txPacket)
-        # After the first setpoint: a servo runs to whatever goal it has when its torque is switched on.
+        # After the first setpoint, as a servo moves to its goal when its torque is switched on.
         self._put(TORQUE, 1)
 
     def _read_state(self) -> JointState | None:
@@ -264,8 +261,8 @@ class LeapLoop(PolledHand):
         return self._state
 
     def _read_faults(self) -> str:
-        """What is wrong with a servo, as a phrase; as before where they do not answer."""
-        # Of a length that nothing else is read in.
+        """Return the fault of a servo, as a phrase; the previous one without answer."""
+        # Of a length that no other reading has (see ``_read_all``).
         errors = self._read_all(HARDWARE_ERROR, 4)
         if errors is None:
             return self._fault
@@ -276,11 +273,8 @@ class LeapLoop(PolledHand):
         return ""
 
     def _read_all(self, address: int, size: int) -> list[bytes] | None:
-        """Bytes of every servo; None where not all answer.
-
-        An answer says of which servo it is and how long, but not of which register: one that comes late is
-        told from others by its length, which the library does not compare.
-        """
+        """Read bytes from every servo; None if not all answer. Answers have the servo and a length, but no
+        register, so late answers are told by their length, which the library does not compare."""
         found, packet = [], []
         try:
             self._packets.syncReadTx(self._port, address, size, self._servos, SERVOS, False)
@@ -291,12 +285,12 @@ class LeapLoop(PolledHand):
                         return None
                 found.append(bytes(packet[9 : 9 + size]))
         except (OSError, TypeError) as error:
-            # pyserial raises TypeError where its port was closed under it.
+            # pyserial raises TypeError if its port was closed meanwhile.
             raise RobotError(f"{self.name}: the port is gone: {error}") from error
         return found
 
     def _write(self, what: str, values: tuple[int, ...]) -> bool:
-        """Write a register of every servo; whether all show it."""
+        """Write a register of every servo; return whether all values are read back."""
         address, size = WRITTEN[what]
         writer = self._sdk.GroupSyncWrite(self._port, self._packets, address, size)
         for servo, value in zip(self._servos, values, strict=True):

@@ -1,1 +1,1 @@
-"""The twin: a simulated robot cell whose true parameters nobody is told."""
+"""Twins: simulated robot cells with hidden true parameters."""

@@ -1,5 +1,4 @@
-"""A twin as a robot meets it: its clock, and its devices in the same process, with delays and errors of their
-own in place of a wire."""
+"""Devices and clock of a twin, in the same process."""
 
 from __future__ import annotations
 
@@ -29,19 +28,18 @@ from fungrasp.robots.twin.parameters import twin_torque_limits
 from fungrasp.robots.twin.world import TwinWorld
 
 WALL_STEP = 0.002
-"""Time between two advances on the clock of the wall [s]."""
+"""Time between two advances of a real-time twin [s]."""
 
 LARGEST_LAG = 0.02
-"""A twin that is farther behind than this loses the time [s]: on a computer that is too slow or too busy it
-moves in slow motion, and does not jump."""
+"""Lag beyond which a real-time twin loses time [s]: on a slow or busy computer, it moves in slow motion
+instead of jumping."""
 
 
 class TwinClock(Clock):
-    """A clock that stands still while the robot's computer works: waiting advances the twin. Runs repeat to
-    the last bit."""
+    """A clock that advances the twin while it waits, and stands still while the robot's computer works. Runs
+    are reproducible to the last bit."""
 
     def __init__(self, world: TwinWorld):
-        """world: that is advanced."""
         self._world = world
 
     def now(self) -> float:
@@ -52,19 +50,19 @@ class TwinClock(Clock):
 
 
 class RealTimeTwin:
-    """Advances a twin on the clock of the wall in a thread of its own; a context manager."""
+    """Advances a twin in real time, in a thread; a context manager."""
 
     def __init__(self, world: TwinWorld):
-        """world: that is advanced; its time becomes that of ``time.monotonic``."""
+        """world: its time becomes that of ``time.monotonic``."""
         self._world, self._end = world, Event()
         self._thread = Thread(target=self._run, name="twin", daemon=True)
         self.latest = 0.0
-        """How far the twin has fallen behind the clock at worst [s]."""
+        """Largest lag of the twin behind the clock [s]."""
         self.lost = 0.0
-        """Time that it has lost in all [s]."""
+        """Total time that the twin has lost [s]."""
 
     def __enter__(self) -> Self:
-        # A collection of all garbage there is would stop the twin for a tenth of a second.
+        # Garbage collection of everything made so far would stop the twin for 0.1 s.
         gc.freeze()
         with self._world.lock:
             self._world.offset = time.monotonic() - self._world.data.time
@@ -89,7 +87,7 @@ class RealTimeTwin:
 
 
 class _TwinJoints(JointDriver):
-    """What the twin's arm and hand share."""
+    """Common part of the twin's arm and hand."""
 
     name: str
     limits: JointLimits
@@ -102,15 +100,15 @@ class _TwinJoints(JointDriver):
         measured: Callable[[], tuple[np.ndarray, np.ndarray, np.ndarray]],
         send: Callable[[np.ndarray, np.ndarray | None], None],
     ):
-        """measured: positions, velocities and torques; send: takes targets and feed-forward torques."""
+        """measured: returns positions, velocities, torques; send: takes targets and feed-forward torques."""
         self.world, self._measured, self._send = world, measured, send
-        """The twin that it is a device of."""
+        """World of the twin."""
         self._status = DeviceStatus.DISCONNECTED
         self._last: np.ndarray | None = None
         self.fault = ""
-        """What the device complains about: set by tests of faults."""
+        """Reported fault, set by tests."""
         self.frozen = False
-        """Whether its time stamp no longer advances: set by tests of faults."""
+        """Whether the time stamp stands still, set by tests."""
         self._frozen_at: JointState | None = None
 
     def connect(self) -> None:
@@ -138,7 +136,7 @@ class _TwinJoints(JointDriver):
         return sent
 
     def take_control(self) -> None:
-        """See ``JointDriver.take_control``: a twin is nobody else's."""
+        """See ``JointDriver.take_control``. A twin is always ready."""
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
         if self._status is DeviceStatus.READY:
@@ -154,7 +152,6 @@ class TwinArm(_TwinJoints):
     """The twin's arm."""
 
     def __init__(self, world: TwinWorld, cell: RobotCell):
-        """cell: with the arm's model and limits."""
         super().__init__(world, world.arm_state, lambda positions, _: world.command_arm(positions))
         model = arm_spec(cell.arm.model).compile()
         speed = np.full(model.nu, cell.limits.arm_speed)
@@ -164,7 +161,7 @@ class TwinArm(_TwinJoints):
 
     def stop(self, kind: StopKind = StopKind.HOLD) -> None:
         super().stop(kind)
-        # The servos brake: the position shortly ahead is where a joint can come to rest.
+        # Brake: a joint can come to rest at a position shortly ahead.
         q, v, _ = self.world.arm_state()
         self.world.command_arm(q + 0.05 * v)
 
@@ -194,7 +191,7 @@ class TwinHand(_TwinJoints):
             self.world.powered = False
         elif kind is StopKind.OPEN:
             self.world.command_hand(self._open)
-        # To hold, the servos keep their last targets: an object that is held stays held.
+        # To hold, the servos keep their last targets, and the hand keeps its grip.
 
 
 class TwinTracker(PoseSource):
@@ -203,7 +200,6 @@ class TwinTracker(PoseSource):
     name = "twin's tracker"
 
     def __init__(self, world: TwinWorld):
-        """world: the twin."""
         self._world = world
 
     def connect(self) -> None: ...

@@ -1,4 +1,4 @@
-"""What is true of a twin and hidden from planner, policy and drivers: drawn from a seed."""
+"""True parameters of a twin, which are drawn from a seed and hidden from planner, policy and drivers."""
 
 from __future__ import annotations
 
@@ -15,60 +15,59 @@ from fungrasp.sim2real import random_stream
 
 @dataclass(frozen=True)
 class TwinSpread:
-    """Ranges that a twin's parameters are drawn from: uniformly, factors log-uniformly; where one number is
-    given, from its negative to it.
+    """Distribution of a twin's parameters. Pairs are ranges: uniform, log-uniform for factors. Single numbers
+    are largest magnitudes of errors, or constants.
 
-    Object, table, tracker and calibration: after the reality protocol (docs/evaluate.md). The hand: our
-    estimates, wide enough that a plan made for the model's nominal servos is wrong; no hand was measured.
+    Object, table, tracker and calibration follow the reality protocol (docs/evaluate.md). The hand's ranges
+    are our estimates, not measurements, and wide enough that plans for the model's servos are wrong.
     """
 
     stiffness: tuple[float, float] = (0.6, 1.1)
-    """Factor on the torque that a hand's servo makes of an error of position: its torque constant."""
+    """Factor on the torque constant of the hand's servos."""
     gain: tuple[float, float] = (1.0, 1.0)
-    """Factor on the same of all joints of the hand, and on their servos' damping: position gains of a
-    controller of its own, beside the model's."""
+    """Factor on stiffness and damping of all servos of the hand, as of another position controller."""
     damping: tuple[float, float] = (0.7, 2.0)
     """Factor on the damping of the hand's joints."""
     friction: tuple[float, float] = (0.02, 0.06)
-    """Dry friction of the hand's joints at rest, as a share of the torque limit."""
+    """Static friction of the hand's joints, as a share of the torque limit."""
     sliding: tuple[float, float] = (0.6, 0.9)
-    """Dry friction of a moving joint, as a share of that at rest (Stribeck)."""
+    """Sliding friction of the hand's joints, as a share of static friction (Stribeck)."""
     stribeck_speed: float = 0.1
-    """Speed at which most of the difference is gone [rad/s]."""
+    """Speed at which 63 % of the difference between both is gone [rad/s]."""
     torque_limit: tuple[float, float] = (0.85, 1.0)
-    """Factor on the largest torque of the hand's servos."""
+    """Factor on the torque limits of the hand's servos."""
     armature: tuple[float, float] = (0.7, 1.5)
     """Factor on the rotor inertia of the hand's joints."""
     backlash: float = 0.01
-    """Largest lost motion of a hand joint's drive, to each side [rad]."""
+    """Largest backlash of a hand joint, to each side [rad]."""
     encoder_bias: float = 0.01
     """Largest error of a hand joint's encoder [rad]."""
     encoder_step: float = 0.0015
     """Resolution of a hand joint's encoder [rad]: 0.088 degrees."""
     hand_delay: tuple[float, float] = (0.005, 0.03)
-    """Time until a setpoint reaches the hand's servos [s]."""
+    """Delay of setpoints to the hand's servos [s]."""
     arm_delay: tuple[float, float] = (0.01, 0.03)
-    """Time until a setpoint reaches the arm's servos [s]."""
+    """Delay of setpoints to the arm's servos [s]."""
     camera_position: float = 0.003
-    """Error of the calibration between camera and base, per axis [m]."""
+    """Largest error of the calibration's translation, per axis [m]."""
     camera_rotation: float = 0.017
-    """Error of that calibration, about a random axis [rad]."""
+    """Largest error of the calibration's rotation, about a random axis [rad]."""
     tracker_noise: tuple[float, float] = (0.001, 0.01)
-    """Standard deviation of the tracker's white noise: position per axis [m] and rotation [rad]."""
+    """Standard deviations of the tracker's white noise: position [m] and rotation [rad], per axis."""
     tracker_delay: tuple[float, float] = (0.06, 0.12)
-    """Age of a tracked pose when it is delivered [s]."""
+    """Age of a tracked pose at its delivery [s]."""
     tracker_rate: float = 30.0
-    """Frames per second."""
+    """Frame rate of the tracker [Hz]."""
     tracker_dropout: float = 0.05
-    """Share of the frames that are missing."""
+    """Share of missing frames."""
     mass: tuple[float, float] = (0.8, 1.25)
     """Factor on the object's mass."""
     center_of_mass: float = 0.1
-    """Displacement of the center of mass along each axis, as a share of the object's size."""
+    """Largest displacement of the center of mass along each axis, as a share of the object's size."""
     object_friction: tuple[float, float] = (0.7, 1.0)
-    """Sliding friction of hand, object and table."""
+    """Friction coefficient of hand, object and table."""
     surface: float = 0.001
-    """Largest error of the mesh's surface [m]."""
+    """Largest error of the object's surface [m]."""
     table_tilt: float = 0.0087
     """Largest tilt of the table [rad]."""
     table_height: float = 0.003
@@ -77,43 +76,42 @@ class TwinSpread:
 
 @dataclass(frozen=True, eq=False)
 class TwinParameters:
-    """The truth of one twin. M joints of the hand, coupled ones included; U independent ones."""
+    """True parameters of one twin. The hand has M joints, with coupled ones, and U independent joints."""
 
     spread: TwinSpread
-    """What it was drawn from, with what all of its twins have in common."""
+    """Distribution of the parameters, with its constants."""
     stiffness: np.ndarray
-    """Factor on the torque that each servo makes of an error of position, shape [U]: ``gain`` times that of
-    its torque constant."""
+    """Factor on each servo's stiffness and damping, shape [U]: ``gain`` times that of its torque constant."""
     gain: float
-    """Factor on the position gains of all servos."""
+    """Factor on the gains of all servos."""
     damping: np.ndarray
     """Factor on each joint's damping, shape [M]."""
     armature: np.ndarray
     """Factor on each joint's rotor inertia, shape [M]."""
     friction: np.ndarray
-    """Dry friction of each driven joint at rest, as a share of its torque limit, shape [U]."""
+    """Static friction of each independent joint, as a share of its torque limit, shape [U]."""
     sliding: np.ndarray
-    """Share of it that is left while moving, shape [U]."""
+    """Sliding friction, as a share of static friction, shape [U]."""
     torque_limit: np.ndarray
-    """Factor on each servo's largest torque, shape [U]."""
+    """Factor on each servo's torque limit, shape [U]."""
     backlash: np.ndarray
-    """Lost motion of each drive to each side [rad], shape [U]."""
+    """Backlash of each independent joint, to each side [rad], shape [U]."""
     encoder_bias: np.ndarray
     """Error of each encoder [rad], shape [U]."""
     hand_delay: float
-    """Time until a setpoint reaches the hand's servos [s]."""
+    """Delay of setpoints to the hand's servos [s]."""
     arm_delay: float
-    """Time until a setpoint reaches the arm's servos [s]."""
+    """Delay of setpoints to the arm's servos [s]."""
     camera_error: np.ndarray
-    """What is seen of the world: pose of the true world in the believed one, shape [7]."""
+    """Pose of the true world frame in the believed one, shape [7]."""
     tracker_delay: float
-    """Age of a tracked pose when it is delivered [s]."""
+    """Age of a tracked pose at its delivery [s]."""
     mass: float
     """Factor on the object's mass."""
     center_of_mass: np.ndarray
     """Displacement of the center of mass, as a share of the object's size, shape [3]."""
     object_friction: float
-    """Sliding friction of hand, object and table."""
+    """Friction coefficient of hand, object and table."""
     table_tilt: np.ndarray
     """Rotation vector of the table, world frame [rad], shape [3]."""
     table_height: float
@@ -121,10 +119,10 @@ class TwinParameters:
 
 
 def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = None) -> TwinParameters:
-    """The truth of the twin with a seed. spread: the ranges; the default if None."""
+    """Draw the parameters of a twin. joints: M; driven: U; spread: distribution; the default if None."""
     s, rng = spread or TwinSpread(), random_stream("twin", seed)
 
-    # A stream of its own: twins whose gains are the model's stay what they were.
+    # A separate stream, so that the other parameters do not depend on this one.
     gain = float(np.exp(random_stream("twin gain", seed).uniform(*np.log(s.gain))))
 
     def factor(bounds: tuple[float, float], *shape: int) -> np.ndarray:
@@ -158,8 +156,8 @@ def draw_twin(seed: int, joints: int, driven: int, spread: TwinSpread | None = N
 
 
 def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None = None) -> TwinParameters:
-    """The truth of the twin of a cell with a seed. The cell may say ``gain`` of its hand's device. spread: of
-    all else; the default if None. Raises: FungraspError: the cell's ``gain`` is no range of positive factors.
+    """Draw the parameters of a cell's twin. The option ``gain`` of the cell's hand replaces that of
+    ``spread``, which is the default if None. Raises: FungraspError: ``gain`` is no range of positive factors.
     """
     s, given = spread or TwinSpread(), cell.hand_device.options.get("gain")
     if given is not None:
@@ -174,9 +172,9 @@ def cell_twin(cell: RobotCell, hand: Hand, seed: int, spread: TwinSpread | None 
 
 
 def twin_torque_limits(cell: RobotCell, hand: Hand) -> np.ndarray:
-    """Largest torques that the driver of a twin's hand asks of its servos, as a driver on a bus would [N m],
-    shape [U]: the option ``torque_limits`` of the cell's hand, one number or one for each servo; infinite
-    without. Raises: FungraspError: the option is something else."""
+    """Return the torque limits of the driver of a twin's hand [N m], shape [U]: the option ``torque_limits``
+    of the cell's hand, one number or one for each servo; infinite without it. Raises: FungraspError: an
+    invalid option."""
     given, count = cell.hand_device.options.get("torque_limits", np.inf), len(hand.actuators)
     numbers = given if isinstance(given, list) else [given] * count
     if len(numbers) != count or not all(isinstance(n, int | float) and n > 0 for n in numbers):

@@ -1,4 +1,4 @@
-"""MuJoCo model of a twin: arm, hand, table and object with other contacts than those of the planner."""
+"""MuJoCo model of a twin: arm, hand, table and object, with other contact parameters than the planner's."""
 
 from __future__ import annotations
 
@@ -29,9 +29,8 @@ SERVO_LARGE, SERVO_WRIST = 10000.0, 1500.0
 """Stiffness of the arm's three large and three small servos [N m/rad]."""
 
 SERVO_LAG = 0.02
-"""Ratio of their damping to their stiffness [s]: with the delay of the link, targets are followed about 35 ms
-late, as a UR10e follows servoj with the shortest lookahead (Universal_Robots_Client_Library, issue 86)."""
-
+"""Ratio of the arm servos' damping to their stiffness [s]. With ``arm_delay``, targets are followed 35 ms
+late, as by a UR10e with servoj and the shortest lookahead (Universal_Robots_Client_Library, issue 86)."""
 
 OTHER_PIECES = DecompositionSettings(concavity=0.007, fine_concavity=0.004, max_pieces=16, seed=7)
 """Fewer and coarser convex pieces than the planner's."""
@@ -39,28 +38,28 @@ OTHER_PIECES = DecompositionSettings(concavity=0.007, fine_concavity=0.004, max_
 
 @dataclass(frozen=True)
 class TwinPhysics:
-    """Physics of a twin. Each number differs from the planner's (``fungrasp.simulation.SceneSettings``)."""
+    """Physics of a twin; each number differs from the planner's (``fungrasp.simulation.SceneSettings``)."""
 
     timestep: float = 0.002
     """Physics step [s]."""
     impratio: float = 5.0
     """Ratio of frictional to normal constraint impedance."""
     noslip_iterations: int = 3
-    """Iterations that take the creep out of friction: it comes from the solver, not from fingers."""
+    """Iterations against the slow slip of contacts, which is an artifact of the solver."""
     contact_time: float = 0.008
     """Time constant of contacts (MuJoCo's ``solref``) [s]."""
     pieces: DecompositionSettings = field(default_factory=lambda: OTHER_PIECES)
-    """Convex pieces of objects."""
+    """Convex decomposition of objects."""
 
 
 def twin_model(cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParameters) -> mujoco.MjModel:
-    """The compiled model, in the cell's world frame. obj: as it is believed."""
+    """Compile the model, in the cell's world frame. obj: believed model of the object."""
     p = TwinPhysics()
     spec = mount(hand, cell.arm.model, cell.mount)
     option = spec.option
     option.timestep, option.impratio = p.timestep, p.impratio
-    # As much friction in every direction: a pyramid has 0.57 along its diagonal where its coefficient is
-    # 0.8, and half of that under torsion.
+    # Equal friction in all directions: a pyramidal cone with coefficient 0.8 has only 0.57 along its
+    # diagonal, and half of that under torsion.
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.noslip_iterations, option.gravity = p.noslip_iterations, [0.0, 0.0, -GRAVITY]
@@ -82,7 +81,7 @@ def twin_model(cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParamet
 
 
 def _stiffen_arm(spec: mujoco.MjSpec, names: set[str]) -> None:
-    """The arm model's gains are soft, for planning; a UR's servos are not. names: of the arm's actuators."""
+    """Stiffen the arm's servos, which are soft in the planner's model. names: actuators of the arm."""
     for actuator in spec.actuators:
         if actuator.name in names:
             stiffness = SERVO_LARGE if actuator.forcerange[1] > 100 else SERVO_WRIST
@@ -122,11 +121,11 @@ def _add_object(spec: mujoco.MjSpec, obj: ObjectModel, truth: TwinParameters, p:
 def true_pieces(
     obj: ObjectModel, amplitude: float, settings: DecompositionSettings
 ) -> tuple[ConvexPiece, ...]:
-    """Convex pieces of the true surface: another decomposition than the planner's, displaced along its
-    normals by a smooth wave of an amplitude [m] and a length of about 4 cm."""
+    """Return convex pieces of the true surface: another decomposition than the planner's, displaced along the
+    normals by a smooth wave with an amplitude [m] and a wavelength of about 4 cm."""
     if amplitude <= 0.0:
         return convex_pieces(obj.vertices, obj.faces, settings)
-    # The pieces of the believed surface are cached; the wave is applied to each.
+    # The wave is applied to the pieces, as those of the believed surface are cached.
     parts = []
     for piece in convex_pieces(obj.vertices, obj.faces, settings):
         mesh = trimesh.Trimesh(piece.vertices, piece.faces, process=False)
@@ -136,8 +135,8 @@ def true_pieces(
 
 
 def _set_hand(model: mujoco.MjModel, hand: Hand, truth: TwinParameters, asked: np.ndarray) -> None:
-    """Servos and joints of the hand as they truly are. asked: largest torques of the driver [N m], shape
-    [U]; what comes of them is scaled by the true torque constant."""
+    """Set the true parameters of the hand's servos and joints. asked: torque limits of the driver [N m],
+    shape [U]; the true torque constant scales them."""
     constant = truth.stiffness / truth.gain
     for i, name in enumerate(hand.joint_names):
         dof = model.joint(name).dofadr[0]

@@ -1,5 +1,5 @@
-"""A twin that moves: physics, servos with their imperfections, what its tracker sees; and whether its object
-was lifted, by the lift test's definition of success (docs/evaluate.md)."""
+"""The simulated world of a twin: physics, imperfect servos, the tracker, and the outcome of the lift test
+(docs/evaluate.md)."""
 
 from __future__ import annotations
 
@@ -27,17 +27,16 @@ from fungrasp.task.outcome import HoldMiddle, lifted_and_held
 from fungrasp.task.setpoints import SETPOINT_PERIOD
 
 TORQUE_DELAY = 0.002
-"""Time until a torque reaches the hand's motors [s]: a CAN frame and a period of the motor's controller. The
-twin's own delay is that of setpoints on their way through a hand's servos; a torque loop of 333 Hz closed
-through as much would swing by itself."""
+"""Delay of torques to the hand's motors [s]: a CAN frame and a period of the motors' controllers. With the
+longer ``hand_delay``, which is that of position servos, a torque loop at 333 Hz would oscillate."""
 
 FRICTION_INTERVAL = 4
-"""Physics steps after which dry friction follows the speed of a joint."""
+"""Physics steps between two updates of the joints' friction."""
 
 
 @dataclass(frozen=True, eq=False)
 class TwinTruth:
-    """What only a twin knows."""
+    """True state of a twin."""
 
     object_pose: np.ndarray
     """Pose of the object, world frame, shape [7]."""
@@ -48,23 +47,23 @@ class TwinTruth:
     in_hand: bool
     """Whether the object touches the hand."""
     touching: np.ndarray
-    """Links of the hand that it touches, palm first, shape [L] bool."""
+    """Links of the hand that touch the object, palm first, shape [L] bool."""
     joint_positions: np.ndarray
-    """Of all joints of the hand [rad], shape [M]."""
+    """Positions of all joints of the hand [rad], shape [M]."""
 
 
 class TwinWorld:
-    """One cell. Every method may be called from any thread."""
+    """The simulated world of one cell. Methods may be called from any thread."""
 
     def __init__(
         self, cell: RobotCell, hand: Hand, obj: ObjectModel, truth: TwinParameters, *, seed: int = 0
     ):
-        """obj: the object as it is believed."""
+        """obj: believed model of the object; seed: for the tracker's noise."""
         self.hand, self.truth = hand, truth
         self.model = model = twin_model(cell, hand, obj, truth)
         self.data = data = mujoco.MjData(model)
         self.lock = RLock()
-        """Held while the world is read or changed."""
+        """Lock for reading or changing the world."""
         arm = [actuator.name for actuator in arm_spec(cell.arm.model).actuators]
         fingers = list(hand.actuators)
         self._arm = np.array([model.actuator(name).id for name in arm])
@@ -94,9 +93,9 @@ class TwinWorld:
         self.powered = True
         """Whether the hand's servos have torque."""
         self.tracking = True
-        """Whether the tracker delivers frames: to test what happens without."""
+        """Whether the tracker delivers frames; False in tests of faults."""
         self.offset = 0.0
-        """The world's time is that of the robot's clock less this [s]."""
+        """Robot's clock minus simulated time [s]."""
         data.qpos[self._arm_qpos] = cell.arm.home
         data.ctrl[self._arm] = cell.arm.home
         open_hand = hand.open_joints
@@ -108,12 +107,12 @@ class TwinWorld:
 
     @property
     def time(self) -> float:
-        """Time of the robot's clock [s]."""
+        """Time on the robot's clock [s]."""
         return self.data.time + self.offset
 
     def settle(self, object_pose: np.ndarray, seconds: float = 1.0) -> np.ndarray:
-        """Put the object somewhere and let it settle; the arm holds still. Time does not advance.
-        object_pose: world frame, shape [7]. Returns: where it rests, world frame, shape [7]."""
+        """Release the object and let it settle for some time [s], which the clock does not count.
+        object_pose: initial pose, world frame, shape [7]. Returns: rest pose, world frame, shape [7]."""
         with self.lock:
             before = self.data.time
             self.data.qpos[self._object_qpos : self._object_qpos + 7] = object_pose
@@ -134,30 +133,31 @@ class TwinWorld:
         )
         self.data.qpos[self._object_qpos + 2] -= min(depth, 0.0)
 
-    # What devices ask.
+    # Interface of the devices.
 
     def command_arm(self, positions: np.ndarray) -> None:
-        """Targets of the arm's servos [rad], shape [6]; they take effect after the delay of the link."""
+        """Set targets of the arm's servos [rad], shape [6], which take effect after ``arm_delay``."""
         self._post("arm", self.truth.arm_delay, positions)
 
     def command_hand(self, positions: np.ndarray, feedforward: np.ndarray | None = None) -> None:
-        """Targets of the hand's servos [rad], shape [U], and torques added to them [N m], shape [U]."""
+        """Set targets [rad] and additional torques [N m] of the hand's servos, shape [U] each, which take
+        effect after ``hand_delay``."""
         if feedforward is None:
             feedforward = np.zeros(len(positions))
         self._post("hand", self.truth.hand_delay, np.stack([positions, feedforward]))
 
     def command_torques(self, torques: np.ndarray) -> None:
-        """Torques of the hand's motors in place of its position servos [N m], shape [U]."""
+        """Set torques of the hand's motors instead of targets [N m], shape [U]."""
         self._post("torque", TORQUE_DELAY, torques)
 
     def arm_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions [rad], velocities [rad/s] and torques [N m] of the arm, each of shape [6]."""
+        """Return positions [rad], velocities [rad/s] and torques [N m] of the arm, shape [6] each."""
         with self.lock:
             d = self.data
             return d.qpos[self._arm_qpos], d.qvel[self._arm_dofs], d.actuator_force[self._arm]
 
     def hand_state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the hand's encoders say, as ``arm_state``; each of shape [U]."""
+        """Return the state of the hand's independent joints, with encoder errors. See ``arm_state``."""
         with self.lock:
             d, step = self.data, self.truth.spread.encoder_step
             measured = d.qpos[self._finger_qpos] + self.truth.encoder_bias
@@ -165,19 +165,19 @@ class TwinWorld:
             return measured, d.qvel[self._finger_dofs], d.actuator_force[self._fingers]
 
     def finger_positions(self) -> np.ndarray:
-        """Where the hand's driven joints truly are [rad], shape [U]."""
+        """Return the true positions of the hand's independent joints [rad], shape [U]."""
         with self.lock:
             return self.data.qpos[self._finger_qpos].copy()
 
     def tracked(self) -> TrackedPose | None:
-        """The newest frame of the tracker that has been delivered."""
+        """Return the newest delivered pose of the tracker; None before the first."""
         with self.lock:
             while self._frames and self._frames[0].captured + self.truth.tracker_delay <= self.time:
                 self._delivered = self._frames.popleft()
             return self._delivered
 
     def look(self) -> TwinTruth:
-        """The truth, for judges."""
+        """Return the true state."""
         with self.lock:
             d = self.data
             palm = np.zeros(4)
@@ -194,12 +194,12 @@ class TwinWorld:
             )
 
     def center_of_mass(self) -> np.ndarray:
-        """True center of mass of the object, world frame [m], shape [3]."""
+        """Return the true center of mass of the object, world frame [m], shape [3]."""
         with self.lock:
             return self.data.xipos[self._object].copy()
 
     def advance(self, until: float) -> None:
-        """Simulate until a time of the robot's clock [s]."""
+        """Simulate until a time on the robot's clock [s]."""
         while True:
             with self.lock:
                 if self.time >= until - 0.5 * self.model.opt.timestep:
@@ -207,7 +207,7 @@ class TwinWorld:
                 self._step()
 
     def _touching(self, contact) -> int | None:  # type: ignore[no-untyped-def]
-        """The body that touches the object at a contact."""
+        """Return the body that touches the object at a contact; None if none does."""
         one, two = self.model.geom_bodyid[[contact.geom1, contact.geom2]]
         if self._object not in (one, two) or contact.dist > 0:
             return None
@@ -219,7 +219,7 @@ class TwinWorld:
 
     def _step(self) -> None:
         m, d, now = self.model, self.data, self.time
-        # Delays differ between devices: what is due may lie behind what is not.
+        # Delays differ between devices, so the queue is not in order of time.
         for _ in range(len(self._pending)):
             due, what, values = self._pending.popleft()
             if due > now + 1e-9:
@@ -240,7 +240,7 @@ class TwinWorld:
             self._track()
 
     def _drive_fingers(self) -> None:
-        """Controls of the hand's servos: lost motion of the drive, feed-forward as a shift of the target."""
+        """Set the controls of the hand's servos, with backlash; feed-forward torques shift the targets."""
         d, slack = self.data, self.truth.backlash
         q, v = d.qpos[self._finger_qpos], d.qvel[self._finger_dofs]
         if not self.powered:
@@ -252,19 +252,19 @@ class TwinWorld:
             d.ctrl[self._fingers] = self._play + self._feedforward / (self.truth.gain * self._kp)
             return
         constant = self.truth.stiffness / self.truth.gain
-        # A servo makes gain (ctrl - q) + bias v; this control makes it pull with a torque alone.
+        # A servo has the torque gain (ctrl - q) + bias v: solve for the control.
         gain, bias = self.model.actuator_gainprm[self._fingers, 0], self.model.actuator_biasprm[self._fingers]
         d.ctrl[self._fingers] = q + (constant * wanted - bias[:, 2] * v) / gain
 
     def _update_friction(self) -> None:
-        """Dry friction of the fingers: that at rest falls to that of sliding as a joint moves (Stribeck)."""
+        """Set the friction of the fingers, which falls from static to sliding with the speed (Stribeck)."""
         t = self.truth
         speed = self.data.qvel[self._finger_dofs] / t.spread.stribeck_speed
         share = t.sliding + (1.0 - t.sliding) * np.exp(-(speed**2))
         self.model.dof_frictionloss[self._finger_dofs] = share * self._static_friction
 
     def _track(self) -> None:
-        """A frame of the tracker, unless it is missing."""
+        """Add a frame of the tracker, unless it is missing."""
         t, rng = self.truth, self._rng
         noise = rng.normal(size=6) * np.repeat(t.spread.tracker_noise, 3)
         if not self.tracking or rng.random() < t.spread.tracker_dropout:
@@ -277,22 +277,22 @@ class TwinWorld:
 
 @dataclass(frozen=True)
 class HoldSample:
-    """The truth at one moment."""
+    """True state at one moment of the hold."""
 
     time: float
-    """Of the robot's clock [s]."""
+    """Time on the robot's clock [s]."""
     height: float
-    """Of the center of mass above where it settled [m]."""
+    """Height of the center of mass above its rest height [m]."""
     alone: bool
     """Whether the object touches neither table nor arm."""
     in_hand: bool
-    """Whether it touches the hand."""
+    """Whether the object touches the hand."""
     hand: HoldMiddle
-    """One row: the hand on the object, and the links that touch it now."""
+    """Pose and joints of the hand on the object, and links that touch it now, one row."""
 
 
 def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
-    """The truth now. settled: height at which the center of mass settled [m]."""
+    """Return the current sample. settled: rest height of the center of mass [m]."""
     truth = world.look()
     height = float(world.center_of_mass()[2] - settled)
     palm = relative(truth.object_pose, truth.palm_pose)
@@ -301,8 +301,8 @@ def hold_sample(world: TwinWorld, settled: float) -> HoldSample:
 
 
 def held_throughout(samples: list[HoldSample], seconds: float) -> bool:
-    """Whether a twin's object was lifted and held (``fungrasp.task.outcome.lifted_and_held``), over a hold
-    that was not cut short."""
+    """Return whether the object was lifted and held (``fungrasp.task.outcome.lifted_and_held``) in a complete
+    hold. seconds: duration of the hold [s]."""
     protocol = LiftProtocol()
     lowest = min((s.height for s in samples), default=-np.inf)
     share = sum(s.in_hand for s in samples) / max(len(samples), 1)
@@ -314,15 +314,15 @@ def held_throughout(samples: list[HoldSample], seconds: float) -> bool:
 def held_as_shown(
     samples: list[HoldSample], hand: Hand, obj: ObjectModel, grasp: RobotGraspSet
 ) -> AsShown | None:
-    """How a twin's hand held an object, as the lift test judges it: with the middle of the hold.
+    """Judge at the middle of the hold how the hand held the object, as in the lift test.
 
     Args:
-        samples: of the hold.
-        obj: the object as it is believed.
-        grasp: one, which is followed.
+        samples: samples of the hold.
+        obj: believed model of the object.
+        grasp: one grasp, which was followed.
 
     Returns:
-        one row; None without a hold, or where the grasp does not know where the person touched.
+        one row; None without a hold, or if the person's contacts are unknown.
     """
     shown = ShownContacts.of(grasp)
     if shown is None or not samples:
@@ -333,25 +333,25 @@ def held_as_shown(
 
 
 class TwinJudge:
-    """Watches one attempt, at every setpoint. The object counts from where it lies as this is made."""
+    """Watches one attempt. It must be made while the object rests."""
 
     def __init__(self, world: TwinWorld):
         self._world = world
         self._settled = float(world.center_of_mass()[2])
         self.samples: list[HoldSample] = []
-        """Of the hold so far."""
+        """Samples of the hold so far."""
 
     def watch(self, holding: bool) -> None:
-        """After each setpoint. holding: whether it belongs to the hold."""
+        """Take a sample after a setpoint. holding: whether it belongs to the hold; ignored otherwise."""
         if holding:
             self.samples.append(hold_sample(self._world, self._settled))
 
     @property
     def height(self) -> float:
-        """Least height of the center of mass above where it settled during the hold [m]; infinite before."""
+        """Smallest rise of the center of mass during the hold [m]; infinite before the hold."""
         return min((s.height for s in self.samples), default=np.inf)
 
     @property
     def success(self) -> bool:
-        """``held_throughout``."""
+        """Whether the object was lifted and held (``held_throughout``)."""
         return held_throughout(self.samples, SETPOINT_PERIOD * len(self.samples))
