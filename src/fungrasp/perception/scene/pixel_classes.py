@@ -60,7 +60,7 @@ def edge_width(depth: np.ndarray) -> float:
 
 
 def _step_widths(depth: np.ndarray) -> np.ndarray:
-    """Return the widths of steps along the rows, some hundred at most [pixels]."""
+    """Return the widths of at most several hundred steps along the rows [pixels]."""
     margin, last = REACH + SIDE, depth.shape[1]
     if last <= 2 * margin:
         return np.zeros(0)
@@ -98,8 +98,8 @@ def depth_spread(depth: np.ndarray, width: float) -> np.ndarray:
     return np.hypot(noise, MIXED * np.maximum(step - noise, 0.0))
 
 
-# Levels of each channel in a color histogram: fine enough for shades of blue, coarse enough for some hundred
-# samples.
+# Levels of each channel in a color histogram: fine enough for shades of blue, coarse enough for a few
+# hundred samples.
 LEVELS = 12
 UNKNOWN = 0.03  # Fraction of a class's colors that is not sampled: shadows, highlights, other things.
 # Distance from the hand's outline at which a pixel is skin or not with equal odds, and width of the
