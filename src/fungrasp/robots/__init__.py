@@ -1,1 +1,1 @@
-"""Robots: interface to arms, hands and object trackers; drivers, wire codecs, emulators, the twin."""
+"""Robots: interfaces and drivers of arms, hands and object trackers, safety filter, kinematics, twins."""

@@ -74,7 +74,7 @@ class DeviceSettings:
     """Driver and address of a device."""
 
     driver: str = "twin"
-    """Name of the driver (``fungrasp.robots.assembly.DRIVERS``)."""
+    """Name of the driver (``fungrasp.robots.assembly``)."""
     address: str = ""
     """Host name, CAN channel or serial port, depending on the driver."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -209,8 +209,8 @@ class RobotCell:
     watchdog: Watchdog = field(default_factory=Watchdog)
     """Thresholds at which the robot stops."""
     obstacles: tuple[Obstacle, ...] = ()
-    """Boxes from which arm and hand keep ``workspace.table_clearance``; the arm's base and shoulder may touch
-    them."""
+    """Boxes (``[[obstacles]]``) from which arm and hand keep ``workspace.table_clearance``; the arm's base
+    and shoulder may touch them."""
     hand_dynamics: str = ""
     """File with identified dynamics of the hand (``fungrasp identify fit``), relative to the cell's file; ""
     for none."""

@@ -166,11 +166,11 @@ class TrackedPose:
     score: float
     """Confidence, 0 to 1."""
     status: TrackingStatus
-    """State of the tracker; other poses than those of TRACKING are not used."""
+    """State of the tracker; robots only use poses with TRACKING."""
 
 
 class PoseSource(Protocol):
-    """An object tracker: a stream, a camera, a replay or a twin. A context manager."""
+    """An object tracker: a stream, a camera or a twin. A context manager."""
 
     name: str
     """Type and address of the source, for messages and logs."""

@@ -78,7 +78,7 @@ class URSettings:
     jerk: float = 50.0
     """Largest jerk of each joint [rad/s^3]."""
     range: float = 2 * np.pi
-    """Range of each joint to both sides [rad]."""
+    """Limit of each joint to both sides [rad]."""
     lookahead: float = 0.05
     """Lookahead time of servoj [s], 0.03 to 0.2; the arm lags by it."""
     gain: float = 300.0

@@ -251,7 +251,6 @@ class _Run:
             latched = self._latched
             words = latched.message
             if not self._lost and state.status is DeviceStatus.FAULT and state.message not in words:
-                # A further fault.
                 words = f"{words}; {state.message}"
             return dataclasses.replace(state, status=latched.status, message=words)
         if mode not in FOLLOWING:

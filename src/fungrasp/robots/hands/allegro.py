@@ -29,9 +29,9 @@ LARGEST_SPEED = 20.0
 BEYOND = 0.5
 """Distance beyond the joint limits that makes a position implausible [rad]; zeros are off by less."""
 JUMPS = 40
-"""Number of consecutive implausible frames, ten sets, that is a fault of the hand."""
+"""Number of consecutive implausible frames that is a fault of the hand: ten of each finger."""
 LISTENING = 0.1
-"""Wait for positions that another program has requested [s]; after it, they are requested."""
+"""Time to wait for positions that another program has requested, before they are requested [s]."""
 OTHERS = 0.1
 """Time after another program's torques in which it counts as controlling the hand [s]."""
 INFO_INTERVAL = 1.0
@@ -67,8 +67,8 @@ class AllegroSettings:
     kd: float = 0.15
     """Damping [N m s/rad]; the model's by default."""
     velocity_filter: float = 0.01
-    """Time constant of the velocities' low-pass [s]. Without it, one count of the V5 is 0.5 rad/s, for which
-    ``kd`` asks half of its torque."""
+    """Time constant of the velocities' low-pass [s]. Without it, one count of the V5 would be 0.5 rad/s, and
+    its damping torque half of the largest."""
     speed: float = 4.0
     """Largest speed of the setpoints [rad/s]."""
     torque_share: float = 1.0

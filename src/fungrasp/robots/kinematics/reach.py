@@ -147,7 +147,7 @@ LARGEST_ERROR = 0.002
 """Largest error of the palm's position along a path [m]; that of the rotation [rad] is ten times as large."""
 
 PATIENT = 50
-"""Factor on the time in which an arm that is too slow, but long enough, reaches a pose."""
+"""Factor on the time of a step to tell an arm that is too slow from one that is too short."""
 
 OUT_OF_REACH = "the start is out of the arm's reach"
 

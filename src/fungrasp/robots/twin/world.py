@@ -133,8 +133,6 @@ class TwinWorld:
         )
         self.data.qpos[self._object_qpos + 2] -= min(depth, 0.0)
 
-    # Interface of the devices.
-
     def command_arm(self, positions: np.ndarray) -> None:
         """Set targets of the arm's servos [rad], shape [6], which take effect after ``arm_delay``."""
         self._post("arm", self.truth.arm_delay, positions)
