@@ -27,7 +27,7 @@ MOVED = 0.02
 """Change of an arm joint beyond which the arm has moved [rad]."""
 
 AWAKE = 1.0
-"""Time within which drivers follow again that held because nothing was read from them [s]."""
+"""Time within which drivers that held without readings follow again [s]."""
 
 
 class Deployment(AttemptCarrier):
@@ -188,9 +188,9 @@ class Deployment(AttemptCarrier):
         gc.freeze()
 
     def _awake(self, state: RobotState) -> RobotState:
-        """Return the state once all devices follow again after planning. Drivers hold while nothing is read
-        from them, and follow again once it is. Any other stop stays latched for a person to look at, even if
-        its cause is gone. Raises: RobotError: a device stopped, or the arm or the object moved."""
+        """Return the state once all devices follow again after planning. Drivers without readings hold, and
+        follow again once they are read. Any other stop is latched, as a person must look. Raises: RobotError:
+        a device stopped, or the arm or the object moved."""
         robot, waited = self.robot, self.robot.clock.now() + AWAKE
         while True:
             robot.check_switch()

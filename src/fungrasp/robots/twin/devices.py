@@ -106,9 +106,9 @@ class _TwinJoints(JointDriver):
         self._status = DeviceStatus.DISCONNECTED
         self._last: np.ndarray | None = None
         self.fault = ""
-        """Reported fault, set by tests."""
+        """Reported fault, set in tests of faults."""
         self.frozen = False
-        """Whether the time stamp stands still, set by tests."""
+        """Whether the time stamp stands still, set in tests of faults."""
         self._frozen_at: JointState | None = None
 
     def connect(self) -> None:
