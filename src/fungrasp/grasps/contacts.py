@@ -8,8 +8,8 @@ from fungrasp.geometry.poses import inverse_transform_points
 from fungrasp.grasps.human_hand import HUMAN_FINGERS, LINK_RADII
 
 TRACKED_CONTACT_GAP = 0.005
-"""Smallest gap that is not a contact [m], about the error of hand tracking. With this value, the contacts of
-distal links agree with the labels of D-Grasp's 375 training grasps in 96 % of the cases."""
+"""Smallest gap that is not a contact [m], about the error of hand tracking. With this value, 96 % of the
+distal links' contacts agree with D-Grasp's labels (375 training grasps)."""
 
 CONTACT_REACH = 0.03
 """Largest plausible distance between a link's skin and its annotated contact [m]."""

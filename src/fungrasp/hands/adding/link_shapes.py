@@ -276,7 +276,7 @@ FINGER_RADIUS = 0.09
 16 to 20 mm wide."""
 
 THUMB_WIDER = 1.15
-"""Ratio of a thumb's default radius to that of another finger of its length."""
+"""Factor by which a thumb is wider than an equally long finger."""
 
 RADIUS_RANGE = (0.004, 0.014)
 """Range of default radii [m]."""
