@@ -110,7 +110,7 @@ class TwinWorld:
         """Time on the robot's clock [s]."""
         return self.data.time + self.offset
 
-    def settle(self, object_pose: np.ndarray, seconds: float = 1.0) -> np.ndarray:
+    def settle(self, object_pose: np.ndarray, seconds: float = LiftProtocol.settle_time) -> np.ndarray:
         """Release the object and let it settle for some time [s], which the clock does not count.
         object_pose: initial pose, world frame, shape [7]. Returns: rest pose, world frame, shape [7]."""
         with self.lock:
