@@ -7,10 +7,13 @@ import pytest
 from small_training import hand, library, training_set
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.retargeting import retarget
 from fungrasp.training.settings import TrainSpec, Variety
 from fungrasp.training.training_sets import build_plan_library, kept_library
 
 ONE = TrainSpec(threads=1, variety=Variety(copies=1))
+HELD = TrainSpec(threads=1, variety=Variety(copies=1, held=True))
 
 
 def test_a_library_survives_a_file(tmp_path):
@@ -50,3 +53,15 @@ def test_every_grasp_has_its_copies_and_the_first_is_the_grasp_itself():
 def test_no_copies_are_refused():
     with pytest.raises(FungraspError, match="at least one copy"):
         Variety(copies=0)
+
+
+def test_plans_that_do_not_hold_as_shown_can_be_left_out():
+    human = builtin_grasps().select(np.array([54, 54]))
+    objects = load_objects(human)
+    grasps = retarget(human, objects, hand(), threads=1)
+    grasps.wrist_pose[1, :3] += 0.3
+    every = build_plan_library(grasps, objects, hand(), ONE)
+    held = build_plan_library(grasps, objects, hand(), HELD)
+    assert every.group.tolist() == [0, 1] and held.group.tolist() == [0]
+    with pytest.raises(FungraspError, match="holds its object as shown"):
+        build_plan_library(grasps.select(np.array([1])), objects, hand(), HELD)

@@ -1,4 +1,4 @@
-"""``fungrasp grasps``: list, show, check, convert, select, import and synthesize grasps."""
+"""``fungrasp grasps``: list, show, check, convert, select, vary, import and synthesize grasps."""
 
 from __future__ import annotations
 
@@ -316,6 +316,28 @@ class ConvertGrasps(ObjectsOption, Answering):
 
 
 @dataclass(frozen=True)
+class VaryGrasps(ObjectsOption, Answering):
+    """Add variations to human grasps, to train on: the hand is shifted and turned relative to the object."""
+
+    file: GraspFile
+    """A file of human grasps, or "builtin"."""
+    out: Path
+    """Grasp file to write (.npz): the grasps, then their variations."""
+    count: int = 31
+    """Variations of each grasp; those with fewer than three finger links in contact are left out."""
+    seed: int = 0
+    """Seed of the random numbers."""
+
+    def run(self) -> CommandResult:
+        from fungrasp.grasps import load_human_grasps, load_objects
+        from fungrasp.grasps.variation import varied_grasps
+
+        human = load_human_grasps(self.file)
+        objects = load_objects(human, self.objects)
+        return write_human_grasps(self.out, varied_grasps(human, objects, self.count, self.seed))
+
+
+@dataclass(frozen=True)
 class SelectGrasps(Answering):
     """Copy grasps to another file: by object, task, row or quality."""
 
@@ -451,6 +473,7 @@ COMMAND = {
     "check": CheckGrasps,
     "convert": ConvertGrasps,
     "select": SelectGrasps,
+    "vary": VaryGrasps,
     "import": ImportGrasps,
     "make": MakeGrasps,
 }

@@ -18,6 +18,10 @@ from fungrasp.training.settings import DistillSettings
 PLANNED_ROUNDS = 2
 """Rounds at the start in which the planned motions act."""
 
+UPDATES = 240
+"""Minibatches in each round. With 60, an actor succeeded less often after the same number of control steps (62
+instead of 66 % after 70,000); learning takes less time than simulation."""
+
 
 def imitated_round(
     environment: TrainingEnvironment,
@@ -85,7 +89,7 @@ class MotionImitation:
             steps: control steps of each world in a round.
         """
         self._actor, self._environment, self._steps = actor, environment, steps
-        self._settings = DistillSettings()
+        self._settings = DistillSettings(updates=UPDATES)
         self._optimizer = torch.optim.Adam(actor.parameters(), lr=self._settings.learning_rate)
         self._kept: deque[TensorDict] = deque(maxlen=self._settings.kept_rounds)
         self._rounds = 0

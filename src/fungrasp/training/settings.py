@@ -76,6 +76,9 @@ class Variety:
     """Copies of each grasp: the original and its variations."""
     spread: VariationSpread = field(default_factory=VariationSpread)
     """Spread of the variations."""
+    held: bool = False
+    """Whether to train only on plans whose planned motion holds the object as shown in the believed world.
+    Imitated motions should succeed; corrections are also learned from plans that fail."""
 
     def __post_init__(self) -> None:
         if self.copies < 1:

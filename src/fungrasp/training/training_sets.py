@@ -19,9 +19,13 @@ from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.candidates import vary, with_settings
+from fungrasp.planning.selection.rollouts import roll_out
+from fungrasp.planning.selection.settings import RolloutSettings
+from fungrasp.policies import make_policy
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
-from fungrasp.simulation import build_scene
-from fungrasp.task import GraspPlan, LiftEnvironment
+from fungrasp.sim2real import NOMINAL, draw
+from fungrasp.simulation import SceneSettings, build_scene
+from fungrasp.task import Belief, GraspPlan, LiftEnvironment
 from fungrasp.training.settings import TrainSpec
 
 _log = logging.getLogger(__name__)
@@ -176,19 +180,39 @@ def build_plan_library(
     group, attempt = np.repeat(np.arange(len(grasps)), copies), np.tile(np.arange(copies), len(grasps))
     start, scene = with_settings(grasps), build_scene(hand, objects)
     planner = MotionPlanner(hand, objects)
-    parts = []
+    parts, held = [], []
     for first in range(0, len(group), CHUNK):
         rows = slice(first, first + CHUNK)
         part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, spec.variety.spread)
         belief = LiftEnvironment(scene, len(part), threads=spec.threads).settle(part)
         parts.append(planner.plan(part, belief))
+        if spec.variety.held:
+            held.append(_held_as_shown(parts[-1], belief, objects, hand, spec.threads))
         progress(first + len(part))
     plans = GraspPlan.join(parts)
     chosen = _usable(plans)
     if not chosen.any():
         raise FungraspError("none of the grasps can be trained on: no object settles, or no plan is finite")
+    if held:
+        chosen &= np.concatenate(held)
+        if not chosen.any():
+            raise FungraspError("no planned motion holds its object as shown: leave out --variety.held")
     rows = np.flatnonzero(chosen)
     return PlanLibrary(plans.select(rows), group[rows])
+
+
+def _held_as_shown(
+    plans: GraspPlan, belief: Belief, objects: Mapping[str, ObjectModel], hand: Hand, threads: int
+) -> np.ndarray:
+    """Return whether the planned motions hold the objects as shown in the believed world, shape [P] bool;
+    whether they hold them if the person's contacts are unknown."""
+    settings = RolloutSettings(NOMINAL)
+    names = set(plans.object_name.tolist())
+    used = {name: objects[name] for name in sorted(names)}
+    scene = build_scene(hand, used, SceneSettings(timestep=settings.timestep))
+    sample = draw(NOMINAL, len(plans), len(hand.joint_names), np.random.default_rng(0))
+    policy = make_policy("reference", hand, objects)
+    return roll_out(plans, belief, sample, scene, policy, settings, threads).as_shown > 0
 
 
 def _usable(plans: GraspPlan) -> np.ndarray:
