@@ -21,7 +21,7 @@ from fungrasp.planning import MotionPlanner
 from fungrasp.planning.selection.candidates import vary, with_settings
 from fungrasp.planning.selection.rollouts import roll_out
 from fungrasp.planning.selection.settings import RolloutSettings
-from fungrasp.policies import make_policy
+from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
 from fungrasp.sim2real import NOMINAL, draw
 from fungrasp.simulation import SceneSettings, build_scene
@@ -211,8 +211,7 @@ def _held_as_shown(
     used = {name: objects[name] for name in sorted(names)}
     scene = build_scene(hand, used, SceneSettings(timestep=settings.timestep))
     sample = draw(NOMINAL, len(plans), len(hand.joint_names), np.random.default_rng(0))
-    policy = make_policy("reference", hand, objects)
-    return roll_out(plans, belief, sample, scene, policy, settings, threads).as_shown > 0
+    return roll_out(plans, belief, sample, scene, OpenLoopPolicy(), settings, threads).as_shown > 0
 
 
 def _usable(plans: GraspPlan) -> np.ndarray:
