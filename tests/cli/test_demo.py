@@ -71,7 +71,7 @@ def test_a_film_and_a_page_are_written(tmp_path: Path, capsys: pytest.CaptureFix
         (["--mesh", "mug"], "--mesh needs --from-image FOLDER"),
         (["--from-image", "--grasp", "mug"], "--grasp needs grasps, not an image"),
         (["--from-image", "--mesh", "mug"], "the built-in image has its own object"),
-        (["--from-image", "nowhere"], "--mesh must say what is held"),
+        (["--from-image", "nowhere"], "--mesh is missing"),
         (["--from-image", "nowhere", "--mesh", "mug"], "the folder nowhere does not exist"),
     ],
 )

@@ -106,7 +106,7 @@ def test_three_files_become_a_grasp_that_can_be_retargeted(folder, found, tmp_pa
     )
     assert status == 0 and err.count("\n") == 1
     # Front and back are much alike.
-    assert re.search(r"which way round the object is: turned by (179|180) degrees", err)
+    assert re.search(r"the object's orientation is ambiguous: rotated by (179|180) degrees", err)
     grasps = load_human_grasps(out)
     assert len(grasps) == 1 and grasps[0].object_name == "thing" and grasps[0].task == "spray"
     volume = builtin_object(NAME).mesh.convex_hull.volume

@@ -126,7 +126,7 @@ def test_the_verdict_comes_first(tmp_path, no_pictures):
     said = words(html)
     assert "✓" not in said
     assert (
-        said.index("? Not sure: pixels of object or mesh that do not agree 7 %, not at most 5 %")
+        said.index("? Not sure: object or mesh pixels that disagree 7 %, not at most 5 %")
         < said.index("A click at the object.")
         < said.index("In the image")
     )

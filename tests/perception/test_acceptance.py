@@ -53,13 +53,13 @@ def test_good_evidence_is_sure_and_needs_no_help():
     [
         ({"other_size": 0.3, "other_side": 0.1}, "a mesh of the right size"),
         ({"other_size": 0.05, "other_side": 0.05}, "another view"),
-        ({"explained": 0.3}, "the mesh of this very object"),
-        ({"visible": 0.4}, "the mesh of this very object"),
-        ({"larger": 6.0}, "the mesh of this very object"),
-        ({"larger": -6.0}, "the mesh of this very object"),
-        ({"off": 9.0}, "the mesh of this very object"),
-        ({"mask_piece": 2000.0}, "the mesh of this very object"),
-        ({"left_over": 0.4}, "the mesh of this very object"),
+        ({"explained": 0.3}, "a mesh of exactly this object"),
+        ({"visible": 0.4}, "a mesh of exactly this object"),
+        ({"larger": 6.0}, "a mesh of exactly this object"),
+        ({"larger": -6.0}, "a mesh of exactly this object"),
+        ({"off": 9.0}, "a mesh of exactly this object"),
+        ({"mask_piece": 2000.0}, "a mesh of exactly this object"),
+        ({"left_over": 0.4}, "a mesh of exactly this object"),
         ({"hinted": 0.0, "explained": 0.6}, "a click at the object"),
         ({"explained": 0.3, "hidden": 0.8}, "another view: 80 % of the object is behind the hand"),
         ({"explained": 0.3, "pixels": 350.0}, "the camera nearer to it: only 350 pixels show the object"),
@@ -123,7 +123,7 @@ def test_joints_that_are_not_sure_make_the_hand_unsure():
     said = judged(GOOD, joints_sure=0.2)
     assert not said.sure and said.hand < ACCEPT < said.object
     assert said.help == ("a view in which more of the hand is seen, bare and well lit",)
-    assert "joints within 20 mm of where they are, expected 20 %, not at least 60 %" in said.summary()
+    assert "expected share of joints with an error below 20 mm 20 %, not at least 60 %" in said.summary()
 
 
 def test_joints_of_a_hand_whose_object_is_not_found_need_no_other_view_of_the_hand():

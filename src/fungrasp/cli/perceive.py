@@ -111,7 +111,7 @@ class Perceive:
             lines.append(suggestion("retarget --grasps", self.out, given, "--out robot.npz"))
         else:
             lines += [f"what would help: {words}" for words in perceived.acceptance.help]
-            print("fungrasp: not sure: look at the grasp before you use it", file=sys.stderr)
+            print("fungrasp: low confidence: check the grasp before you use it", file=sys.stderr)
         status = 0 if perceived.confident else LOW_CONFIDENCE
         value = {"grasps": self.out, **perceived.as_json()}
         return CommandResult(value, "\n".join(lines), fault=fault, status=status)

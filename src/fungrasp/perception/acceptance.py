@@ -119,16 +119,16 @@ def score_of(meters: Sequence[Meter]) -> float:
 
 
 WORDS = {
-    "unexplained": ("pixels of object or mesh that do not agree", "%"),
+    "unexplained": ("object or mesh pixels that disagree", "%"),
     "other_size": ("fit of the mesh in another size, relative to its own", "%"),
-    "other_side": ("fit with another side longer or shorter, relative", "%"),
-    "larger": ("outline in the image larger or smaller than the mesh's, by", "pixels"),
-    "off": ("outline in the image beside the mesh's, in the worst eighth, by", "pixels"),
+    "other_side": ("fit with one side longer or shorter, relative", "%"),
+    "larger": ("size difference between outline and mesh", "pixels"),
+    "off": ("offset of the outline from the mesh, worst eighth", "pixels"),
     "left_over": ("how far the object reaches beyond the mesh, as a part of its size", "%"),
     "mask_piece": ("largest piece of the mask beyond the mesh, as a part of the object", "%"),
     "rival": ("fit of the best other pose, relative", "%"),
     "hand_score": ("hand: detector's score and agreement", "%"),
-    "joints": ("hand: joints within 20 mm of where they are, expected", "%"),
+    "joints": ("hand: expected share of joints with an error below 20 mm", "%"),
     "touching": ("parts of the hand that touch the object", ""),
     "reach": ("distance of the hand's nearest links from the object, as measured", "mm"),
 }
@@ -243,7 +243,7 @@ class Acceptance:
             kind, sizes = self.fitted.split(":")
             return (
                 f"unknown object: a {kind} of {sizes.replace('x', ' x ')} mm explains "
-                f"{100 * self.object:.0f} % of what is seen; the rest is a guess"
+                f"{100 * self.object:.0f} % of the visible object; the rest is a guess"
                 + (f"; not sure: {against}" if not self.sure and against else "")
             )
         if self.sure:
@@ -356,7 +356,7 @@ def object_help(obj: ObjectEstimate, given: bool = False) -> tuple[str, ...]:
         f"the camera nearer to it: only {e.pixels:.0f} pixels show the object": e.pixels < FEW_PIXELS,
         "the camera's spatial and hole-filling filters turned off": e.edge_width > SMOOTHED,
         "a mesh with colors: another pose fits nearly as well": e.colored == 0.0 and e.rival > 0.9,
-        "the mesh of this very object: this one does not cover what is seen": bool(covered),
+        "a mesh of exactly this object: this one does not cover all of it": bool(covered),
     }
     return tuple(words for words, helps in found.items() if helps)
 
@@ -392,11 +392,11 @@ def check_held(hand: HandEstimate, obj: ObjectEstimate, model: ObjectModel, *, h
     apart = float(np.linalg.norm(surface - joints.mean(axis=0), axis=1).min())
     if apart < MAX_HAND_DISTANCE / 2:
         _check_origin(model, 0.0)
-    what, then = "what fits it best", "a mask, a box or a click would say where it is"
+    what, then = "its best fit", "give a mask or box of the object, or a click at it"
     if hinted:
-        what, then = "what was said to show it", "do mask, box, click or pose show the object in this hand?"
+        what, then = "the place given for it", "do mask, box, click or pose show the object in this hand?"
     raise FungraspError(
-        f"'{model.name}' is in no hand: {what} is {apart:.2f} m from the hand that was found; {then}"
+        f"no hand holds '{model.name}': {what} is {apart:.2f} m from the detected hand; {then}"
     )
 
 
@@ -405,8 +405,8 @@ def _check_origin(model: ObjectModel, allowed: float) -> None:
     away = float(np.linalg.norm(model.vertices, axis=1).min())
     if away > allowed:
         raise FungraspError(
-            f"the origin of '{model.name}' is {away:.2f} m from its surface: move the mesh to its origin, as "
-            "poses and grasps are about it"
+            f"the origin of '{model.name}' is {away:.2f} m from its surface: move the mesh to the origin, "
+            "because poses and grasps refer to it"
         )
 
 

@@ -119,8 +119,8 @@ def perceive(
         raise FungraspError("the pose of an object without a mesh can't be given: it has no frame")
     if table is not None and table[3] <= 0:
         raise FungraspError(
-            "the camera is not above the table: the plane nx,ny,nz,d has its normal upwards, and d is the "
-            "camera's height [m]: turn all four signs"
+            "the plane nx,ny,nz,d puts the camera below the table: its normal must point up, and d is the "
+            "camera's height [m]; reverse all four signs"
         )
     held = obj if isinstance(obj, ResolvedObject) else None if unknown else resolve_object(obj, mass)
     if not isinstance(capture, Capture):
@@ -223,7 +223,7 @@ def perceive_folder(
         return perceive(BUILTIN_CAPTURE, truth.object_name, task=task or truth.task, seed=seed)
     if mesh is None:
         raise FungraspError(
-            f"image {folder}: --mesh must say what is held: a mesh file, or a built-in object's name"
+            f"image {folder}: --mesh is missing: give the object's mesh file or a built-in object's name"
         )
     return perceive(folder, mesh, mass=mass, task=task, seed=seed)
 

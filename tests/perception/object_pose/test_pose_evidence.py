@@ -27,7 +27,7 @@ def said(name: str, *others: tuple[np.ndarray, float]) -> str:
 
 def test_a_nearly_symmetric_object_may_be_the_other_way_round():
     words = said("spray_bottle", (about_z(180), 0.93))
-    assert "which way round the object is: turned by 180 degrees" in words
+    assert "the object's orientation is ambiguous: rotated by 180 degrees" in words
     millimeters = int(words.split("only ")[1].split(" mm")[0])
     assert 1 <= millimeters <= 10
 
@@ -42,7 +42,7 @@ def test_a_symmetry_and_a_worse_pose_give_no_warning():
 def test_elsewhere(better):
     away = POSE + np.array([0.03, 0, 0, 0, 0, 0, 0])
     words = said("can", (about_z(40), 0.95), (away, better))
-    assert words.startswith("where the object is: elsewhere, ") and " mm away" in words
+    assert words.startswith("the object's position is ambiguous: elsewhere, ") and " mm away" in words
 
 
 BAR = object_template(plain_shape("box:160x40x40", 0.2))

@@ -123,7 +123,7 @@ def _of_given_size(detected: DetectedHand, capture: Capture) -> np.ndarray:
     points = shape + translation
     if not (np.isfinite(points).all() and points[:, 2].min() > 0.02):
         raise FungraspError(
-            "the hand's landmarks in the image don't fit its shape: no place before the camera does"
+            "the hand's landmarks in the image don't fit its shape at any position in front of the camera"
         )
     return points
 
@@ -389,7 +389,7 @@ def _check_shape(joints: np.ndarray, side: str, where: str) -> None:
         raise FungraspError(
             f"{where}: as a {side} hand its fingers are bent back by {np.degrees(-bend):.0f} degrees; "
             "either it "
-            "is the other hand, or its x was not turned round: networks see left hands mirrored (say "
+            "is the other hand, or its x was not flipped: networks see left hands mirrored (say "
             "'mirrored': true if the file has them so)"
         )
 

@@ -177,8 +177,8 @@ def pose_from_rotation(rotation: np.ndarray, translation: np.ndarray, where: str
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if determinant < 0 and abs(determinant + 1) < 3 * TOLERANCE:
         raise FungraspError(
-            f"{where}: the matrix mirrors (its determinant is {determinant:.3g}), it is no rotation: is one "
-            "axis of the camera or of the object turned round?"
+            f"{where}: the matrix mirrors (its determinant is {determinant:.3g}), so it is no rotation: is "
+            "one axis of the camera or of the object reversed?"
         )
     if error > TOLERANCE:
         raise FungraspError(f"{where}: {_why_no_rotation(rotation, determinant, error)}")

@@ -274,7 +274,7 @@ def hand_hypotheses(
         swapped = np.ascontiguousarray(capture.color[..., ::-1])
         if find_hands(detector, dataclasses.replace(capture, color=swapped), near):
             raise FungraspError(
-                "no hand was found in the image, but is with red and blue swapped: was it written as BGR?"
+                "no hand was found, but one is with red and blue swapped: was the image written as BGR?"
             )
     if not hands and (reason := _why_no_hand(capture)):
         raise FungraspError(f"no hand was found in the image; it is {reason}")
@@ -309,7 +309,7 @@ def _of_another_size(capture: Capture, near: Box | None, detector: HandDetector)
             u, v = hand.pixels.mean(axis=0)
             depth = HAND_LENGTH * capture.intrinsics.fx / length
             return (
-                f"what looks like one at pixel {u:.0f}, {v:.0f} is {hand.extent / length:.2g} times as long "
+                f"a candidate at pixel {u:.0f}, {v:.0f} is {hand.extent / length:.2g} times as long "
                 f"as a hand is at {depth:.2g} m, the depth measured there ({EXTENTS[0]:g} to {EXTENTS[1]:g} "
                 "are possible): are the depth's unit and the focal length right?"
             )

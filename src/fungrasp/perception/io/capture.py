@@ -247,6 +247,4 @@ def _check_range(depth: np.ndarray) -> None:
         raise FungraspError("the depth image is empty: no pixel has a measurement")
     middle = float(np.median(measured))
     if middle > DEPTH_LIMIT:
-        raise FungraspError(
-            f"the depth is {middle:.4g} m in the middle of its range: were millimeters taken for meters?"
-        )
+        raise FungraspError(f"the median depth is {middle:.4g} m: were millimeters taken for meters?")

@@ -36,12 +36,12 @@ MESSAGES: Mapping[str, str] = {
         "{count} hands are in the image; the one that holds the object more likely was taken, at pixel "
         "{u:.0f}, {v:.0f}; a mask or box of the object settles it"
     ),
-    "side_not_as_given": "the hand looks like a {seen} one, not a {given} one as was said",
+    "side_not_as_given": "the hand looks like a {seen} hand, but a {given} one was given",
     "side_from_fingers": (
         "the hand looks like a {seen} one, but its fingers bend like those of a {taken} one: taken for a "
-        "{taken} one; --hand says which it is"
+        "{taken} one; --side sets it"
     ),
-    "side_from_depth": "which hand it is: a {side} one fits the depth better; --hand says which it is",
+    "side_from_depth": "left or right is ambiguous: a {side} hand fits the depth better; --side sets it",
     "hand_size": (
         "by the depth there, the hand is {size:.2f} times as large as an adult's (95 % of adults: {low:.2f} "
         "to {high:.2f}): are the depth's unit and the focal length right?"
@@ -50,19 +50,19 @@ MESSAGES: Mapping[str, str] = {
     "cut_off": "the {what} is cut off at the {edge} edge of the image",
     "fingers_bent_backwards": ("the fingers seem to be bent backwards: their landmarks are probably wrong"),
     # The object.
-    "object_elsewhere": ("where the object is: {how}, {distance_mm:.0f} mm away, it fits almost as well"),
+    "object_elsewhere": (
+        "the object's position is ambiguous: {how}, {distance_mm:.0f} mm away, it fits almost as well"
+    ),
     "object_orientation": (
-        "which way round the object is: turned by {turn_deg:.0f} degrees it fits almost as well, with its "
-        "surface only {distance_mm:.0f} mm elsewhere on average"
+        "the object's orientation is ambiguous: rotated by {turn_deg:.0f} degrees, it fits almost as well, "
+        "with its surface only {distance_mm:.0f} mm elsewhere on average"
     ),
     "not_comparable": "it can't be compared with the depth: {problem}",
     "not_searched": "{problem}",
     "no_score": "{said}",
     "low_own_score": "the estimator's own score is {score:.2g}",
     # The scene.
-    "no_table": (
-        "no table was seen: the camera was taken to be level and the table to be right below the grasp"
-    ),
+    "no_table": "no table was found: a level one right below the grasp is assumed",
 }
 
 

@@ -276,8 +276,7 @@ def check_depth_range(depth: np.ndarray, unit: float, where: str) -> None:
         else ""
     )
     raise FungraspError(
-        f"{where}: the depth is {middle:.3g} m in the middle of its range, with units of {unit:g} m; that "
-        f"can't be right{hint}"
+        f"{where}: the median depth is {middle:.3g} m with units of {unit:g} m; that can't be right{hint}"
     )
 
 

@@ -85,7 +85,7 @@ def view_of_object(
     counts = [int((mask & capture.measured).sum()) for mask in seen.masks]
     masks = tuple(mask for mask, count in zip(seen.masks, counts, strict=True) if count >= LEAST_PIXELS)
     if not masks:
-        return None, f"what may be the object has only {max(counts, default=0)} pixels with depth"
+        return None, f"the probable object has only {max(counts, default=0)} pixels with depth"
     evidence = tuple(object_evidence(capture, mask, seen, table, rng) for mask in masks)
     return ObjectView(known, capture, table, joints, seen.support, masks, evidence, seen, given), ""
 
