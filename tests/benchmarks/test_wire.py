@@ -83,7 +83,7 @@ def _places(monkeypatch: pytest.MonkeyPatch, count: int, reached: int) -> list[f
     def run(task: Any, twin: int, placement: np.ndarray) -> Any:
         tried.append(placement[0])
         if len(tried) <= reached:
-            raise UnreachableError("the arm doesn't reach so far")
+            raise UnreachableError("the arm can't reach that far")
         return wire._not_begun(task, twin, "", 0, 0.0)
 
     monkeypatch.setattr(wire, "reachable_placements", placements)
@@ -107,5 +107,5 @@ def test_out_of_reach_is_a_run_that_failed(monkeypatch: pytest.MonkeyPatch, coun
     assert len(tried) == run.placements == tries
     assert not run.success
     assert run.phase == "idle"
-    assert run.fault in ("the arm doesn't reach so far", "no placement was found")
+    assert run.fault in ("the arm can't reach that far", "no placement was found")
     assert set(run.ticks_10hz.values()) == {0}

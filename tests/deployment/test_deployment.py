@@ -290,7 +290,7 @@ def test_where_one_plan_has_no_free_way_the_next_is_tried(monkeypatch: pytest.Mo
     prepared = preparer.prepare(grasp, where, home)
     assert seeds == [0, 1] and len(prepared.corners)
     monkeypatch.setattr(FreePath, "find", lambda self, *a: None)
-    with pytest.raises(UnreachableError, match="no free path"):
+    with pytest.raises(UnreachableError, match="no collision-free path"):
         preparer.prepare(grasp, where, home)
     assert seeds == [0, 1, 0, 1, 2]
 
@@ -335,7 +335,9 @@ def test_a_grasp_out_of_reach_is_said_before_anything_moves() -> None:
     assert "not reachable" in str(error.value) and "\n" not in str(error.value)
     aside = placed().copy()
     aside[0] += 0.45
-    with pytest.raises(UnreachableError, match=r"it would be with the object moved by|no placement nearby"):
+    with pytest.raises(
+        UnreachableError, match=r"it would be reachable with the object moved by|no placement nearby"
+    ):
         preparer.prepare(grasp, aside, np.array(near_cell().arm.home))
 
 
@@ -495,7 +497,10 @@ def test_no_plan_names_the_limit_that_forbids_it() -> None:
     grasp, obj = grasp_and_object(36)
     home = np.array(cell.arm.home)
     for change, said in (
-        ({"upper": (0.5, 0.5, 0.5)}, r"where the arm is now, .*z = 0\.67 m, and workspace\.upper has 0\.5"),
+        (
+            {"upper": (0.5, 0.5, 0.5)},
+            r"with the arm in its current posture, .*z = 0\.67 m, and workspace\.upper has 0\.5",
+        ),
         ({"hand_depth": -0.12}, r"workspace\.hand_depth = -0\.12"),
     ):
         small = replace(cell, workspace=replace(cell.workspace, **change))

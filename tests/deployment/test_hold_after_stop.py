@@ -170,7 +170,8 @@ def test_what_the_hand_says_while_it_holds_is_said_at_once(
             looks.append(len(said))
     assert looks == [1] * 5 + [2] * 5
     assert said[0].endswith("The hand holds.") and "hand holds" not in said[1]
-    assert {"hot": "says: too hot", "lost": "is not known: silent", "slips": "has moved by"}[what] in said[1]
+    words = {"hot": "reports: too hot", "lost": "state is unknown: silent", "slips": "has moved by"}
+    assert words[what] in said[1]
 
 
 def test_a_hand_that_does_not_open_is_said_and_asked_about_again(

@@ -168,6 +168,6 @@ def test_the_question_is_answered_on_the_terminal(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(SafetyStop, match="'home' was not confirmed"):
         PhaseQuestions(switch).confirm(Phase.HOME, meanwhile)
     switch._answers.put("")
-    with pytest.raises(SafetyStop, match="terminal is gone"):
+    with pytest.raises(SafetyStop, match="terminal has closed"):
         PhaseQuestions(switch).confirm(Phase.HOME, meanwhile)
     assert not switch.reason

@@ -89,7 +89,7 @@ MISTAKES = {
     "residual too large": (
         "calibration_residual = 0.002",
         "calibration_residual = 0.0061",
-        ["'tracker.calibration_residual' is 6.1 mm", "calibrate the camera anew"],
+        ["'tracker.calibration_residual' is 6.1 mm", "calibrate the camera again"],
     ),
     "left hand, right model": (
         'hand = "inspire"',

@@ -174,7 +174,7 @@ def test_drivers_that_do_not_fit_are_refused_by_name(lab, points: str, words: st
 def test_names_that_clash_are_refused(lab, capsys: pytest.CaptureFixture[str]) -> None:
     lab("[fungrasp.arm_drivers]\nur-rtde = lab_robots:Arm\nlab = lab_robots:Arm\n")
     lab("[fungrasp.arm_drivers]\nlab = other_lab:Arm\n", "other-lab", "other_lab")
-    both = "brought by several packages, (lab-robots 1.0, other-lab|other-lab 1.0, lab-robots) 1.0"
+    both = "provided by several packages, (lab-robots 1.0, other-lab|other-lab 1.0, lab-robots) 1.0"
     for name, words in (("ur-rtde", "fungrasp, lab-robots 1.0"), ("lab", both)):
         with pytest.raises(FungraspError, match=words):
             arm_driver(lab_cell(driver=name))

@@ -295,7 +295,7 @@ def test_a_hand_that_takes_no_goals_any_more_is_a_fault():
         device.emulator.inject(Fault.REFUSED)
         device.driver.command(device.near + 0.1)
         assert wait_for(lambda: device.driver.read().status is DeviceStatus.FAULT)
-        assert "does not take what it is told: angles" in device.driver.read().message
+        assert "does not accept: angles" in device.driver.read().message
 
 
 def test_late_answers_on_a_serial_line_are_not_taken_for_others():

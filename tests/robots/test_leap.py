@@ -186,7 +186,7 @@ def test_a_servo_that_takes_no_mode_is_refused(monkeypatch: pytest.MonkeyPatch):
             ),
         )
         device.driver.connect()
-        with pytest.raises(RobotError, match="does not take what it is told: operating mode"):
+        with pytest.raises(RobotError, match="does not accept: operating mode"):
             device.driver.command(device.near)
         assert not device.emulator.torque_on
 

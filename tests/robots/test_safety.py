@@ -237,7 +237,7 @@ def test_a_measured_value_that_is_no_number_stops_the_robot(device: str, what: s
     value = np.nan if what == "device_time" else np.full(count, np.nan)
     said = state(**{device: joints(count, **{what: value})})
     stop = stopped(command(), command(), at=said)
-    assert stop is not None and stop.reason == f"what the {device} says is not finite"
+    assert stop is not None and stop.reason == f"a reading of the {device} is not finite"
 
 
 @pytest.mark.parametrize("change", [{"score": np.nan}, {"captured": np.nan}])

@@ -162,7 +162,7 @@ class BringUp:
         if not well or not step.question:
             return PASSED if well else FAILED, lines
         if self.yes:
-            return PASSED, [*lines, f"nobody looked ({step.question})"]
+            return PASSED, [*lines, f"not checked by an operator ({step.question})"]
         answer = self._ask(f"  {step.question} Type '{YES}' or 'no': ")
         return PASSED if answer.lower() == YES else FAILED, [*lines, f"operator: {step.question} {answer}"]
 

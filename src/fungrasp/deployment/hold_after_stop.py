@@ -84,7 +84,7 @@ class HoldWatch:
             robot.clock.sleep_until(robot.clock.now() + LOOK)
         self._places.pop("hand", None)
         said = [hand.message] * (hand.status is not DeviceStatus.STOPPED)
-        said += [f"{', '.join(self.held_up)} held up, or without power"] * bool(self.held_up)
+        said += [f"{', '.join(self.held_up)} blocked, or without power"] * bool(self.held_up)
         why = "; ".join(said)
         self._say(
             "The hand is open."
@@ -96,12 +96,12 @@ class HoldWatch:
     def _of(self, part: str, state: JointState, well: str) -> str:
         """Return what a device does, as the rest of a sentence. well: words for one that stands still."""
         if state.status is DeviceStatus.DISCONNECTED:
-            return f"is not heard, and what it does is not known: {state.message}"
+            return f"does not answer, and its state is unknown: {state.message}"
         place = self._places.setdefault(part, state.positions.copy())
         moved = float(np.abs(state.positions - place).max())
         did = f"has moved by more than {MOVED:g} rad" if moved > MOVED else well
         told = state.status in (DeviceStatus.READY, DeviceStatus.STOPPED)
-        return did if told else f"{'stands still' if did == well else did}, and says: {state.message}"
+        return did if told else f"{'stands still' if did == well else did}, and reports: {state.message}"
 
 
 def hold_until_told(robot: Robot, note: Callable[[str], None] = lambda words: None) -> None:

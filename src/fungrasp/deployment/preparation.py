@@ -144,7 +144,9 @@ class GraspPreparer(Preparer):
         """See ``Preparer.prepare``. plans: number of plans that are tried, 1 or more."""
         beyond = outside(self._kinematics.palm_pose(arm), self._cell.workspace)
         if beyond:
-            raise UnreachableError(f"where the arm is now, {beyond}: move it by hand, or widen the box")
+            raise UnreachableError(
+                f"with the arm in its current posture, {beyond}: move it by hand, or enlarge the workspace"
+            )
         # A quick check, before time is spent on planning.
         obstacle = self.obstacle(grasp, object_pose, arm)
         if obstacle:
@@ -174,8 +176,8 @@ class GraspPreparer(Preparer):
             blocked = blocked or bool(found)
         if blocked:
             raise UnreachableError(
-                f"no free path of the arm to the start of '{self._obj.name}': "
-                "move it by hand to a higher place"
+                f"no collision-free path to the start of the grasp of '{self._obj.name}': "
+                "move the arm by hand to a higher place"
             )
         raise UnreachableError(self._advice(grasp, object_pose, obstacle))
 
@@ -257,7 +259,7 @@ class GraspPreparer(Preparer):
         found = next(moved, None)
         if found is None:
             return f"{said}; no placement nearby would do: {ANOTHER}"
-        return f"{said}; it would be with the object {found[1]}"
+        return f"{said}; it would be reachable with the object {found[1]}"
 
 
 def reachable_placements(

@@ -54,7 +54,7 @@ class DriverRegistry:
         entries = [entry for entry in entry_points(group=self.group) if entry.name == name]
         if len(entries) + (name in (*self.own, self.twin)) > 1:
             raise FungraspError(
-                f"'{self.what}.driver': '{name}' is brought by several packages, {self.known()[name]}: "
+                f"'{self.what}.driver': '{name}' is provided by several packages, {self.known()[name]}: "
                 "uninstall all but one"
             )
         if name not in self.own and not entries:

@@ -316,7 +316,7 @@ def cell_faults(cell: RobotCell) -> list[str]:
     if residual > LARGEST_RESIDUAL:
         faults.append(
             f"'tracker.calibration_residual' is {1e3 * residual:.1f} mm, more than "
-            f"{1e3 * LARGEST_RESIDUAL:g} mm: calibrate the camera anew"
+            f"{1e3 * LARGEST_RESIDUAL:g} mm: calibrate the camera again"
         )
     if is_wired(cell):
         faults += _wired_faults(cell)

@@ -150,7 +150,7 @@ class SafetyGuard:
         # Comparisons with limits do not notice NaN.
         values = state.positions, state.velocities, state.device_time, state.torques
         if not all(np.isfinite(v).all() for v in values if v is not None):
-            raise SafetyStop(f"what the {part} says is not finite")
+            raise SafetyStop(f"a reading of the {part} is not finite")
         dog = self._cell.watchdog
         if silence > (dog.arm_silence if part == "arm" else dog.hand_silence):
             raise SafetyStop(f"the {part} has been silent for {1e3 * silence:.0f} ms")

@@ -234,7 +234,7 @@ def jog(
     clock of the device; ``WallClock`` if None. Returns: states at the far end and at the end. Raises:
     RobotError: the angle is zero, too large or beyond the joint's limits, and what ``follow`` raises."""
     if not 0 < abs(by) <= LARGEST_JOG:
-        raise RobotError(f"a joint is moved by {LARGEST_JOG:g} rad at most, and not by nothing: {by:g}")
+        raise RobotError(f"a joint is moved by {LARGEST_JOG:g} rad at most, and not by zero: {by:g}")
     rest = driver.read().positions
     far = rest.copy()
     far[joint] += by

@@ -82,4 +82,5 @@ class StopSwitch:
             if self._asking or not line:
                 self._answers.put(line)
             if not self._asking:
-                self.press("the stop key was pressed" if line else "the terminal is gone, and its stop key")
+                closed = "the terminal has closed, so the stop key no longer works"
+                self.press("the stop key was pressed" if line else closed)

@@ -321,7 +321,7 @@ class URLoop(DeviceLoop):
 
     def _set_watchdog(self) -> None:
         if not self._control.setWatchdog(self.settings.watchdog):
-            raise RobotError(f"{self.name}: the controller takes no watchdog; restart its program")
+            raise RobotError(f"{self.name}: the controller refuses the watchdog; restart its program")
 
     def _restart(self) -> None:
         self._lead = None
@@ -355,7 +355,7 @@ class URLoop(DeviceLoop):
             len(positions) == len(velocities) == JOINTS
             and all(abs(a - b) < largest for a, b in zip(positions, last, strict=True))
         ):
-            raise RobotError(f"{self.name}: positions that can't be; check the cable to the controller")
+            raise RobotError(f"{self.name}: implausible positions; check the cable to the controller")
         self._last, self._last_clock = positions, self._clock
         status, message = DeviceStatus.READY, self._compared if self._taken else ""
         if safety & EMERGENCY_BITS:
@@ -410,7 +410,7 @@ class URLoop(DeviceLoop):
         s, new = self.settings, step.new_position
         largest = 1.5 * s.velocity * self._period
         if not all(abs(a - b) <= largest for a, b in zip(new, lead.current_position, strict=True)):
-            raise RobotError(f"{self.name}: a setpoint too far away was not sent: this is a fault of ours")
+            raise RobotError(f"{self.name}: a setpoint that jumped was not sent: this is a bug in fungrasp")
         step.pass_to_input(lead)
         self._control.servoJ(new, 0.0, 0.0, self._period, s.lookahead, s.gain)
 

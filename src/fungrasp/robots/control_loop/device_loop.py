@@ -153,7 +153,7 @@ class ConfirmedWrites:
                 del self._open[name]
         now = time.monotonic()
         late = [name for name, (_, since, _) in self._open.items() if now - since > PATIENCE]
-        return f"it does not take what it is told: {', '.join(late)}" if late else ""
+        return f"the device does not accept: {', '.join(late)}" if late else ""
 
     def finish(self, device: str) -> None:
         """Write until all values are confirmed. device: type and address, for messages. Raises: RobotError:

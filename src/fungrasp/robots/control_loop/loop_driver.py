@@ -288,7 +288,7 @@ class LoopDriver(JointDriver):
             self._host.kill()
             if self._goal.mode in FOLLOWING:
                 self._goal = dataclasses.replace(self._goal, mode=LoopMode.HOLD)
-            self._replaces, self._heard = f"{why}; another one leads the device", 0.0
+            self._replaces, self._heard = f"{why}; another process controls the device now", 0.0
             self._host = LoopProcess(LoopTask(self._loop, self._replaces), self._message())
             # Valid until the new process reports.
             lost = dataclasses.replace(state, status=DeviceStatus.DISCONNECTED, message=self._replaces)
@@ -309,5 +309,5 @@ class LoopDriver(JointDriver):
                 self._host.kill()
             else:
                 # The process goes on halting the device for a while (``HALTING``).
-                _log.warning("%s does not show that it obeys: it may keep its torque", self.name)
+                _log.warning("%s has not confirmed that it stopped: it may still have torque", self.name)
         self._host = None

@@ -97,7 +97,7 @@ class AllegroLoop(DeviceLoop):
         )
         self.stale_after = settings.stale_after
         self.takes_feedforward = True
-        self.lets_go = "when this program ends, or it is too hot: the computer makes its torques"
+        self.lets_go = "when this program ends or the hand overheats, as this computer controls its torques"
         self._units = codec.ALLEGRO_V4 if settings.generation == 4 else codec.ALLEGRO_V5
         from fungrasp.hands import load_hand
 

@@ -98,7 +98,9 @@ class LeapSettings:
 
     def __post_init__(self) -> None:
         if self.build not in CURRENT_LIMITS:
-            raise RobotError(f'the build of a LEAP hand must be said, "full" or "lite", not "{self.build}"')
+            raise RobotError(
+                f'the build of a LEAP hand must be given as \'build\', "full" or "lite", not "{self.build}"'
+            )
         if not 0 <= self.current_limit <= 1750:
             raise RobotError(f"current_limit of a LEAP hand is up to 1750 mA, not {self.current_limit}")
 

@@ -255,11 +255,11 @@ class ReachChecker:
                 _, place, turn = follower.follow(palm, PATIENT * path.period)
                 far = place > LARGEST_ERROR or turn > 10 * LARGEST_ERROR
                 speed = f"a joint of the arm would move faster than limits.arm_speed = {c.limits.arm_speed:g}"
-                obstacle = "the arm doesn't reach so far" if far else speed
+                obstacle = "the arm can't reach that far" if far else speed
             elif near := (gap if hand_matters else replace(gap, hand=MARGIN)).fault(box, TABLE_ROOM, CLEAR):
                 obstacle = near
             elif share < LEAST_MANIPULABILITY:
-                obstacle = "the arm would be singular"
+                obstacle = "the arm would be near a singularity"
             if obstacle:
                 return Reach(posture, joints, step / len(path.palm) - 1.0, obstacle)
             margin = min(margin, gap.itself / MARGIN, share / 0.2, ends / 0.5)

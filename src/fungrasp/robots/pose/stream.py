@@ -181,7 +181,7 @@ class PoseStream(PoseSource):
         if message.clock != self._sender:
             self._sender, self._sent, self._offset = message.clock, -np.inf, np.inf
         if message.sent <= self._sent:
-            raise RobotError("a message came again")
+            raise RobotError("a message is not newer than the previous one")
         captured = self._captured(message, now, time.time())
         if captured > now + FUTURE:
             raise RobotError("the tracker's clock is ahead of ours")
