@@ -59,7 +59,7 @@ def shipped(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_list(shipped: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["policies", "list"]) == 0
     header, *rows = capsys.readouterr().out.splitlines()
-    assert header.split() == ["name", "kind", "hand", "size", "success", "licence", "data"]
+    assert header.split() == ["name", "kind", "hand", "size", "success", "license", "data"]
     assert [row.split()[:3] for row in rows] == [
         ["allegro-student", "student", "allegro"],
         ["allegro-teacher", "teacher", "allegro"],

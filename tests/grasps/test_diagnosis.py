@@ -127,7 +127,7 @@ def test_what_fingers_and_table_tell_has_a_remedy_that_works(
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [
-        ("wrist relative", "relative to the wrist: where the wrist is in the world is missing"),
+        ("wrist relative", "relative to the wrist: the wrist position in the world is missing"),
         ("shuffled", "in no known order"),
     ],
 )

@@ -148,7 +148,7 @@ def test_the_remedy_that_the_error_names_works(changes, convention):
         ({"object_pose": np.zeros(7)}, "its quaternion .* has length 0, not 1"),
         ({"object_pose": np.eye(4)[:3]}, r"shape \(3, 4\), expected \(7,\) or \(4, 4\)"),
         ({"joints": np.zeros((2, 21, 3))}, r"HumanGraspSet\.of"),
-        ({"joints": [[1, 2], [3]]}, "joints: no array of numbers"),
+        ({"joints": [[1, 2], [3]]}, "joints: not an array of numbers"),
         ({"contacts": np.full(16, 0.5)}, "expected a flag"),
         ({"mass": 350}, "is the mass in grams"),
     ],

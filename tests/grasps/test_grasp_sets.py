@@ -123,7 +123,7 @@ def put(array, row, value):
         ("object_rest_pose", lambda a: put(a, (0, 0), np.inf), "'object_rest_pose', row 0 is not finite"),
         ("object_rest_pose", lambda a: a[:2], r"shape \(2, 7\), expected \(N, 7\) with N = 3"),
         ("hand_joints", lambda a: a[:, :20], r"shape \(3, 20, 3\), expected \(N, 21, 3\)"),
-        ("hand_joints", lambda a: a * 1000, "row 0 is no hand in meters"),
+        ("hand_joints", lambda a: a * 1000, "row 0 is not a hand in m;"),
         ("hand_joints", lambda a: put(a, 1, 0.1), "row 1 has joints that coincide"),
         ("hand_joints", lambda a: put(a, 2, a[2] + 1.0), "row 2 is far from the object"),
         ("link_contacts", lambda a: a.astype(float), "holds float64, expected true/false"),

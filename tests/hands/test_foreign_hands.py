@@ -139,7 +139,7 @@ def test_the_side_is_that_of_the_names_below_the_palm(tmp_path: Path):
     head = odd_hand().split("<worldbody>")[0]
     hand, said = added(tmp_path, f"{head}<worldbody>{left}{right}", palm="left_p")
     assert hand.side == "left"
-    assert any("taken as a left hand, as its names say" in message for message in said)
+    assert any("taken as a left hand by its names" in message for message in said)
     # On a left hand the first finger lies on the other side.
     assert hand.fingers["index"].links[0] == "left_b1"
 
@@ -425,11 +425,11 @@ REFUSED = {
 SAID = {
     "equality-curve": "follows a curve: replaced by the best line, with an error of up to 0.23 rad",
     "mesh-in-mm": "taken to be in millimeters",
-    "motor-wheels": "turns more than once round and carries nothing",
+    "motor-wheels": "turns by more than one revolution and carries no other body",
     "small-degree-limits": "taken as degrees",
     "stand": "'stand .1.35 m.' is fixed to the palm, but too far",
     "tendon-pair-limits": "lets 'index_1', 'index_2' move apart, and no motor",
-    "inertia-huge": "no mass has the inertia",
+    "inertia-huge": "is physically impossible",
 }
 MASS = {
     "mesh-density": 0.560,

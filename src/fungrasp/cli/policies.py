@@ -27,7 +27,7 @@ class List(Answering):
         cards = {name: read_card(path) for name, path in files.items()}
         sizes = {name: path.stat().st_size for name, path in files.items()}
         known = [{**card.to_json(), "name": name, "bytes": sizes[name]} for name, card in cards.items()]
-        header = ("name", "kind", "hand", "size", "success", "licence", "data")
+        header = ("name", "kind", "hand", "size", "success", "license", "data")
         rows = [
             (
                 name,
@@ -65,7 +65,7 @@ def _text(card: PolicyCard) -> str:
     rows = [
         ("hand", f"{card.hand} (digest {card.hand_digest[:12]})"),
         ("acts", f"at {card.rate_hz:g} Hz, smoothing {card.action_smoothing:g}"),
-        ("licence", card.licence),
+        ("license", card.licence),
         ("created", card.created),
         ("revision", card.git_revision),
         ("seed", str(card.seed)),

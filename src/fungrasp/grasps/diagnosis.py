@@ -75,9 +75,8 @@ class GraspDiagnosis:
             return
         remedy = ""
         if self.convention.changes and file:
-            remedy = (
-                f"; 'fungrasp grasps convert {where} {self.convention.as_options()} --out NEW.npz' mends it"
-            )
+            options = self.convention.as_options()
+            remedy = f"; 'fungrasp grasps convert {where} {options} --out NEW.npz' converts it"
         elif self.convention.changes:
             remedy = f"; {mend.format(self.convention.as_arguments())}"
         raise FungraspError(f"{where}: {self.fatal}{remedy}")
@@ -90,7 +89,7 @@ def checked_grasps(
     *,
     file: bool = False,
     read: bool = False,
-    mend: str = "converted(fields, Convention({})) mends it",
+    mend: str = "converted(fields, Convention({})) converts it",
 ) -> HumanGraspSet:
     """Create human grasps from their fields, with the checks of readers and of ``retarget``.
 
@@ -237,7 +236,7 @@ def _hand_remarks(joints: np.ndarray, several: bool) -> tuple[list[Remark], Conv
     unit = _unit(float(np.median(size)))
     if several and len(at_zero) == len(joints):
         scaled = "" if unit == "m" else ", and in no unit of length"
-        words = f"the joints are relative to the wrist{scaled}: where the wrist is in the world is missing"
+        words = f"the joints are relative to the wrist{scaled}: the wrist position in the world is missing"
         return [*remarks, Remark(words, at_zero, True)], Convention()
     if unit is None:
         words = f"the hands are {np.median(size):.3g} times as large as an adult's, in no known unit"

@@ -249,4 +249,4 @@ def _numbers(name: str, values: ArrayLike) -> np.ndarray:
             tensor = tensor.detach().cpu().double().numpy()
         return np.asarray(tensor, dtype=float)
     except (TypeError, ValueError, RuntimeError) as problem:
-        raise FungraspError(f"{name}: no array of numbers ({one_line(problem)})") from problem
+        raise FungraspError(f"{name}: not an array of numbers ({one_line(problem)})") from problem

@@ -271,7 +271,7 @@ class GraspSet(Generic[Grasp]):
         for grasps in sets:
             for name, model in grasps.objects.items():
                 if objects.setdefault(name, model).digest != model.digest:
-                    raise FungraspError(f"cannot join grasp sets: they mean different objects by '{name}'")
+                    raise FungraspError(f"cannot join grasp sets: '{name}' stands for different objects")
         whole: dict[str, Any] = {**first, "objects": objects}
         return cls(**whole, **_joined([grasps._rows(slice(None)) for grasps in sets]))
 

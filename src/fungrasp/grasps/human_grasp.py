@@ -108,7 +108,7 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         bones = bone_lengths(self.hand_joints)
         longest, shortest = bones.max(axis=1, initial=0), bones.min(axis=1, initial=np.inf)
         check_rows(
-            "hand_joints", longest <= MAX_BONE_LENGTH, "is no hand in meters; its longest bone [m]", longest
+            "hand_joints", longest <= MAX_BONE_LENGTH, "is not a hand in m; its longest bone [m]", longest
         )
         check_rows(
             "hand_joints",

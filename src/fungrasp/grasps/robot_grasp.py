@@ -197,7 +197,7 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
                 f"M = {len(self.joint_names)}, the length of joint_names"
             )
         if (self.shown_places is None) != (self.shown_normals is None):
-            raise FungraspError("of the fields 'shown_places' and 'shown_normals' one is missing")
+            raise FungraspError("give both 'shown_places' and 'shown_normals', or neither")
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")
         if self.task is None:

@@ -122,7 +122,7 @@ class _Fit:
 REASONS = {
     "quaternion": "quaternions are xyzw, not wxyz",
     "rotation": "rotations are transposed",
-    "pose": "poses are those of the world in the object's frame",
+    "pose": "poses are of the world in the object frame",
     "joints_frame": "the joints are in the object's frame",
     "object_unit": "the objects' positions are in {object_unit}",
     "up": "the world's {up} points up",

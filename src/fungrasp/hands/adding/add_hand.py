@@ -104,7 +104,7 @@ def add_hand(
     if wrong:
         said = [f.message for f in findings if f.severity == "warning" and "proposed" not in f.message]
         raise FungraspError(
-            f"{path}: what was read is no hand: {'; '.join(f.message for f in wrong)}"
+            f"{path}: this is not a plausible hand: {'; '.join(f.message for f in wrong)}"
             + (f" (read on the way: {'; '.join(said)})" if said else "")
         )
     with atomic_path(model_path) as temporary:
@@ -140,9 +140,9 @@ def check_hand_files(path: str | Path) -> list[Finding]:
                 findings = add_hand(path, Path(trial), "hand")[1]
         except FungraspError as problem:
             findings = [error(str(problem))]
-        findings.append(note(f"'fungrasp hands add {path}' mends what it can and makes a hand folder of it"))
+        findings.append(note(f"'fungrasp hands add {path}' repairs the model and writes a hand folder"))
     else:
-        findings = [error(f"{path} is none of .toml (a hand), {', '.join(MODEL_SUFFIXES)} (a model)")]
+        findings = [error(f"{path} must be a .toml (hand) or {', '.join(MODEL_SUFFIXES)} (model) file")]
     order = ("error", "warning", "note")
     return sorted(dict.fromkeys(findings), key=lambda finding: order.index(finding.severity))
 

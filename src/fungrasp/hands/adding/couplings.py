@@ -151,7 +151,7 @@ def _tendon(
         findings.append(
             warning(
                 f"the tendon '{name}' and the limits leave '{joint_name(model, near)}' and "
-                f"'{joint_name(model, far)}' nowhere to go"
+                f"'{joint_name(model, far)}' no common range"
             )
         )
     of_motor = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON) & (model.actuator_trnid[:, 0] == tendon)
@@ -267,7 +267,7 @@ def solve_loops(
         # Independent joints, in the order of ``moved``.
         own = [int(np.argmax(matrix[:, u] == 1.0)) for u in moved]
         if free != 1:
-            freedom = "no motion" if free == 0 else f"{free} motions that mix"
+            freedom = "no motion" if free == 0 else f"{free} degrees of freedom instead of one"
             raise FungraspError(
                 f"the closed loop {names} leaves its {len(own)} joints {freedom}; a hand's joint follows one "
                 "driver or none: tie the joints behind it with --couple JOINT=OFFSET+SLOPE*DRIVER, or give a "
@@ -280,7 +280,7 @@ def solve_loops(
         if np.ptp(path[:, driver]) < LEAST_MOTION:
             raise FungraspError(
                 f"the closed loop {names} lets '{joint_name(model, own[driver])}' turn by only "
-                f"{np.ptp(path[:, driver]):.2f} rad; is it put together right in the file's pose?"
+                f"{np.ptp(path[:, driver]):.2f} rad; are its bodies connected correctly in the file's pose?"
             )
         model.jnt_range[own[driver]] = path[:, driver].min(), path[:, driver].max()
         others = [i for i in range(len(own)) if i != driver]

@@ -80,8 +80,8 @@ def find_chains(
     result = [Chain(tuple(chain), _links(model, poses, chain, tips)) for chain in kept]
     if len(result) < 2:
         raise FungraspError(
-            f"only {len(result)} finger is found on '{body_name(model, palm)}'; a hand needs a thumb and one "
-            "more: name the palm with --palm BODY"
+            f"{'only one' if result else 'no'} finger was found on '{body_name(model, palm)}'; a hand needs "
+            "a thumb and one more: name the palm with --palm BODY"
         )
     return result
 

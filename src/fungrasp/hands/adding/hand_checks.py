@@ -87,7 +87,7 @@ def _faults_of_model(path: Path, loads: bool) -> Iterator[Finding]:
         return
     for finding in foreign.findings:
         say = error if finding.severity == "warning" else warning
-        yield say(f"{finding.message} ('hands add' does so, loading a hand does not)")
+        yield say(f"{finding.message} (only 'fungrasp hands add' repairs this)")
     yield from narrowed_ranges(foreign.model, couplings)
     if fuses:
         yield error(
@@ -202,7 +202,7 @@ def _fingers(hand: Hand) -> Iterator[Finding]:
         for near, far in pairwise((*finger.joints, finger.tip)):
             if np.linalg.norm(place_of(data, far) - place_of(data, near)) < SHORTEST_LINK:
                 yield error(
-                    f"finger '{name}': '{near}' and '{far}' begin at the same point; leave out '{near}', or "
+                    f"finger '{name}': '{near}' and '{far}' are at the same point; leave out '{near}', or "
                     "move the tip to the link's end"
                 )
 

@@ -73,7 +73,7 @@ def _unwind_wheels(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
         spec.delete(joint)
     findings.append(
         warning(
-            f"the joint {listed(names)} turns more than once round and carries nothing: no finger, held still"
+            f"the joint {listed(names)} turns by more than one revolution and carries no other body: fixed"
         )
     )
 
@@ -132,9 +132,9 @@ def _limits(spec: mujoco.MjSpec, findings: list[Finding]) -> None:
         joint.range = np.array([low, high]) / unit
     for names, text in (
         (none, f"has no limits; {FINGER_RANGE[0]:g} to {FINGER_RANGE[1]:g} rad are proposed"),
-        (turned, "has its limits in the wrong order; turned round"),
+        (turned, "has its limits swapped; corrected"),
         (degrees, "has limits in degrees, as most turn beyond a full turn in radians; taken as degrees"),
-        (cut, "turns further than half a turn to a side [rad]: cut to that"),
+        (cut, "has limits beyond -pi to pi rad; clipped"),
     ):
         if names:
             findings.append(warning(f"the joint {listed(names)} {text}"))
@@ -163,7 +163,7 @@ def drop_bad_inertias(spec: mujoco.MjSpec, findings: list[Finding]) -> set[str]:
     if wrong:
         findings.append(
             warning(
-                f"no mass has the inertia of the body {listed(wrong)}: replaced by that of a body with a "
+                f"the inertia of {listed(wrong)} is physically impossible: replaced by that of a body with a "
                 "radius of gyration of 10 mm"
             )
         )

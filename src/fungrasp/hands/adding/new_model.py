@@ -81,7 +81,7 @@ def new_model(
     if guessed:
         foreign.findings.append(
             warning(
-                f"no mass of {listed(guessed)} is known: that of its shapes at {DENSITY:g} kg/m3 is taken"
+                f"the mass of {listed(guessed)} is unknown: computed from its shapes at {DENSITY:g} kg/m3"
             )
         )
     if moved:

@@ -96,6 +96,4 @@ def narrowed_ranges(model: mujoco.MjModel, couplings: dict[int, Drive]) -> Itera
             f"{'; '.join(narrower[:6])}{' and more' if len(narrower) > 6 else ''}; {remedy}"
         )
     if beyond:
-        yield warning(
-            f"limits that couplings do not keep are taken to be wrong, of {listed(beyond)}; {remedy}"
-        )
+        yield warning(f"couplings exceed the limits of {listed(beyond)}; these limits are ignored; {remedy}")

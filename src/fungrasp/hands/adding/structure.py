@@ -117,7 +117,7 @@ def find_structure(
         bend = np.sum([features[i].bend for i in long], axis=0)
         if np.linalg.norm(bend) < 0.2 * len(long):
             raise FungraspError(
-                "the fingers bend to no common side, so that the palm's normal can't be found; give it with "
+                "the fingers do not bend to a common side, so the palm normal is unknown; give it with "
                 f"--normal X Y Z in the frame of '{body_name(model, palm)}'"
             )
         normal = _snapped(bend - (bend @ along) * along)
@@ -399,8 +399,8 @@ def find_side(
     side = named or "right"
     findings.append(
         warning(
-            f"the thumb stands in the middle: taken as a {side} hand, "
-            f"{'as its names say' if named else 'as it would do for either'}; --side changes it"
+            f"the thumb stands in the middle: taken as a {side} hand "
+            f"{'by its names' if named else 'by default'}; --side changes it"
         )
     )
     return side
