@@ -67,7 +67,7 @@ def object_pixels() -> np.ndarray:
 
 def known(scene: HandScene, score: float = 0.9) -> ObjectEstimate:
     """The true pose."""
-    return ObjectEstimate(scene.pose_camera_object, score, True, residual_m=0.001)
+    return ObjectEstimate(scene.pose_camera_object, score, True)
 
 
 def in_object(perceived: Perceived) -> np.ndarray:

@@ -124,7 +124,7 @@ def test_a_hand_is_checked(changes, words):
 
 
 def test_an_object_and_its_alternatives_are_checked():
-    estimate = ObjectEstimate(POSE, 0.8, True, ((POSE, 0.4),), residual_m=0.001)
+    estimate = ObjectEstimate(POSE, 0.8, True, ((POSE, 0.4),))
     assert estimate.alternatives[0][1] == 0.4
     with pytest.raises(FungraspError, match="score"):
         ObjectEstimate(POSE, 0.8, True, ((POSE, 1.4),))

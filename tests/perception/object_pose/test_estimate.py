@@ -39,7 +39,6 @@ def test_with_a_mask() -> None:
     assert add_s(surface(MUG), found.pose_camera_object, there.pose) < 0.004
     assert found.accepted
     assert found.note == ""
-    assert found.residual_m < 0.003
     again = estimate_object_pose(capture, MUG)
     assert again.pose_camera_object.tobytes() == found.pose_camera_object.tobytes()
     assert again.score == found.score

@@ -33,7 +33,6 @@ def test_a_pose_is_right_or_wrong_whatever_its_program_says(masked: bool) -> Non
     )
     assert right.accepted and right.judged and right.note == ""
     assert right.pose_camera_object.tobytes() == SCENE.pose.tobytes(), "it is not moved"
-    assert right.residual_m < 0.003
     wrong = score_given_pose(said((0.05, 0.0, 0.0)), capture, MUG, SCENE.hand, SCENE.table)
     assert not wrong.accepted and wrong.evidence is not None and wrong.score < 0.2
     again = score_given_pose(said(), capture, MUG, SCENE.hand, SCENE.table)
@@ -45,7 +44,6 @@ def test_a_pose_that_is_nearly_right_can_be_improved() -> None:
     kept = score_given_pose(said((0.004, 0.0, 0.004)), capture, MUG, SCENE.hand, SCENE.table)
     better = score_given_pose(said((0.004, 0.0, 0.004)), capture, MUG, SCENE.hand, SCENE.table, improve=True)
     assert kept.accepted and better.accepted and kept.score == better.score
-    assert better.residual_m < kept.residual_m
     assert np.linalg.norm(better.pose_camera_object[:3] - SCENE.pose[:3]) < 0.002
 
 

@@ -40,7 +40,6 @@ FRONT_WORST = 0.04  # Bound of this distance [m].
 INSIDE_SPREAD = 0.004  # Standard deviation of the finger's penetration of object or table [m].
 TOUCH_SPREAD = 0.008  # Standard deviation of the gap between the last link and the object [m].
 TOUCH_WORST = 0.02  # Bound of this gap [m].
-UNUSUAL_WEIGHT = 1.0  # Weight of the cost of an unusual posture.
 
 
 def postures(finger: int, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -107,7 +106,7 @@ def finger_cost(
         cost += np.square(np.minimum(height - 0.5 * radius, 0.0) / INSIDE_SPREAD).sum(axis=1)
     usual = (tried[..., 1] - ANGLE_MEAN[finger, :, 1]) / (2.0 * ANGLE_SPREAD[finger, :, 1])
     beyond = np.minimum(tried - ANGLE_LOW[finger], 0) + np.maximum(tried - ANGLE_HIGH[finger], 0)
-    cost += UNUSUAL_WEIGHT * (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
+    cost += (usual**2).sum(axis=1) + np.square(beyond / np.radians(5)).sum(axis=(1, 2))
     return cost
 
 

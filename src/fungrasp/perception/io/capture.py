@@ -61,11 +61,6 @@ class Intrinsics:
                 f"x {self.height}: intrinsics of another resolution?"
             )
 
-    @property
-    def matrix(self) -> np.ndarray:
-        """Matrix ``K`` that maps camera-frame points to pixels times depth, shape [3, 3]."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project camera-frame points [m], shape [..., 3], to pixels, shape [..., 2]; NaN for points that are
         not in front of the camera."""

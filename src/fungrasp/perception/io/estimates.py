@@ -170,8 +170,6 @@ class ObjectEstimate:
     """Whether the score is sufficient."""
     alternatives: tuple[tuple[np.ndarray, float], ...] = ()
     """Other poses that the image does not exclude, best first: pose, shape [7], and score."""
-    residual_m: float = float("nan")
-    """Median distance of the object's measured points from the mesh [m]."""
     warnings: tuple[PerceptionWarning, ...] = ()
     """Uncertainties; may be empty."""
     judged: bool = True

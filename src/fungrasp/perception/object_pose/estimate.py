@@ -84,19 +84,17 @@ def estimate_object_pose(
     order = np.argsort(-(scores.quality + COLOR_WEIGHT * scores.quality.max() * color))
     poses, scores = found.poses[order], scores.chosen(order)
     owner = int(found.owner[order[0]])
-    points = view.evidence[owner].points
     rival = best_rival(known, poses, scores.quality)
     evidence = pose_evidence(view, view.scorer(RAYS), poses[0], owner, rival, rng)
-    return _best(poses, scores, known.surface.median_distance(points, poses[0]), evidence)
+    return _best(poses, scores, evidence)
 
 
-def _best(poses: np.ndarray, scores: PoseScores, residual_m: float, first: PoseEvidence) -> ObjectEstimate:
+def _best(poses: np.ndarray, scores: PoseScores, first: PoseEvidence) -> ObjectEstimate:
     """Return the estimate with the best pose and its alternatives.
 
     Args:
         poses: object in the camera frame, best first, shape [H, 7].
         scores: scores of the H poses.
-        residual_m: residual of the first pose [m].
         first: evidence for the first pose.
     """
     score = object_score(first)
@@ -105,7 +103,7 @@ def _best(poses: np.ndarray, scores: PoseScores, residual_m: float, first: PoseE
         # Near-symmetric poses share most of their pixels, hence the square root of the relative quality.
         relative = float(scores.quality[i] / max(scores.quality[0], 1e-6))
         others.append((poses[i], score * min(relative, 1.0) ** 0.5))
-    return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), residual_m, evidence=first)
+    return ObjectEstimate(poses[0], score, score >= ACCEPT, tuple(others), evidence=first)
 
 
 def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses, PoseScores, np.ndarray]:
@@ -186,13 +184,12 @@ def score_given_pose(
     near = add_s(known.surface.samples, poses, pose) < RIVAL_DISTANCE
     best = int(np.argmax(np.where(near, scores.quality, -1.0)))
     chosen = poses[best] if improve else pose
-    residual = known.surface.median_distance(view.evidence[owners[best]].points, chosen)
     first = PoseHypotheses(poses[best : best + 1], owners[best : best + 1])
     others = _turned(first, view, scorer)
     answers = first.joined(others)
     scores = scorer(answers.poses, answers.owner)
     evidence = pose_evidence(view, scorer, poses[best], int(owners[best]), 0.0, rng)
-    return replace(_best(answers.poses, scores, residual, evidence), pose_camera_object=chosen)
+    return replace(_best(answers.poses, scores, evidence), pose_camera_object=chosen)
 
 
 def _turned(first: PoseHypotheses, view: ObjectView, scorer: PoseScorer) -> PoseHypotheses:

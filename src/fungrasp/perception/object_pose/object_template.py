@@ -116,10 +116,6 @@ class KnownSurface:
         local = inverse_transform_points(pose, points)
         return np.abs(self.distance.query(np.zeros(1, dtype=int), local[None])[0][0])
 
-    def median_distance(self, points: np.ndarray, pose: np.ndarray) -> float:
-        """Return the median of ``distances`` [m]."""
-        return float(np.median(self.distances(points, pose)))
-
 
 @dataclass(frozen=True, eq=False)
 class ObjectTemplate:
