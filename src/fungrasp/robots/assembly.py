@@ -24,6 +24,9 @@ from fungrasp.sim2real.joint_dynamics import HandDynamics, JointDynamics, load_d
 OWN = "fungrasp"
 """Distribution of the built-in drivers."""
 
+TWIN = "twin"
+"""Driver of a twin's device, in the same process; reserved."""
+
 
 @dataclass(frozen=True)
 class DriverRegistry:
@@ -35,14 +38,12 @@ class DriverRegistry:
     """Group of the entry points."""
     own: Mapping[str, Callable[[RobotCell], Any]]
     """Built-in drivers by name."""
-    twin: str
-    """Name of twins' devices, reserved."""
     protocol: type
     """Interface of the devices: ``JointDriver`` or ``PoseSource``."""
 
     def known(self) -> dict[str, str]:
         """Return the distribution of each driver by name; several, with commas, if names clash."""
-        found = dict.fromkeys((*self.own, self.twin), OWN)
+        found = dict.fromkeys((*self.own, TWIN), OWN)
         for entry in entry_points(group=self.group):
             origin = _distribution(entry)
             found[entry.name] = f"{found[entry.name]}, {origin}" if entry.name in found else origin
@@ -52,7 +53,7 @@ class DriverRegistry:
         """Make the device of a cell. Raises: FungraspError: no driver or several drivers of this name, or one
         that can't be loaded or used; the message names the distribution."""
         entries = [entry for entry in entry_points(group=self.group) if entry.name == name]
-        if len(entries) + (name in (*self.own, self.twin)) > 1:
+        if len(entries) + (name in (*self.own, TWIN)) > 1:
             raise FungraspError(
                 f"'{self.what}.driver': '{name}' is provided by several packages, {self.known()[name]}: "
                 "uninstall all but one"
@@ -96,9 +97,6 @@ def _distribution(entry: EntryPoint) -> str:
 def _line(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
-
-TWIN = "twin"
-"""Driver of a twin's device, in the same process."""
 
 CAMERA = "realsense"
 """Driver of the built-in tracker with a RealSense camera."""
@@ -279,7 +277,6 @@ ARM_DRIVERS = DriverRegistry(
     "arm",
     "fungrasp.arm_drivers",
     {"ur-rtde": _own("arms.ur", "UR", "arm")},
-    TWIN,
     JointDriver,
 )
 """Drivers of arms."""
@@ -292,12 +289,11 @@ HAND_DRIVERS = DriverRegistry(
         "inspire": _own("hands.inspire", "Inspire", "hand_device"),
         "leap-dynamixel": _own("hands.leap", "Leap", "hand_device", "port"),
     },
-    TWIN,
     JointDriver,
 )
 """Drivers of hands."""
 
 TRACKERS = DriverRegistry(
-    "tracker", "fungrasp.pose_sources", {"pose-stream": _stream, CAMERA: _camera}, TWIN, PoseSource
+    "tracker", "fungrasp.pose_sources", {"pose-stream": _stream, CAMERA: _camera}, PoseSource
 )
 """Sources of object poses."""

@@ -88,7 +88,6 @@ class TwinWorld:
         self._frames: deque[TrackedPose] = deque()
         self._delivered: TrackedPose | None = None
         self._next_frame = 0.0
-        self._play = np.zeros(len(fingers))
         self._torque: np.ndarray | None = None
         self.powered = True
         """Whether the hand's servos have torque."""
