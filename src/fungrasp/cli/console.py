@@ -26,6 +26,9 @@ __all__ = [
     "write_json",
 ]
 
+LOW_CONFIDENCE = 3
+"""Exit status if the confidence in a perceived grasp is low."""
+
 STDOUT = "-"
 """Value of ``--json`` without a file, for commands with ``--json FILE``."""
 

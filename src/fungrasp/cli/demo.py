@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from fungrasp.cli.console import Answering, CommandResult, progress_bar
+from fungrasp.cli.console import LOW_CONFIDENCE, Answering, CommandResult, progress_bar
 from fungrasp.cli.options import GraspsOption, optional_value
 from fungrasp.core.errors import FungraspError
 
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 FAVORITES = ("drill:drill", "mug:hand over", "flashlight:light", "bottle:pour")
 """Grasps to show without --grasp, if the file has them."""
-
-LOW_CONFIDENCE = 3
-"""Exit status if the robot does not try the only grasp because of its low confidence."""
 
 RENDERED = "<p>The image is rendered, not a photograph, so the true poses are known.</p>"
 

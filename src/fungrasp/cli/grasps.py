@@ -359,7 +359,7 @@ class SelectGrasps(Answering):
     def run(self) -> CommandResult:
         import numpy as np
 
-        from fungrasp.grasps import RobotGraspSet, load_grasps, save_human_grasps, save_robot_grasps
+        from fungrasp.grasps import RobotGraspSet, load_grasps
 
         grasps = load_grasps(self.file)
         assert grasps.task is not None
@@ -384,10 +384,7 @@ class SelectGrasps(Answering):
         if not kept.any():
             raise FungraspError(f"none of the {len(grasps)} grasps in {self.file} is selected")
         chosen = grasps.select(kept)
-        if isinstance(chosen, RobotGraspSet):
-            save_robot_grasps(self.out, chosen)
-        else:
-            save_human_grasps(self.out, chosen)
+        chosen.save(self.out)
         return CommandResult(
             {"grasps": self.out, "count": len(chosen), "of": len(grasps)},
             f"{self.out}: {len(chosen)} of {len(grasps)} grasps",

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from fungrasp.cli.console import CommandResult, option, suggestion, table, write_json
+from fungrasp.cli.console import LOW_CONFIDENCE, CommandResult, option, suggestion, table, write_json
 from fungrasp.cli.options import JsonOut, json_path, optional_value
 from fungrasp.core.errors import FungraspError
 from fungrasp.perception.io.image_source import REALSENSE, ImageSource
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from fungrasp.perception.perceived import Perceived
-
-LOW_CONFIDENCE = 3
-"""Exit status if the grasp was written with low confidence."""
 
 
 @dataclass(frozen=True)

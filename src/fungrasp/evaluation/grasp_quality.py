@@ -168,8 +168,7 @@ def _quality(
 ) -> StaticQuality:
     kinematics = HandKinematics(hand, len(robot))
     wrist = compose(invert(robot.object_pose), robot.wrist_pose)
-    independent = (robot.joint_positions - kinematics.offset) @ np.linalg.pinv(kinematics.matrix).T
-    kinematics.update(wrist, independent)
+    kinematics.update(wrist, hand.independent(robot.joint_positions))
     keypoints = kinematics.points(kinematics.body_points(hand.keypoint_names))
     joints = inverse_transform_points(human.object_pose, human.hand_joints)
 

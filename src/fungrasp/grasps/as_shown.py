@@ -174,8 +174,7 @@ class ShownJudge:
         wanted, places, normals = shown.wanted, shown.places, shown.normals
         models, index, bank = _grouped(shown.object_name.tolist(), self._objects)
         kinematics = HandKinematics(self.hand, len(index))
-        independent = (joint_positions - kinematics.offset) @ np.linalg.pinv(kinematics.matrix).T
-        kinematics.update(palm_pose, independent)
+        kinematics.update(palm_pose, self.hand.independent(joint_positions))
         centers = kinematics.points(self._spheres.points)
         clearance = bank.query(index, centers)[0] - self._spheres.radius
         # Without the palm, link 0.

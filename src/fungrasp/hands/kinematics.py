@@ -180,8 +180,7 @@ class HandKinematics:
             wrist_pose: reference frame, shape [N, 7].
             joint_positions: all joints [rad], shape [N, M].
         """
-        independent = (joint_positions - self.offset) @ np.linalg.pinv(self.matrix).T
-        self.update(wrist_pose, independent)
+        self.update(wrist_pose, self.hand.independent(joint_positions))
         return self.points(self.body_points(self.hand.keypoint_names))
 
 
