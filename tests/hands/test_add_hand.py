@@ -96,6 +96,14 @@ def test_coupling_by_option(tmp_path: Path):
         added(tmp_path, odd_hand(), couplings=(GivenCoupling("a3_k", 0.9, "a2_j"),))
 
 
+def test_a_joint_may_follow_a_later_one(tmp_path: Path):
+    """With slope 1, both have the same row in the coupling matrix."""
+    follows = GivenCoupling("a2_j", 1.0, "a3_j", offset=0.2)
+    hand, messages = added(tmp_path, odd_hand(), couplings=(follows,))
+    assert "a3_j" in hand.actuators and "a2_j" not in hand.actuators
+    assert any("a3_j -0.10 to 1.30, not -0.10 to 1.50" in message for message in messages)
+
+
 def test_mirrored_file_gives_the_mirrored_hand(tmp_path: Path):
     right, _ = added(tmp_path / "r", odd_hand())
     left, _ = added(tmp_path / "l", odd_hand(left=True))

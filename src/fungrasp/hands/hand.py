@@ -165,7 +165,7 @@ class Hand:
         of an equality is used.
         """
         try:
-            return coupling_matrix(self.model.njnt, drives(self.model))
+            return coupling_matrix(self.model.njnt, drives(self.model))[:2]
         except ValueError as error:
             raise FungraspError(f"hand '{self.name}': in {self.model_path} {error}") from None
 

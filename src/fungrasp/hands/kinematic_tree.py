@@ -69,17 +69,18 @@ def drives(model: mujoco.MjModel) -> dict[int, Drive]:
     }
 
 
-def coupling_matrix(count: int, driven: Mapping[int, Drive]) -> tuple[np.ndarray, np.ndarray]:
-    """Return matrix, shape [M, U], and offset [rad], shape [M]: ``joints = matrix @ independent + offset``.
+def coupling_matrix(count: int, driven: Mapping[int, Drive]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return matrix, shape [M, U], and offset [rad], shape [M], with ``joints = matrix @ independent +
+    offset``, and the ids of the independent joints in model order, shape [U].
 
     Args:
         count: M, the number of joints.
-        driven: couplings by driven joint. The U other joints are independent, in model order.
+        driven: couplings by driven joint; all other joints are independent.
 
     Raises:
         ValueError: joints drive each other in a loop.
     """
-    free = [joint for joint in range(count) if joint not in driven]
+    free = np.array([joint for joint in range(count) if joint not in driven], dtype=int)
     matrix, offset = np.zeros((count, len(free))), np.zeros(count)
     matrix[free, range(len(free))] = 1.0
     pending = dict(driven)
@@ -91,7 +92,20 @@ def coupling_matrix(count: int, driven: Mapping[int, Drive]) -> tuple[np.ndarray
             driver, constant, slope = pending.pop(joint)
             matrix[joint] = slope * matrix[driver]
             offset[joint] = constant + slope * offset[driver]
-    return matrix, offset
+    return matrix, offset, free
+
+
+def independent_limits(
+    matrix: np.ndarray, offset: np.ndarray, limits: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return limits of the independent joints within which all joints keep theirs, shape [U] each."""
+    lower = np.full(matrix.shape[1], -np.inf)
+    upper = np.full(matrix.shape[1], np.inf)
+    for row, shift, (low, high) in zip(matrix, offset, limits, strict=True):
+        for u in np.flatnonzero(row):
+            bounds = sorted(((low - shift) / row[u], (high - shift) / row[u]))
+            lower[u], upper[u] = max(lower[u], bounds[0]), min(upper[u], bounds[1])
+    return lower, upper
 
 
 def coupled_positions(model: mujoco.MjModel, positions: np.ndarray) -> np.ndarray:

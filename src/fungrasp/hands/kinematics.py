@@ -20,7 +20,7 @@ from fungrasp.geometry.poses import (
     rotation_matrix,
 )
 from fungrasp.hands.hand import Hand
-from fungrasp.hands.kinematic_tree import place_of
+from fungrasp.hands.kinematic_tree import independent_limits, place_of
 
 FARTHEST = 0.15
 """Largest distance of a palm's origin from the bases of its fingers [m]; built-in hands have 0.02 to 0.14."""
@@ -68,8 +68,7 @@ class HandKinematics:
         self.hand = hand
         self.model = model = hand.model
         self.matrix, self.offset = hand.coupling
-        limits = hand.joint_limits
-        self.lower, self.upper = _independent_limits(self.matrix, self.offset, limits)
+        self.lower, self.upper = independent_limits(self.matrix, self.offset, hand.joint_limits)
         self._data = data = mujoco.MjData(model)
         self._position, self._matrix = (
             np.empty((count, *data.xpos.shape)),
@@ -193,19 +192,6 @@ def _moved_bodies(model: mujoco.MjModel) -> np.ndarray:
         if first >= 0:
             moves[body, first : first + model.body_jntnum[body]] = 1.0
     return moves
-
-
-def _independent_limits(
-    matrix: np.ndarray, offset: np.ndarray, limits: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return limits of the independent joints within which all joints keep theirs, shape [U] each."""
-    lower = np.full(matrix.shape[1], -np.inf)
-    upper = np.full(matrix.shape[1], np.inf)
-    for row, shift, (low, high) in zip(matrix, offset, limits, strict=True):
-        for u in np.flatnonzero(row):
-            bounds = sorted(((low - shift) / row[u], (high - shift) / row[u]))
-            lower[u], upper[u] = max(lower[u], bounds[0]), min(upper[u], bounds[1])
-    return lower, upper
 
 
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])

@@ -255,7 +255,7 @@ def solve_loops(
         FungraspError: a loop leaves more than one motion, none, or one with too small a range.
     """
     result = dict(couplings)
-    matrix, offset = coupling_matrix(model.njnt, couplings)
+    matrix, offset, independent = coupling_matrix(model.njnt, couplings)
     for group in _groups(loops, matrix):
         names = listed([loop.name for loop in group], limit=3)
         joints = sorted(set().union(*(loop.joints for loop in group)))
@@ -264,8 +264,7 @@ def solve_loops(
             continue
         follower = _Follower(model, group, matrix, offset, moved)
         free, motion = follower.motions()
-        # Independent joints, in the order of ``moved``.
-        own = [int(np.argmax(matrix[:, u] == 1.0)) for u in moved]
+        own = independent[moved].tolist()
         if free != 1:
             freedom = "no motion" if free == 0 else f"{free} degrees of freedom instead of one"
             raise FungraspError(

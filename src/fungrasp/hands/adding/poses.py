@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from fungrasp.hands.findings import Finding, listed, note, warning
-from fungrasp.hands.kinematic_tree import Drive, coupling_matrix, joint_name
+from fungrasp.hands.kinematic_tree import Drive, coupling_matrix, independent_limits, joint_name
 
 NOTICED = 0.1
 """Smallest reported change of a joint's range [rad]."""
@@ -19,11 +19,10 @@ class Poses:
 
     def __init__(self, model: mujoco.MjModel, couplings: dict[int, Drive], palm: int):
         self.model, self.palm = model, palm
-        self.matrix, self.offset = coupling_matrix(model.njnt, couplings)
+        self.matrix, self.offset, self.independent = coupling_matrix(model.njnt, couplings)
         self.data = mujoco.MjData(model)
-        self.low, self.high = independent_limits(model, self.matrix, self.offset)
-        own = np.argmax(self.matrix == 1.0, axis=0)
-        self.start = np.clip(model.qpos0[model.jnt_qposadr[own]], self.low, self.high)
+        self.low, self.high = _kept_limits(model, self.matrix, self.offset, self.independent)
+        self.start = np.clip(model.qpos0[model.jnt_qposadr[self.independent]], self.low, self.high)
         """Independent joints at the file's pose, clipped to their limits [rad], shape [U]."""
 
     def set(self, independent: np.ndarray) -> np.ndarray:
@@ -57,32 +56,25 @@ class Poses:
         return self.data.xaxis[joint] @ self._turn
 
 
-def independent_limits(
-    model: mujoco.MjModel, matrix: np.ndarray, offset: np.ndarray
+def _kept_limits(
+    model: mujoco.MjModel, matrix: np.ndarray, offset: np.ndarray, independent: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return limits of the independent joints [rad], shape [U] each, within which driven joints keep theirs.
-    If this would halve a joint's range, it keeps its own limits."""
-    low, high = np.full(matrix.shape[1], -np.inf), np.full(matrix.shape[1], np.inf)
-    for u in range(matrix.shape[1]):
-        rows = np.flatnonzero(matrix[:, u])
-        own = model.jnt_range[rows[np.argmax(matrix[rows, u] == 1.0)]]
-        ends = (model.jnt_range[rows] - offset[rows, None]) / matrix[rows, u][:, None]
-        ends.sort(axis=1)
-        low[u], high[u] = max(own[0], ends[:, 0].max()), min(own[1], ends[:, 1].min())
-        if high[u] - low[u] < 0.5 * np.ptp(own):
-            low[u], high[u] = own
-    return low, high
+    """Return ``independent_limits`` [rad], shape [U] each; a joint whose range they would halve keeps its
+    own."""
+    low, high = independent_limits(matrix, offset, model.jnt_range)
+    own = model.jnt_range[independent]
+    halved = high - low < 0.5 * np.ptp(own, axis=1)
+    return np.where(halved, own[:, 0], low), np.where(halved, own[:, 1], high)
 
 
 def narrowed_ranges(model: mujoco.MjModel, couplings: dict[int, Drive]) -> Iterator[Finding]:
     """Report joints whose range is narrowed by the limits of driven joints, and driven joints that leave
     their limits."""
-    matrix, offset = coupling_matrix(model.njnt, couplings)
-    low, high = independent_limits(model, matrix, offset)
+    matrix, offset, independent = coupling_matrix(model.njnt, couplings)
+    low, high = _kept_limits(model, matrix, offset, independent)
     narrower, beyond = [], []
-    for u in range(matrix.shape[1]):
+    for u, driver in enumerate(independent):
         rows = np.flatnonzero(matrix[:, u])
-        driver = int(rows[np.argmax(matrix[rows, u] == 1.0)])
         own, name = model.jnt_range[driver], joint_name(model, driver)
         ends = np.sort(matrix[rows, u, None] * [low[u], high[u]] + offset[rows, None], axis=1)
         outside = (ends - model.jnt_range[rows]) * [-1.0, 1.0]
@@ -96,4 +88,7 @@ def narrowed_ranges(model: mujoco.MjModel, couplings: dict[int, Drive]) -> Itera
             f"{'; '.join(narrower[:6])}{' and more' if len(narrower) > 6 else ''}; {remedy}"
         )
     if beyond:
-        yield warning(f"couplings exceed the limits of {listed(beyond)}; these limits are ignored; {remedy}")
+        yield warning(
+            f"couplings exceed the limits of {listed(beyond)}: 'fungrasp hands add' ignores these limits; "
+            f"{remedy}"
+        )

@@ -63,10 +63,10 @@ def joint_physics(
         # A motor may sit on a driven joint.
         if not poses.matrix[j, driver]:
             continue
-        own = int(np.argmax(poses.matrix[:, driver] == 1.0))
+        own = poses.independent[driver]
         stated[own] = min(stated[own], stated[j] * abs(poses.matrix[j, driver]))
     inside = np.array([_in_hand(model, structure.palm, j) for j in range(model.njnt)], dtype=bool)
-    independent = inside & _own(poses.matrix)
+    independent = inside & np.isin(np.arange(model.njnt), poses.independent)
     said = independent & np.isfinite(stated)
     ratio = stated / proposed
     sound = said.any() and BELIEVABLE[0] <= np.median(ratio[said]) <= BELIEVABLE[1]
@@ -129,14 +129,6 @@ def _levers(poses: Poses, structure: HandStructure, tips: dict[str, np.ndarray])
     return levers[drivers]
 
 
-def _own(matrix: np.ndarray) -> np.ndarray:
-    """Return whether each joint is independent, the first with slope one in its column, shape [M] bool."""
-    own = np.zeros(len(matrix), dtype=bool)
-    for column in matrix.T:
-        own[int(np.argmax(column == 1.0))] = True
-    return own
-
-
 def _stated_limits(model: mujoco.MjModel) -> np.ndarray:
     """Return the file's torque limits [N m], shape [M]; infinite for joints without one."""
     limits = np.full(model.njnt, np.inf)
@@ -174,7 +166,7 @@ def shared_motors(poses: Poses, palm: int) -> Finding | None:
     idle = free - set().union(*motors)
     if not motors or (not idle and len(motors) >= len(free)):
         return None
-    names = [joint_name(model, int(np.argmax(poses.matrix[:, u] == 1.0))) for u in sorted(idle)]
+    names = [joint_name(model, poses.independent[u]) for u in sorted(idle)]
     return warning(
         f"{len(motors)} motors move {len(free)} joints"
         + (f", none of them {listed(names)}" if names else "")
@@ -197,7 +189,7 @@ def servo_entries(physics: JointPhysics, poses: Poses, joints: list[int]) -> tup
     Args:
         joints: joints of the hand, including driven ones.
     """
-    joints = [j for j in joints if _own(poses.matrix)[j]]
+    joints = [j for j in joints if j in poses.independent]
 
     def entry(j: int) -> tuple[str, str, str]:
         return f"{physics.kp[j]:.3g}", f"{physics.kd[j]:.3g}", f"{physics.force_limit[j]:.3g}"
