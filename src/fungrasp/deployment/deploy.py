@@ -21,7 +21,7 @@ from fungrasp.deployment.observer import DeploymentObserver
 from fungrasp.deployment.preparation import GraspPreparer, reachable_placements
 from fungrasp.deployment.spec import DeploymentSpec, Phase
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
+from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.planning import Planner, make_planner
@@ -183,7 +183,7 @@ def deploy(
     if isinstance(found, HumanGraspSet):
         robot, known, _, _ = as_robot_grasps(found, objects, load_cell(spec.cell).hand, spec.threads)
     else:
-        robot, known = found, resolve_objects(found, objects)
+        robot, known = found, load_objects(found, objects)
     task = deployment_task(robot, known, spec, plans)
     with ExitStack() as stack:
         observers = [] if observer is None else [observer]

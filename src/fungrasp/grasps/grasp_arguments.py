@@ -67,11 +67,15 @@ def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
     return found
 
 
-def resolve_objects(grasps: HumanGraspSet | RobotGraspSet, objects: Objects = None) -> dict[str, ObjectModel]:
-    """Return the objects of grasps and other given objects, by name.
+def load_objects(grasps: HumanGraspSet | RobotGraspSet, objects: Objects = None) -> dict[str, ObjectModel]:
+    """Return the objects of grasps and other given objects, by name. Loaded objects have the mass of their
+    first grasp.
+
+    Args:
+        objects: models, or a folder of meshes ``<name>.obj``; with precedence over other objects.
 
     Raises:
-        FungraspError: an object is missing.
+        FungraspError: an object is missing or cannot be read.
     """
     return named_objects(grasps.object_name.tolist(), grasps.object_mass.tolist(), objects, grasps.objects)
 
@@ -160,17 +164,3 @@ def picked_rows(
     if len(set(rows)) < len(rows):
         raise FungraspError(f"--grasp {' '.join(picks)}: grasp {max(rows, key=rows.count)} is picked twice")
     return rows
-
-
-def load_objects(
-    grasps: HumanGraspSet | RobotGraspSet, folder: str | Path | None = None
-) -> dict[str, ObjectModel]:
-    """Return the objects of a grasp set by name: attached ones, or loaded with the mass of their first grasp.
-
-    Args:
-        folder: folder of meshes ``<name>.obj``, with precedence over other objects.
-
-    Raises:
-        FungraspError: an object cannot be found or read.
-    """
-    return resolve_objects(grasps, folder)

@@ -18,7 +18,7 @@ from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.geometry.poses import compose
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_objects
 from fungrasp.grasps.as_shown import place_marks
-from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, resolve_objects
+from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set
 from fungrasp.hands import Hand
 from fungrasp.media.page import Contact, GraspReport, Page, Quantity, figure, text_card, write_page
 from fungrasp.media.perception_page import write_perception_page
@@ -85,7 +85,7 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
         _write_result(path, what)
     elif isinstance(what, HumanGraspSet | RobotGraspSet | HumanGrasp | RobotGrasp):
         what = as_grasp_set(what)
-        known = resolve_objects(what, objects)
+        known = load_objects(what, objects)
         rows = spread_rows(what.object_name)
         reports = [_report(what, row, known) for row in rows]
         hand = what.load_hand().title if isinstance(what, RobotGraspSet) else "Human hand"

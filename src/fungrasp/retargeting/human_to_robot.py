@@ -17,7 +17,7 @@ from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, hand_sides
 from fungrasp.grasps.diagnosis import checked_grasps
-from fungrasp.grasps.grasp_arguments import HasGrasps, HumanGrasps, Objects, as_human_grasps, resolve_objects
+from fungrasp.grasps.grasp_arguments import HasGrasps, HumanGrasps, Objects, as_human_grasps, load_objects
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
 from fungrasp.hands.kinematics import HandKinematics
@@ -112,7 +112,7 @@ def retarget(
     origin = hand_origin(hand)
     spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
     _check(human, hand)
-    known = resolve_objects(human, objects)
+    known = load_objects(human, objects)
     human = checked_grasps(vars(human), known, "retarget", read=True)
     used = {name: known[name] for name in np.unique(human.object_name).tolist()}
     for model in used.values():

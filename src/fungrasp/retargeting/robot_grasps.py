@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
-from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, resolve_objects
+from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, load_objects
 from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting.human_to_robot import retarget
@@ -42,7 +42,7 @@ def as_robot_grasps(
             are of another hand.
     """
     found = as_grasp_set(grasps)
-    known = resolve_objects(found, objects)
+    known = load_objects(found, objects)
     if isinstance(found, HumanGraspSet):
         used = as_hand(RetargetSpec.hand if hand is None else hand)
         return RobotGrasps(retarget(found, known, used, threads=threads), known, used, found)

@@ -15,7 +15,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.evaluation import LiftTestResult, Trajectory, read_result, replay
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_grasps, load_objects
-from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, named_objects, resolve_objects
+from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set, named_objects
 from fungrasp.hands import Hand, hand_origin, load_hand
 from fungrasp.hands.hand_registry import hand_files
 from fungrasp.task import GraspPlan
@@ -48,7 +48,7 @@ def _human_grasps(grasps: HumanGraspSet, objects: Objects, hand: str | Hand) -> 
 
     name = (hand_origin(hand) or hand.name) if isinstance(hand, Hand) else hand
     load_hand(name)
-    choice = PickableGrasps(grasps, resolve_objects(grasps, objects), name)
+    choice = PickableGrasps(grasps, load_objects(grasps, objects), name)
     return ChosenPage("Grasps", partial(GraspPage, choice=choice), partial(_load_solver, choice))
 
 
@@ -56,7 +56,7 @@ def _robot_grasps(grasps: RobotGraspSet, objects: Objects, hand: str | Hand) -> 
     from fungrasp.viewer.robot_grasps_page import RobotGraspsPage
 
     grasps.load_hand()
-    make = partial(RobotGraspsPage, grasps=grasps, objects=resolve_objects(grasps, objects))
+    make = partial(RobotGraspsPage, grasps=grasps, objects=load_objects(grasps, objects))
     return ChosenPage("Robot grasps", make)
 
 
