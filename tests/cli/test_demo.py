@@ -158,7 +158,7 @@ def test_from_the_built_in_image_to_the_lift(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "index.html"]
     assert "Spray bottle, to spray: " in capsys.readouterr().out
     page = (tmp_path / "index.html").read_text()
-    parts = ("✓ Sure: ", "In the image", "How far it is from the truth", "data:video/mp4", "Contact error")
+    parts = ("✓ Sure: ", "In the image", "How far it is from the truth", "data:video/mp4", "Place error")
     places = [page.index(part) for part in parts]
     assert places == sorted(places)
     assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"

@@ -237,7 +237,7 @@ def test_a_loop_with_several_motions_is_refused_in_a_line(tmp_path: Path):
     assert rod is not None
     text = text.replace(rod[0], "").replace('<body name="b2"', rod[0] + '<body name="b2"', 1)
     with pytest.raises(
-        FungraspError, match=r"the closed loop 'loop' leaves its \d joints \d motions"
+        FungraspError, match=r"the closed loop 'loop' leaves its \d joints \d degrees of freedom"
     ) as said:
         added(tmp_path, text)
     assert "--couple" in str(said.value) and "\n" not in str(said.value)

@@ -194,7 +194,7 @@ MESH = '<collision><geometry><mesh filename="package://x/a.stl"/></geometry></co
         (
             "</mujoco>",
             TENDON + "</mujoco>",
-            "warning: tendon 't' moves 'thumb_j1' and 'thumb_j2' .* only 'fungrasp hands add' repairs this",
+            "warning: tendon 't' moves 'thumb_j1' and 'thumb_j2' .*only 'fungrasp hands add' does this",
         ),
         (INDEX, INDEX + inertial("0", "0 0 0"), "error: does not compile: .*'index_a'"),
         (
@@ -295,7 +295,7 @@ def test_faults_of_a_toml(tmp_path, old, new, told):
     [
         ('<mujoco><compiler fusestatic="false"/></mujoco>', "", "error: 'palm' is fused with the world"),
         ('<parent link="index_a"/>', '<parent link="indexa"/>', "error: URDF joint parent or child missing"),
-        ('lower="0" upper="1.5"', 'lower="1.5" upper="0"', "error: 'index_j1' has its limits in the wrong"),
+        ('lower="0" upper="1.5"', 'lower="1.5" upper="0"', "error: 'index_j1' has its limits swapped"),
         (LIMIT, "", "error: 'index_j1' has no limits"),
         (LIMIT, LIMIT + '<mimic joint="none"/>', "error: none"),
         (LIMIT, LIMIT + '<mimic joint="thumb_j1" multiplier="0"/>', "warning: slope 0"),

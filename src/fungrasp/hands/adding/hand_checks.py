@@ -87,7 +87,7 @@ def _faults_of_model(path: Path, loads: bool) -> Iterator[Finding]:
         return
     for finding in foreign.findings:
         say = error if finding.severity == "warning" else warning
-        yield say(f"{finding.message} (only 'fungrasp hands add' repairs this)")
+        yield say(f"{finding.message} (only 'fungrasp hands add' does this)")
     yield from narrowed_ranges(foreign.model, couplings)
     if fuses:
         yield error(
