@@ -76,6 +76,6 @@ class PhaseQuestions(DeploymentObserver):
         try:
             answer = self._switch.ask(question, meanwhile)
         except EOFError as error:
-            raise SafetyStop("the terminal is gone", StopKind.HOLD) from error
+            raise SafetyStop("the terminal has closed", StopKind.HOLD) from error
         if answer.lower() != YES:
             raise SafetyStop(f"the phase '{phase}' was not confirmed", StopKind.HOLD)

@@ -60,7 +60,7 @@ class StopSwitch:
         finally:
             self._asking = False
         if not answer:
-            raise EOFError("the terminal is gone")
+            raise EOFError("the terminal has closed")
         return answer.strip()
 
     def __enter__(self) -> Self:
