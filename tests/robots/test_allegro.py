@@ -298,7 +298,7 @@ def test_a_hand_whose_process_has_died_is_held_by_another_one():
         os.kill(driver.process_id, signal.SIGKILL)
         assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
         assert wait_for(lambda: driver.read().status is DeviceStatus.FAULT)
-        assert "another one leads" in driver.read().message
+        assert "another process controls" in driver.read().message
         assert wait_for(lambda: plant.state(time.monotonic()).positions.min() > 0.35)
         assert holds(emulator, driver, plant)
         driver.stop(StopKind.POWER_OFF)
@@ -332,7 +332,7 @@ def test_torques_end_after_the_program_though_the_bus_was_off_as_it_ended(
         emulator.inject(fault)
         assert wait_for(lambda: driver.read().status is DeviceStatus.DISCONNECTED)
         driver.close()
-        assert emulator.torques.any() and "may keep its torque" in caplog.text
+        assert emulator.torques.any() and "may still have torque" in caplog.text
         emulator.clear()
 
 

@@ -253,7 +253,7 @@ def test_a_hand_that_refuses_its_limits_is_refused(protocol: str):
     with emulated(protocol, force=100, answer_timeout=0.1) as device:
         device.driver.connect()
         device.emulator.inject(Fault.REFUSED)
-        with pytest.raises(RobotError, match=r"does not take .*force limits"):
+        with pytest.raises(RobotError, match=r"does not accept: .*force limits"):
             device.driver.command(device.near)
         device.emulator.clear()
         device.driver.connect()
@@ -342,7 +342,7 @@ def test_a_hand_whose_process_has_died_is_led_by_another_one():
                 os.kill(first, end)
                 assert wait_for(lambda: driver.read().status is not DeviceStatus.READY)
                 driver.stop()
-                assert wait_for(lambda: "another one leads" in driver.read().message)
+                assert wait_for(lambda: "another process controls" in driver.read().message)
                 assert wait_for(lambda: driver.read().status is DeviceStatus.FAULT)
                 assert np.abs(device.true_positions() - device.near).max() < 0.02
                 if number:
