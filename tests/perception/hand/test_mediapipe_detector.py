@@ -98,7 +98,7 @@ def test_the_hand_that_is_meant():
     best, (note,) = choose_hand([left, small, far], side="right")
     assert best is far and "right hand that is the largest" in str(note)
     best, (note,) = choose_hand([small], side="left")
-    assert best is small and "looks like a right one, not a left one" in str(note)
+    assert best is small and "looks like a right hand, but a left one was given" in str(note)
     with pytest.raises(FungraspError, match="no hand was found"):
         choose_hand([])
 
