@@ -109,8 +109,8 @@ class PaperTable:
         default_factory=lambda: PpoSettings(noise=0.3, epochs=8, kl=0.04, imitate=IMITATE)
     )
     """Settings of the training of every policy but the students."""
-    variety: Variety = field(default_factory=lambda: Variety(copies=1, held=True))
-    """Plans of the training grasps. The grasps themselves are varied before, by `fungrasp grasps vary`."""
+    variety: Variety = field(default_factory=lambda: Variety(copies=8))
+    """How the grasps are varied that policies are trained on."""
     distill: DistillSettings = field(default_factory=DistillSettings)
     """Settings of the students' distillation."""
     curve: CurveSettings = field(default_factory=CurveSettings)
