@@ -9,15 +9,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import torch
-from small_training import BATCH, environment, library, run_spec, trained, training_set
+from small_training import BATCH, environment, hand, library, run_spec, trained, training_set
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.grasps import builtin_grasps, load_objects
+from fungrasp.retargeting import retarget
 from fungrasp.training import learning_curve
 from fungrasp.training.folder import read_checkpoint
 from fungrasp.training.learning_curve import CURVE, LearningCurve, curve_svg, read_curve
-from fungrasp.training.settings import CurveSettings
-from fungrasp.training.train import HELD_OUT_PLANS
-from fungrasp.training.training_sets import split_sets
+from fungrasp.training.settings import CurveSettings, Variety
+from fungrasp.training.train import HELD_OUT_PLANS, train
+from fungrasp.training.training_sets import TrainingSet, split_sets
 
 
 def run(folder: Path, updates: int, curve: CurveSettings | None, **ppo) -> dict:
@@ -76,6 +78,18 @@ def test_held_out_grasps_are_measured_and_not_trained_on(tmp_path):
         trained(tmp_path)
     with pytest.raises(FungraspError, match=r"two grasps: 0.1 of its 2 grasps can't be held out"):
         split_sets([training_set()], 0.1, 0)
+
+
+def test_held_out_grasps_are_measured_even_if_their_plans_do_not_hold(tmp_path):
+    human = builtin_grasps().select(np.array([54, 54]))
+    objects = load_objects(human)
+    grasps = retarget(human, objects, hand(), threads=1)
+    grasps.wrist_pose[1, :3] += 0.3  # This seed holds out the second grasp.
+    sets = [TrainingSet("two grasps", grasps, objects, "free")]
+    spec = run_spec(curve=CurveSettings(every=BATCH, held_out=0.5, seed=3))
+    train(tmp_path, sets, hand(), replace(spec, variety=Variety(copies=1, held=True)))
+    with np.load(tmp_path / HELD_OUT_PLANS) as held:
+        assert len(held["object_name"]) == 1
 
 
 def test_every_grasp_is_on_one_side_of_the_split():

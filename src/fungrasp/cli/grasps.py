@@ -317,14 +317,16 @@ class ConvertGrasps(ObjectsOption, Answering):
 
 @dataclass(frozen=True)
 class VaryGrasps(ObjectsOption, Answering):
-    """Add variations to human grasps, to train on: the hand is shifted and turned relative to the object."""
+    """Add variations to human grasps, to train on: the hand is shifted and turned relative to the object.
+    Set grasps for tests aside first, because variations of a grasp are alike."""
 
     file: GraspFile
     """A file of human grasps, or "builtin"."""
     out: Path
     """Grasp file to write (.npz): the grasps, then their variations."""
     count: int = 31
-    """Variations of each grasp; those with fewer than three finger links in contact are left out."""
+    """Variations of each grasp. They are left out if the hand is below the table, or if fewer than three
+    finger links touch."""
     seed: int = 0
     """Seed of the random numbers."""
 

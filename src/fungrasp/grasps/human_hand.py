@@ -16,6 +16,9 @@ HUMAN_JOINTS = (
 )
 """The 21 joints of ``hand_joints``; "tip" is the end of the finger."""
 
+FINGERTIPS = [joint for joint, name in enumerate(HUMAN_JOINTS) if name.endswith("tip")]
+"""Indices of the fingertips in ``HUMAN_JOINTS``."""
+
 FINGER_LINKS = ("proximal", "middle", "distal")
 """Links of a finger, from base to tip."""
 

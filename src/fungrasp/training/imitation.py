@@ -19,8 +19,8 @@ PLANNED_ROUNDS = 2
 """Rounds at the start in which the planned motions act."""
 
 UPDATES = 240
-"""Minibatches in each round. With 60, an actor succeeded in 62 in place of 66 % after 70,000 control steps;
-learning takes less time than simulation."""
+"""Minibatches in each round. With 60, success after 70,000 control steps was 62 % instead of 66 %; learning
+takes less time than simulation."""
 
 
 def imitated_round(

@@ -77,8 +77,8 @@ class Variety:
     spread: VariationSpread = field(default_factory=VariationSpread)
     """Spread of the variations."""
     held: bool = False
-    """Whether to train only on plans whose planned motion holds the object as shown in the believed world.
-    Imitated motions should succeed; corrections are also learned from plans that fail."""
+    """Train only on plans that hold the object as shown in the believed world. This suits imitation; policies
+    that correct plans also learn from plans that fail."""
 
     def __post_init__(self) -> None:
         if self.copies < 1:

@@ -135,12 +135,15 @@ def _train(
     )
     unseen = library
     if held_out:
+        # The curve is measured on all held-out grasps, also on those that their plans do not hold.
+        unseen_spec = replace(spec, variety=replace(spec.variety, held=False))
+        planned_from["variety"] = asdict(unseen_spec.variety)
         planned_from["sets"] = [s.about() for s in held_out]
         before = sum(len(s.grasps) for s in sets) * spec.variety.copies
         unseen = kept_library(
             folder / HELD_OUT_PLANS,
             digest(__version__, json.dumps(planned_from)),
-            lambda: planned_sets(held_out, hand, spec, lambda done: planning(before + done)),
+            lambda: planned_sets(held_out, hand, unseen_spec, lambda done: planning(before + done)),
         )
     if processes.first:
         processes.wait()

@@ -24,7 +24,7 @@ from fungrasp.planning.selection.settings import RolloutSettings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
 from fungrasp.sim2real import NOMINAL, draw
-from fungrasp.simulation import SceneSettings, build_scene
+from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment
 from fungrasp.training.settings import TrainSpec
 
@@ -38,6 +38,9 @@ LARGEST_LIBRARY = 1 << 33
 
 CHUNK = 256
 """Grasps planned together."""
+
+TRIAL = RolloutSettings(NOMINAL)
+"""Rollouts that tell whether a planned motion holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,14 +183,15 @@ def build_plan_library(
     group, attempt = np.repeat(np.arange(len(grasps)), copies), np.tile(np.arange(copies), len(grasps))
     start, scene = with_settings(grasps), build_scene(hand, objects)
     planner = MotionPlanner(hand, objects)
+    trial = build_scene(hand, objects, SceneSettings(timestep=TRIAL.timestep)) if spec.variety.held else None
     parts, held = [], []
     for first in range(0, len(group), CHUNK):
         rows = slice(first, first + CHUNK)
         part = vary(start.select(group[rows]), hand, group[rows], attempt[rows], seed, spec.variety.spread)
         belief = LiftEnvironment(scene, len(part), threads=spec.threads).settle(part)
         parts.append(planner.plan(part, belief))
-        if spec.variety.held:
-            held.append(_held_as_shown(parts[-1], belief, objects, hand, spec.threads))
+        if trial is not None:
+            held.append(_held_as_shown(parts[-1], belief, trial, spec.threads))
         progress(first + len(part))
     plans = GraspPlan.join(parts)
     chosen = _usable(plans)
@@ -201,17 +205,11 @@ def build_plan_library(
     return PlanLibrary(plans.select(rows), group[rows])
 
 
-def _held_as_shown(
-    plans: GraspPlan, belief: Belief, objects: Mapping[str, ObjectModel], hand: Hand, threads: int
-) -> np.ndarray:
-    """Return whether the planned motions hold the objects as shown in the believed world, shape [P] bool;
-    whether they hold them if the person's contacts are unknown."""
-    settings = RolloutSettings(NOMINAL)
-    names = set(plans.object_name.tolist())
-    used = {name: objects[name] for name in sorted(names)}
-    scene = build_scene(hand, used, SceneSettings(timestep=settings.timestep))
-    sample = draw(NOMINAL, len(plans), len(hand.joint_names), np.random.default_rng(0))
-    return roll_out(plans, belief, sample, scene, OpenLoopPolicy(), settings, threads).as_shown > 0
+def _held_as_shown(plans: GraspPlan, belief: Belief, scene: Scene, threads: int) -> np.ndarray:
+    """Return whether planned motions hold the objects as shown in the believed world, shape [P] bool; if the
+    person's contacts are unknown, whether they hold them at all."""
+    sample = draw(NOMINAL, len(plans), len(scene.hand.joint_names), np.random.default_rng(0))
+    return roll_out(plans, belief, sample, scene, OpenLoopPolicy(), TRIAL, threads).as_shown > 0
 
 
 def _usable(plans: GraspPlan) -> np.ndarray:

@@ -62,7 +62,7 @@ MESSAGES: Mapping[str, str] = {
     "no_score": "{said}",
     "low_own_score": "the estimator's own score is {score:.2g}",
     # The scene.
-    "no_table": "no table was found: a level one right below the grasp is assumed",
+    "no_table": "no table was found: a level camera, and a table right below the grasp, are assumed",
 }
 
 

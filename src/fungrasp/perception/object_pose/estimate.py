@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fungrasp.grasps.human_hand import FINGERTIPS
 from fungrasp.objects import ObjectModel
 from fungrasp.perception.acceptance import ACCEPT, SIZES, object_score
 from fungrasp.perception.io.capture import Capture
@@ -26,7 +27,6 @@ from fungrasp.perception.object_pose.search import (
     with_symmetries,
 )
 from fungrasp.perception.scene.pixel_classes import SHARP
-from fungrasp.perception.scene.segmentation import TIPS
 from fungrasp.perception.scene.table import largest_plane
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _answers(view: ObjectView, rng: np.random.Generator) -> tuple[PoseHypotheses
 def _nothing(capture: Capture, joints: np.ndarray | None, why: PerceptionWarning) -> ObjectEstimate:
     """Return an estimate that is not accepted, at the center of the fingertips or of the mask."""
     if joints is not None:
-        middle = joints[list(TIPS)].mean(axis=0)
+        middle = joints[FINGERTIPS].mean(axis=0)
     else:
         shown = capture.measured if capture.mask is None else capture.mask & capture.measured
         points = capture.points()[shown if shown.any() else capture.measured]

@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from fungrasp.geometry.poses import inverse_transform_points, rotation_matrix, transform_points
-from fungrasp.grasps.human_hand import FINGER_RADII
+from fungrasp.grasps.human_hand import FINGER_RADII, FINGERTIPS
 from fungrasp.perception.io.capture import Capture, depth_noise
 from fungrasp.perception.object_pose.object_template import ObjectTemplate
 from fungrasp.perception.scene.pixel_classes import SHARP
-from fungrasp.perception.scene.segmentation import TIPS, Segmentation
+from fungrasp.perception.scene.segmentation import Segmentation
 
 UNSEEN = 0.1  # Weight of an unexplained pixel of the mesh's silhouette, relative to an explained one.
 # Weight of an unexplained pixel of a thing within reach outside the mask, relative to one in the mask.
@@ -126,7 +126,7 @@ class PoseScorer:
         """Return the mean distance of the three nearest fingertips' skin from the surface [m], shape [H], at
         the best shift of the hand along the viewing ray: landmarks say least about its depth."""
         assert self.joints is not None
-        tips = self.joints[list(TIPS)]
+        tips = self.joints[FINGERTIPS]
         nearest = np.full(len(poses), np.inf)
         for shift in HAND_SHIFTS:
             moved = inverse_transform_points(poses, tips * (1.0 + shift / tips[:, 2].mean()))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial.distance import cdist
 
+from fungrasp.grasps.human_hand import FINGERTIPS
 from fungrasp.perception.hand.hand_capsules import SURE_SKIN, capsule_distances
 from fungrasp.perception.io.capture import Box, Capture, Pixel
 from fungrasp.perception.scene.pixel_classes import (
@@ -30,7 +31,6 @@ from fungrasp.perception.scene.table import plane_tolerance
 
 FOREARM = (0.35, 0.045)  # Length and radius of forearm and sleeve [m].
 MARGINS = (0.012, 0.004, 0.02)  # Distances from the skin within which pixels are left out, one per mask [m].
-TIPS = (4, 8, 12, 16, 20)  # Fingertips among the 21 joints.
 NEAR_HAND = 0.06  # Largest distance of a held thing from the skin [m].
 FARTHEST = 3.0  # Largest depth of a held object [m].
 GROUND_MARGIN = 60  # Distance from the object's pixels within which the table's colors are learned [pixels].
@@ -91,7 +91,7 @@ def segment(
     if table is not None:
         height = np.where(capture.measured, points @ table[:3] + table[3], np.nan)
     if joints is not None and not hinted:
-        reach = cdist(points.reshape(-1, 3), joints[list(TIPS)]).min(axis=1).reshape(prior.shape)
+        reach = cdist(points.reshape(-1, 3), joints[FINGERTIPS]).min(axis=1).reshape(prior.shape)
         prior = np.where(measured & (reach < size + 0.03), prior, NEVER)
     near = measured & (prior > NEVER)
     candidate = near.copy() if table is None else near & ~(height <= plane_tolerance(capture.depth))

@@ -109,8 +109,8 @@ class TwinWorld:
         """Time on the robot's clock [s]."""
         return self.data.time + self.offset
 
-    def settle(self, object_pose: np.ndarray, seconds: float = LiftProtocol.settle_time) -> np.ndarray:
-        """Release the object and let it settle for some time [s], which the clock does not count.
+    def settle(self, object_pose: np.ndarray) -> np.ndarray:
+        """Release the object and let it settle as in the lift test; the clock does not count this time.
         object_pose: initial pose, world frame, shape [7]. Returns: rest pose, world frame, shape [7]."""
         with self.lock:
             before = self.data.time
@@ -118,7 +118,7 @@ class TwinWorld:
             self.data.qvel[:] = 0.0
             mujoco.mj_forward(self.model, self.data)
             self._clear_table()
-            for _ in range(round(seconds / self.model.opt.timestep)):
+            for _ in range(round(LiftProtocol.settle_time / self.model.opt.timestep)):
                 self._step()
             self.data.time, self._next_frame = before, before
             self._frames.clear()
