@@ -29,7 +29,7 @@ from fungrasp.training.environment import HISTORY, TrainingEnvironment
 from fungrasp.training.export import export_policy, make_card
 from fungrasp.training.folder import check_environment, environment_state, read_checkpoint
 from fungrasp.training.networks import ColoredGaussian, StudentGraph, make_student, tensors
-from fungrasp.training.ppo import Trainer
+from fungrasp.training.ppo import VALUE_UPDATES, Trainer
 from fungrasp.training.training_sets import TrainingSet
 
 
@@ -252,6 +252,22 @@ def test_imitation_comes_first_and_its_steps_count(tmp_path):
     assert ["losses/imitation" in line for line in lines] == [True, True, False]
     with pytest.raises(FungraspError, match=r"needs --environment\.residual\.base"):
         replace(given, ppo=imitating)
+
+
+def test_an_imitating_actor_waits_for_the_value_network():
+    worlds = environment(history=True, residual=ResidualSettings("guided"))
+    trainer = Trainer(worlds, replace(PPO, sees="history", imitate=BATCH))
+
+    def weights() -> dict[str, torch.Tensor]:
+        return {name: p.detach().clone() for name, p in trainer.actor.named_parameters()}
+
+    trainer.learn_until(BATCH)
+    imitated = weights()
+    trainer.learn_until((1 + VALUE_UPDATES) * BATCH)
+    assert all(torch.equal(value, imitated[name]) for name, value in weights().items())
+    trainer.learn_until((2 + VALUE_UPDATES) * BATCH)
+    changed = weights()
+    assert not torch.equal(changed["encoder.weight_hh_l0"], imitated["encoder.weight_hh_l0"])
 
 
 def test_grasps_without_use_are_named(tmp_path):

@@ -205,7 +205,7 @@ class AdaptedPpo(PPO):
         )
         if isinstance(actor, StudentModel):
             encoder = [*actor.encoder.parameters(), *actor.head.parameters()]
-            self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.value_learning_rate)
+            self._encoder_optimizer = torch.optim.Adam(encoder, lr=s.learning_rate)
 
     @staticmethod
     def construct_algorithm(obs: TensorDict, env: VecEnv, cfg: dict, device: str) -> AdaptedPpo:
@@ -228,15 +228,17 @@ class AdaptedPpo(PPO):
         group["lr"] = 0.0 if still else rate
         losses = super().update()
         group["lr"] = rate
+        # The encoder is part of the policy: it learns as fast as the actor, and its change counts.
+        if isinstance(self.actor, StudentModel) and not still:
+            losses["reconstruction"] = self._reconstruct(self.actor, rate)
         losses["kl"] = 0.0 if still else self._adapt(*self._before)
-        if isinstance(self.actor, StudentModel):
-            losses["reconstruction"] = self._reconstruct(self.actor)
         self.steps += self.batch
         return losses
 
-    def _reconstruct(self, student: StudentModel) -> float:
+    def _reconstruct(self, student: StudentModel, rate: float) -> float:
         """Train a student's encoder on the contacts of the last batch, and return the last loss."""
         kept = self.storage.observations.flatten(0, 1)
+        self._encoder_optimizer.param_groups[0]["lr"] = rate
         loss = torch.zeros(())
         for rows in torch.randperm(len(kept), device=kept.device).split(1024):
             loss = student.reconstruction_loss(kept[rows])
