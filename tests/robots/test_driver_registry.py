@@ -6,6 +6,7 @@ import re
 import socket
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from fungrasp.robots.stop_switch import StopSwitch
 from fungrasp_emulators.emulator import PlantCommand
 from fungrasp_emulators.plants import ServoPlant
 
-PAGE = Path(__file__).parents[2] / "docs" / "robots" / "devices.md"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "fungrasp_gateway"
 
 LAB = """
 import time
@@ -189,12 +190,12 @@ def test_own_drivers_need_no_entry_point() -> None:
     assert set(TRACKERS.known()) == {"pose-stream", "realsense", "twin"}
 
 
-def test_the_package_of_the_manual_drives_a_hand(lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = PAGE.read_text()
-    source = re.search(r'```python title="[^"]*"\n(.*?)```', text, re.S)
-    points = re.search(r'\[project.entry-points."(.*?)"\]\n(.*?)```', text, re.S)
-    assert source and points
-    lab(f"[{points[1]}]\n{points[2].replace(chr(34), '')}", "fungrasp-gateway", "fungrasp_gateway", source[1])
+def test_the_package_of_the_examples_drives_a_hand(lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = (EXAMPLE / "fungrasp_gateway.py").read_text()
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+    ((group, points),) = project["entry-points"].items()
+    lines = "".join(f"{name} = {value}\n" for name, value in points.items())
+    lab(f"[{group}]\n{lines}", project["name"], "fungrasp_gateway", source)
     plant = ServoPlant(np.full(6, 0.2), time_constant=0.02, velocity=10.0)
     server = socket.create_server(("127.0.0.1", 0))
 
