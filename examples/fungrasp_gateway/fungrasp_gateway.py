@@ -40,10 +40,10 @@ class GatewayLoop:
         self.lines = self.connection.makefile("r")
 
     def take_control(self) -> None:
-        """Nothing to switch on."""
+        """The hand needs no switching on."""
 
     def step(self, goal: LoopGoal) -> JointState:
-        """Every 20 ms."""
+        """Send the goal and read the positions, every 20 ms."""
         time.sleep(PERIOD)
         if goal.mode is LoopMode.FOLLOW:
             self.say("set " + " ".join(f"{q:.5f}" for q in goal.positions))
@@ -63,13 +63,13 @@ class GatewayLoop:
         return JointState(positions, np.zeros(6), None, now, now, DeviceStatus.READY)
 
     def halt(self) -> None:
-        """End motion; the servos hold without us. Never raises: something may be wrong already."""
+        """End motion; the servos hold by themselves. Never raises: something may be wrong already."""
         if self.before in (LoopMode.FOLLOW, LoopMode.OPEN):
             with contextlib.suppress(RobotError):
                 self.say("stop")
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         if self.connection is not None:
             self.connection.close()
 

@@ -228,7 +228,7 @@ class AdaptedPpo(PPO):
         group["lr"] = 0.0 if still else rate
         losses = super().update()
         group["lr"] = rate
-        # The encoder is part of the policy: it learns as fast as the actor, and its change counts.
+        # The encoder is part of the policy: it gets the actor's rate, and ``_adapt`` measures its change too.
         if isinstance(self.actor, StudentModel) and not still:
             losses["reconstruction"] = self._reconstruct(self.actor, rate)
         losses["kl"] = 0.0 if still else self._adapt(*self._before)
