@@ -47,10 +47,13 @@ def as_grasp_set(grasps: AnyGrasps) -> HumanGraspSet | RobotGraspSet:
         return RobotGraspSet.of([grasps])
     if isinstance(grasps, HumanGraspSet | RobotGraspSet):
         return grasps
-    raise FungraspError(
-        f"expected human or robot grasps, not a {type(grasps).__name__}: fungrasp.human_grasp makes one of "
-        "arrays, fungrasp.load_grasps reads a file"
-    )
+    if isinstance(grasps, list | tuple):
+        remedy = "HumanGraspSet.of and RobotGraspSet.of make a set of single grasps"
+    elif isinstance(grasps, str | Path):
+        remedy = "fungrasp.load_grasps reads a file of grasps"
+    else:
+        remedy = "fungrasp.human_grasp makes one of arrays"
+    raise FungraspError(f"expected human or robot grasps, not a {type(grasps).__name__}: {remedy}")
 
 
 def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
@@ -67,16 +70,19 @@ def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
     return found
 
 
-def load_objects(grasps: HumanGraspSet | RobotGraspSet, objects: Objects = None) -> dict[str, ObjectModel]:
-    """Return the objects of grasps and other given objects, by name. Loaded objects have the mass of their
-    first grasp.
+def load_objects(grasps: AnyGrasps, objects: Objects = None) -> dict[str, ObjectModel]:
+    """Return the objects of grasps and other given objects, by name: those that the grasps carry, else
+    built-in ones. Loaded objects have the mass of their first grasp.
 
     Args:
+        grasps: grasps, or a result with grasps.
         objects: models, or a folder of meshes ``<name>.obj``; with precedence over other objects.
 
     Raises:
-        FungraspError: an object is missing or cannot be read.
+        FungraspError: the argument is not grasps, an object is missing or cannot be read, or a loaded object
+            is another one than that of the grasps.
     """
+    grasps = as_grasp_set(grasps)
     return named_objects(grasps.object_name.tolist(), grasps.object_mass.tolist(), objects, grasps.objects)
 
 

@@ -13,8 +13,8 @@ from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
 from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.grasp_set import FILE_VERSION, GraspSet
-from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
+from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
+from fungrasp.grasps.robot_grasp import EXTRA, RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object, object_names
 
 BUILTIN = "builtin"
@@ -74,13 +74,29 @@ def builtin_grasps() -> HumanGraspSet:
     return load_human_grasps(BUILTIN_PATH)
 
 
-def save_human_grasps(path: str | Path, grasps: HumanGraspSet) -> None:
-    """Write human grasps, as ``grasps.save`` does."""
-    grasps.save(path)
+def save_human_grasps(path: str | Path, grasps: HumanGraspSet | HumanGrasp) -> None:
+    """Write human grasps, as ``grasps.save`` does.
+
+    Raises:
+        FungraspError: the grasps are of another kind, there are none, or the file cannot be written.
+    """
+    _save(path, grasps, HumanGraspSet)
 
 
-def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
-    """Write robot grasps, as ``grasps.save`` does."""
+def save_robot_grasps(path: str | Path, grasps: RobotGraspSet | RobotGrasp) -> None:
+    """Write robot grasps, as ``grasps.save`` does.
+
+    Raises:
+        FungraspError: see ``save_human_grasps``.
+    """
+    _save(path, grasps, RobotGraspSet)
+
+
+def _save(path: str | Path, grasps: Any, kind: type[GraspSet[Any]]) -> None:
+    if not isinstance(grasps, kind | kind.GRASP):
+        raise FungraspError(
+            f"expected a path, then a {kind.__name__}, which is saved there, not a {type(grasps).__name__}"
+        )
     grasps.save(path)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar, overload
@@ -214,12 +214,20 @@ class GraspSet(Generic[Grasp]):
         return type(self)(**self._shared(), **self._rows(which))
 
     @classmethod
-    def of(cls, grasps: Sequence[Grasp]) -> Self:
+    def of(cls, grasps: Iterable[Grasp] | Grasp) -> Self:
         """Return a set of single grasps. Optional values are kept if every grasp has them.
 
         Raises:
-            FungraspError: there are no grasps, their hands differ, or different objects have one name.
+            FungraspError: there are no grasps, one is of another kind, their hands differ, or different
+                objects have one name.
         """
+        grasps = list(grasps) if isinstance(grasps, Iterable) else [grasps]
+        for grasp in grasps:
+            if not isinstance(grasp, cls.GRASP):
+                raise FungraspError(
+                    f"{cls.__name__}.of makes a set of single grasps ({cls.GRASP.__name__}), not of a "
+                    f"{type(grasp).__name__}; {cls.__name__}.concatenate joins sets"
+                )
         return cls.concatenate([cls._of_one(grasp) for grasp in grasps])
 
     @classmethod

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS, HumanGrasp, HumanGraspSet
-from fungrasp.objects import ObjectModel, mirrored_object
+from fungrasp.objects import ObjectModel
 from fungrasp.perception.acceptance import Acceptance
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.capture import Capture
@@ -39,7 +40,7 @@ class HandCandidate:
         return self.object.score * self.hand.score
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Perceived:
     """The result for one image."""
 
@@ -75,6 +76,9 @@ class Perceived:
     fitted: FittedShape | None = None
     """Shape fitted to an object without a mesh; None if a mesh was given."""
 
+    def __repr__(self) -> str:
+        return f"<Perceived: {self.grasp!r}, {'sure' if self.confident else 'not sure'}>"
+
     @property
     def confident(self) -> bool:
         """Whether the result is sure."""
@@ -86,10 +90,9 @@ class Perceived:
         return HumanGraspSet.of([self.grasp])
 
     @property
-    def objects(self) -> dict[str, ObjectModel]:
+    def objects(self) -> Mapping[str, ObjectModel]:
         """The object of the grasp by name, mirrored for a left hand."""
-        model, name = self.object_model, self.grasp.object_name
-        return {name: model if name == model.name else mirrored_object(model)}
+        return self.grasp.objects
 
     def as_json(self) -> dict[str, Any]:
         """Return the result for a JSON file. Lengths are in meters, poses are ``[x y z qw qx qy qz]``;
