@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.numpy_files import read_npz
@@ -185,6 +186,33 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
     if missing := [f.name for f in needed if f.name not in values]:
         raise FungraspError(f"{where}: the field '{missing[0]}' is missing")
     return kind(**values)
+
+
+def check_literals(record: Any) -> None:
+    """Check the fields of a dataclass, and of dataclasses in it, whose types are ``Literal``, possibly
+    optional.
+
+    Raises:
+        UnknownNameError: a field has another value.
+    """
+    for name, known in _literals(type(record)).items():
+        if getattr(record, name) not in known:
+            words = [value for value in known if value is not None]
+            raise UnknownNameError(name.replace("_", " "), str(getattr(record, name)), words)
+    for field in fields(record):
+        if is_dataclass(inner := getattr(record, field.name)):
+            check_literals(inner)
+
+
+@cache
+def _literals(kind: type) -> dict[str, tuple[Any, ...]]:
+    """Return the possible values of the fields with a ``Literal`` type, by name."""
+    found = {}
+    for name, hint in get_type_hints(kind).items():
+        choices = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        if any(get_origin(choice) is Literal for choice in choices):
+            found[name] = tuple(v for c in choices for v in (get_args(c) if c is not NoneType else (None,)))
+    return found
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
