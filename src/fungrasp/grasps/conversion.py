@@ -18,6 +18,7 @@ from fungrasp.geometry.poses import (
     rotate,
     transform_points,
 )
+from fungrasp.grasps.grasp_set import BOUNDS
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import hand_sides, joint_order, mirror_points, mirror_pose
 from fungrasp.objects import ObjectModel
@@ -117,7 +118,7 @@ def converted(arrays: Mapping[str, np.ndarray], convention: Convention) -> dict[
             right hands as left ones.
     """
     if not isinstance(convention, Convention):
-        raise FungraspError(f"expected a Convention, such as Convention(unit=\"mm\"), not {convention!r}")
+        raise FungraspError(f'expected a Convention, such as Convention(unit="mm"), not {convention!r}')
     for name, shape in {"hand_joints": (21, 3), **dict.fromkeys(POSES, (7,))}.items():
         array = arrays.get(name)
         if array is not None and (array.shape[1:] != shape or array.dtype.kind not in "fiu"):
@@ -142,12 +143,13 @@ def converted(arrays: Mapping[str, np.ndarray], convention: Convention) -> dict[
         right = hand_sides(joints) == "left"
         if 2 * right.sum() > len(right):
             raise FungraspError(
-                f"side is left, but the fingers of {right.sum()} of {len(right)} hands bend as those of right "
-                "hands: leave it out"
+                f"side is left, but the fingers of {right.sum()} of {len(right)} hands bend as those of "
+                "right hands: leave it out"
             )
         result |= {name: mirror_pose(result[name]) for name in poses}
         names = arrays["object_name"].astype(str)
         result["object_name"] = np.array([mirrored_name(str(name)) for name in names])
+        result = {name: array for name, array in result.items() if not name.startswith(BOUNDS)}
     result["hand_joints"] = joints
     if convention.rest_pose == "settled":
         result.pop("object_rest_pose", None)
@@ -222,4 +224,5 @@ def mirrored_grasps(grasps: HumanGraspSet) -> HumanGraspSet:
         hand_joints=mirror_points(grasps.hand_joints),
         hand_qpos=None,
         objects={mirrored_name(name): mirrored_object(model) for name, model in grasps.objects.items()},
+        object_bounds={},
     )

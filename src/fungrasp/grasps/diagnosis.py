@@ -17,6 +17,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_conjugate, rotate
 from fungrasp.grasps.contacts import link_contacts
 from fungrasp.grasps.conversion import BELOW_TABLE, POSES, UNITS, Convention, Unit, settled_pose
+from fungrasp.grasps.grasp_set import given_bounds
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import HUMAN_LINKS, ORDERS, bone_ratios, joint_bends, order_misfit
 from fungrasp.grasps.scene_checks import GraspScene, Remark, scene_is_sound
@@ -124,7 +125,7 @@ def checked_grasps(
         raise FungraspError(f"{where}: field '{missing[0]}' is missing{mesh}; found: {given}")
     try:
         rows: dict[str, Any] = {n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS}
-        return HumanGraspSet(**rows)
+        return HumanGraspSet(**rows, object_bounds=given_bounds(arrays))
     except FungraspError as error:
         raise FungraspError(f"{where}: {error}") from error
 

@@ -7,7 +7,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.grasps.grasp_set import OTHER_MESH
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, check_objects, load_object
@@ -16,6 +19,9 @@ from fungrasp.objects.object_registry import check_density
 Objects: TypeAlias = "Mapping[str, ObjectModel] | Iterable[ObjectModel] | ObjectModel | str | Path | None"
 """Objects of grasps: a mapping by name, a list, a single object, or a folder of meshes. None: attached and
 built-in objects."""
+
+GIVE_OBJECTS = "objects= takes a folder of meshes or fungrasp.object_from_mesh(...), --objects a folder"
+"""Remedy for objects that are not found."""
 
 
 class HasGrasps(Protocol):
@@ -83,7 +89,8 @@ def load_objects(grasps: AnyGrasps, objects: Objects = None) -> dict[str, Object
             is another one than that of the grasps.
     """
     grasps = as_grasp_set(grasps)
-    return named_objects(grasps.object_name.tolist(), grasps.object_mass.tolist(), objects, grasps.objects)
+    names, masses = grasps.object_name.tolist(), grasps.object_mass.tolist()
+    return named_objects(names, masses, objects, grasps.objects, grasps.object_bounds)
 
 
 def named_objects(
@@ -91,6 +98,7 @@ def named_objects(
     masses: Sequence[float],
     objects: Objects = None,
     carried: Mapping[str, ObjectModel] = MappingProxyType({}),
+    bounds: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> dict[str, ObjectModel]:
     """Return the named objects and other given objects, by name.
 
@@ -99,9 +107,10 @@ def named_objects(
         masses: their masses [kg]; a loaded object has the mass of its first occurrence.
         objects: given objects.
         carried: objects attached to the grasps; ``objects`` has precedence.
+        bounds: known ``ObjectModel.bounds`` of the needed objects by name, which loaded meshes must have.
 
     Raises:
-        FungraspError: an object is missing.
+        FungraspError: an object is missing, or a loaded mesh has other bounds.
     """
     needed = {}
     for name, mass in zip(names, masses, strict=True):
@@ -111,11 +120,18 @@ def named_objects(
         try:
             loaded = {n: load_object(n, m, objects) for n, m in needed.items() if n not in known}
         except UnknownNameError as error:
-            raise FungraspError(
-                f"{error} Give the grasps' objects: a folder of meshes, or fungrasp.object_from_mesh(...)"
-            ) from None
-        for model in loaded.values():
+            raise FungraspError(f"{error} Give the grasps' objects: {GIVE_OBJECTS}") from None
+        for name, model in loaded.items():
             check_density(model)
+            if name in bounds and np.abs(model.bounds - bounds[name]).max() > OTHER_MESH:
+                theirs, found = (
+                    " to ".join(f"({x:.3f}, {y:.3f}, {z:.3f})" for x, y, z in corners)
+                    for corners in (bounds[name], model.bounds)
+                )
+                raise FungraspError(
+                    f"the known object '{name}' is not that of the grasps: its mesh reaches from {found} m, "
+                    f"theirs from {theirs} m; give their objects: {GIVE_OBJECTS}"
+                )
         return known | loaded
     if isinstance(objects, ObjectModel) or not isinstance(objects, Iterable):
         objects = [objects]

@@ -12,7 +12,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
 from fungrasp.grasps.diagnosis import checked_grasps
-from fungrasp.grasps.grasp_set import FILE_VERSION, GraspSet
+from fungrasp.grasps.grasp_set import BOUNDS, FILE_VERSION, GraspSet, given_bounds
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.robot_grasp import EXTRA, RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object, object_names
@@ -155,7 +155,8 @@ def _build(
 ) -> Grasps:
     _require_fields(path, kind, arrays)
     try:
-        grasps = kind(**whole, **{name: arrays.get(name) for name in kind.FIELDS})
+        bounds = {"object_bounds": given_bounds(arrays)}
+        grasps = kind(**whole, **bounds, **{name: arrays.get(name) for name in kind.FIELDS})
     except FungraspError as error:
         raise FungraspError(f"{path}: {error}") from error
     if not len(grasps):
@@ -193,7 +194,7 @@ def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
         FungraspError: the file is missing or cannot be read, or its version is not supported.
     """
     path = Path(path)
-    arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith(EXTRA))
+    arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith((EXTRA, BOUNDS)))
     version = arrays.pop("version", np.array(FILE_VERSION))
     if version.ndim or version.dtype.kind not in "iu" or not 1 <= version <= FILE_VERSION:
         given = one_line(version, 60)

@@ -22,6 +22,12 @@ FILE_VERSION = 1
 QUATERNION_TOLERANCE = 1e-3
 """Largest deviation of a quaternion's norm from 1; within it, quaternions are normalized."""
 
+BOUNDS = "object_bounds/"
+"""Prefix of the names of objects' bounds in files."""
+
+OTHER_MESH = 5e-3
+"""Largest difference between the bounds of meshes of the same object [m], such as two scans."""
+
 UNIT_NORM_TOLERANCE = 1e-12
 """Quaternions this close to unit norm are not modified, so that reading a written file is exact."""
 
@@ -153,8 +159,13 @@ class GraspSet(Generic[Grasp]):
 
     object_name: np.ndarray
     objects: Mapping[str, ObjectModel]
+    object_bounds: Mapping[str, np.ndarray]
 
     def __post_init__(self) -> None:
+        bounds = {**self.object_bounds, **{name: model.bounds for name, model in self.objects.items()}}
+        corners = ArrayField("number", (2, 3))
+        checked = {name: checked_array(BOUNDS + name, corners, b, {}) for name, b in bounds.items()}
+        object.__setattr__(self, "object_bounds", checked)
         sizes: dict[str, int] = {}
         for name, field in self.FIELDS.items():
             value = getattr(self, name)
@@ -239,11 +250,11 @@ class GraspSet(Generic[Grasp]):
     @classmethod
     def _whole_of(cls, grasp: Any) -> dict[str, Any]:
         """Return the other arguments of a set, besides ``FIELDS``, for one grasp."""
-        return {"objects": grasp.objects}
+        return {"objects": grasp.objects, "object_bounds": grasp.object_bounds}
 
     def save(self, path: str | Path) -> None:
-        """Write an ``.npz`` file (docs/file-format.md) without the objects. Arrays are stored as float32 if
-        this is exact, else as float64.
+        """Write an ``.npz`` file (docs/file-format.md) with the objects' bounds, but without their meshes.
+        Arrays are stored as float32 if this is exact, else as float64.
 
         Raises:
             FungraspError: the set is empty, or the file cannot be written.
@@ -251,6 +262,8 @@ class GraspSet(Generic[Grasp]):
         if not len(self):
             raise FungraspError(f"no grasps to write to {path}")
         arrays = {name: getattr(self, name) for name in self.FIELDS} | self._further_arrays()
+        named = set(self.object_name.tolist())
+        arrays |= {BOUNDS + name: corners for name, corners in self.object_bounds.items() if name in named}
         stored = {name: _compact(value) for name, value in arrays.items() if value is not None}
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
             np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
@@ -276,20 +289,24 @@ class GraspSet(Generic[Grasp]):
                         f"cannot join grasp sets of different {name}: {first[name]} and {value}"
                     )
         objects: dict[str, ObjectModel] = {}
+        bounds: dict[str, np.ndarray] = {}
         for grasps in sets:
             for name, model in grasps.objects.items():
                 if objects.setdefault(name, model).digest != model.digest:
                     raise FungraspError(f"cannot join grasp sets: '{name}' stands for different objects")
-        whole: dict[str, Any] = {**first, "objects": objects}
+            for name, corners in grasps.object_bounds.items():
+                if np.abs(bounds.setdefault(name, corners) - corners).max() > OTHER_MESH:
+                    raise FungraspError(f"cannot join grasp sets: '{name}' stands for different meshes")
+        whole: dict[str, Any] = {**first, "objects": objects, "object_bounds": bounds}
         return cls(**whole, **_joined([grasps._rows(slice(None)) for grasps in sets]))
 
     def _whole_set(self) -> dict[str, Any]:
-        """Return the values common to all grasps, without the objects."""
+        """Return the values common to all grasps, without the objects and their bounds."""
         return {}
 
     def _shared(self) -> dict[str, Any]:
         """Return the values common to all grasps."""
-        return {**self._whole_set(), "objects": self.objects}
+        return {**self._whole_set(), "objects": self.objects, "object_bounds": self.object_bounds}
 
     def _rows(self, which: Any) -> dict[str, Any]:
         """Return the values of selected grasps: arrays, None or a dict of arrays."""
@@ -301,6 +318,11 @@ class GraspSet(Generic[Grasp]):
             else:
                 rows[name] = None if value is None else value[which]
         return rows
+
+
+def given_bounds(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the objects' bounds among the arrays of a file, by the objects' names."""
+    return {name.removeprefix(BOUNDS): value for name, value in arrays.items() if name.startswith(BOUNDS)}
 
 
 def _joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -49,6 +49,8 @@ class HumanGrasp:
     """Standard deviation of the logarithm of a guessed mass."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     def save(self, path: str | Path) -> None:
         """Write a file with this grasp, see ``HumanGraspSet.save``."""
@@ -87,6 +89,8 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """Standard deviation of the logarithm of guessed masses, shape [N]."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),

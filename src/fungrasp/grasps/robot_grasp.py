@@ -67,6 +67,8 @@ class RobotGrasp:
     """TOML file of a hand that is not registered by name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     @property
     def wrist_pose_object(self) -> np.ndarray:
@@ -170,6 +172,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """TOML file of a hand that is not registered by name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),

@@ -121,6 +121,11 @@ class ObjectModel:
         return np.array(self.mesh.moment_inertia)
 
     @cached_property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of the mesh, object frame [m], shape [2, 3]."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
+    @cached_property
     def size(self) -> np.ndarray:
         """Extents along the axes of the object frame [m], shape [3]."""
         return np.ptp(self.vertices, axis=0)
