@@ -60,9 +60,23 @@ def test_missing_objects_and_wrong_kinds_are_named(human):
     robot = retarget(human, objects, "allegro")
     with pytest.raises(FungraspError, match=r"only human grasps .* not a RobotGraspSet"):
         retarget(robot, objects, "allegro")
-    for verb in (retarget, fungrasp.plan, fungrasp.evaluate, fungrasp.deploy):
-        with pytest.raises(FungraspError, match="expected human or robot grasps, not a dict"):
-            verb({"hand_joints": 0})  # type: ignore[arg-type]
+    for verb in (retarget, fungrasp.plan, fungrasp.evaluate, fungrasp.deploy, fungrasp.load_objects):
+        for wrong, words in (
+            ({"hand_joints": 0}, "dict: fungrasp.human_grasp"),
+            ("mug", "str: fungrasp.load_grasps"),
+            ([human[0]], "list: HumanGraspSet.of"),
+        ):
+            with pytest.raises(FungraspError, match=f"expected human or robot grasps, not a {words}"):
+                verb(wrong)  # type: ignore[arg-type]
+    for kind, save, other in (
+        (fungrasp.HumanGraspSet, fungrasp.save_human_grasps, robot),
+        (fungrasp.RobotGraspSet, fungrasp.save_robot_grasps, human),
+    ):
+        for wrong in (other, "g.npz", [human[0]]):
+            with pytest.raises(FungraspError, match=f"expected a path, then a {kind.__name__}, not a"):
+                save("g.npz", wrong)
+        with pytest.raises(FungraspError, match=f"{kind.__name__}.of makes a set of single grasps"):
+            kind.of([other[0]])
     plans = fungrasp.plan(robot)
     for wrong, words in (
         (robot, "expected the plans .* not a RobotGraspSet"),

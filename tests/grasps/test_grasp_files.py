@@ -14,6 +14,7 @@ from test_grasp_sets import same
 
 import fungrasp.grasps.grasp_files as files
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.checks import is_one_line, is_plain_name
 from fungrasp.grasps import (
     HumanGraspSet,
     builtin_grasps,
@@ -30,7 +31,7 @@ DEXYCB = SHARED / "data" / "dexycb_train.npz"
 names = st.text(
     st.characters(exclude_characters="/\\\0", exclude_categories=("Cs",)), min_size=1, max_size=20
 )
-plain = names.filter(lambda text: text not in (".", ".."))
+plain = names.filter(is_plain_name)
 numbers = st.floats(-1e6, 1e6)
 
 
@@ -41,7 +42,9 @@ def test_human_sets_survive(tmp_path, human_grasps, data, count, single):
         count,
         seed=data.draw(st.integers(0, 100)),
         object_name=np.array(data.draw(st.lists(plain, min_size=count, max_size=count))),
-        task=data.draw(st.none() | st.lists(names, min_size=count, max_size=count).map(np.array)),
+        task=data.draw(
+            st.none() | st.lists(names.filter(is_one_line), min_size=count, max_size=count).map(np.array)
+        ),
         hand_qpos=data.draw(st.none() | hnp.arrays(np.float64, (count, 51), elements=numbers)),
     )
     if single:

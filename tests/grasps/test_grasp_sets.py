@@ -130,6 +130,8 @@ def put(array, row, value):
         ("object_name", lambda a: np.arange(3), "holds int64, expected text"),
         ("object_name", lambda a: np.array(["a", "../b", "c"]), "row 1 must be a plain name, not '../b'"),
         ("object_name", lambda a: np.array(["a", "b", ""]), "row 2 must be a plain name"),
+        ("object_name", lambda a: np.array(["a", "b\nc", "d"]), r"row 1 must be a plain name, not 'b\\nc'"),
+        ("task", lambda a: np.array(["", " ", "d"]), "row 1 must be a plain line, not ' '"),
         ("hand_qpos", lambda a: a[:, :50], r"shape \(3, 50\), expected \(N, 51\)"),
         ("task", lambda a: a[:1], r"'task' has shape \(1,\)"),
     ],

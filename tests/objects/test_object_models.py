@@ -84,8 +84,11 @@ def test_unknown_names_list_the_folder_and_the_built_ins(folder):
 
 @pytest.mark.parametrize("name", ["../brick", "brick.stl", "", "/etc/passwd"])
 def test_a_name_is_not_a_path(folder, name):
-    with pytest.raises(UnknownNameError):
+    with pytest.raises(UnknownNameError) as caught:
         load_object(name, 1.0, folder)
+    assert ("object_from_mesh(path, mass) reads" in str(caught.value)) == name.endswith(".stl")
+    with pytest.raises(FungraspError, match="a plain name" if name else "mass"):
+        ObjectModel(name, 1.0 if name else -1.0, np.eye(3), np.arange(3)[None])
 
 
 def test_a_path_is_loaded(folder):

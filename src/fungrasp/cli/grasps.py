@@ -378,7 +378,10 @@ class SelectGrasps(Answering):
             if not isinstance(grasps, RobotGraspSet):
                 raise FungraspError("--best needs robot grasps: give a file of 'fungrasp retarget'")
             if self.by not in grasps.extra or grasps.extra[self.by].ndim != 1:
-                raise UnknownNameError("value of the grasps", self.by, grasps.extra)
+                remedy = (
+                    "'fungrasp retarget' writes the static quality, which Python's retarget does not add."
+                )
+                raise UnknownNameError("value of the grasps", self.by, grasps.extra, remedy)
             values = np.where(kept, grasps.extra[self.by].astype(float), np.nan)
             if not 0 < self.best <= 1:
                 raise FungraspError(f"--best must be a share in (0, 1], not {self.best:g}")

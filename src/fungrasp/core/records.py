@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args,
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path
 from fungrasp.core.formats.checks import one_line
 from fungrasp.core.formats.numpy_files import read_npz
@@ -141,6 +141,9 @@ class BatchRecord:
 
 Record = TypeVar("Record")
 
+_hints = cache(get_type_hints)
+"""The types of a dataclass's fields by name, which are slow to resolve."""
+
 
 def record_to_json(record: Any) -> Any:
     """Convert a dataclass with all its fields to JSON data.
@@ -174,7 +177,7 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
     """
     if not isinstance(data, Mapping):
         raise FungraspError(f"{where}: expected the fields of {kind.__name__}, not {_words(data)}")
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     names = [f.name for f in fields(kind) if f.init]  # pyright: ignore[reportArgumentType]
     for name in data:
         if name not in names:
@@ -193,26 +196,14 @@ def check_literals(record: Any) -> None:
     optional.
 
     Raises:
-        UnknownNameError: a field has another value.
+        FungraspError: a field has another value.
     """
-    for name, known in _literals(type(record)).items():
-        if getattr(record, name) not in known:
-            words = [value for value in known if value is not None]
-            raise UnknownNameError(name.replace("_", " "), str(getattr(record, name)), words)
-    for field in fields(record):
-        if is_dataclass(inner := getattr(record, field.name)):
-            check_literals(inner)
-
-
-@cache
-def _literals(kind: type) -> dict[str, tuple[Any, ...]]:
-    """Return the possible values of the fields with a ``Literal`` type, by name."""
-    found = {}
-    for name, hint in get_type_hints(kind).items():
-        choices = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        if any(get_origin(choice) is Literal for choice in choices):
-            found[name] = tuple(v for c in choices for v in (get_args(c) if c is not NoneType else (None,)))
-    return found
+    for name, hint in _hints(type(record)).items():
+        value = getattr(record, name)
+        if Literal in (get_origin(hint), *map(get_origin, get_args(hint))):
+            _value(hint, value, name)
+        elif is_dataclass(value):
+            check_literals(value)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:

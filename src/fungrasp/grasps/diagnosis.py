@@ -200,6 +200,8 @@ def diagnosis(
             convention = replace(convention, side="left")
     if set(convention.changes) <= {"side"}:
         remarks += table_remarks(joints)
+        if remarks and remarks[-1].words is UNDER and 2 * len(remarks[-1].rows) > len(joints):
+            convention = replace(convention, up="-z")
     return GraspDiagnosis(len(joints), tuple(remarks), convention, tuple(untested))
 
 
@@ -272,11 +274,17 @@ def _side_remarks(joints: np.ndarray, object_name: np.ndarray | None) -> list[Re
     return [Remark(LEFT, rows, True)] if len(rows) else []
 
 
+UNDER = "the whole hand is below the table: z points down, or the table top is not at z = 0 (table height)"
+
+
 def table_remarks(hand_joints: np.ndarray) -> list[Remark]:
-    """Report hands below the table top. hand_joints: [m], world frame, shape [N, 21, 3]."""
-    depth = hand_joints[..., 2].min(axis=1, initial=np.inf)
-    rows = np.flatnonzero(depth < BELOW_TABLE)
-    if not len(rows):
-        return []
-    words = f"the hand reaches {-1000 * depth[rows].min():.0f} mm below the table"
-    return [Remark(f"{words}; 'fungrasp grasps convert --below-table lift' or 'drop' fixes it", rows)]
+    """Report hands partly and wholly below the table top. hand_joints: [m], world frame, shape [N, 21, 3]."""
+    lowest, highest = hand_joints[..., 2].min(axis=1), hand_joints[..., 2].max(axis=1)
+    under = highest < 0
+    rows, whole = np.flatnonzero((lowest < BELOW_TABLE) & ~under), np.flatnonzero(under)
+    words = (
+        f"the hand reaches {-1000 * lowest[rows].min(initial=0):.0f} mm below the table; 'fungrasp grasps "
+        "convert --below-table lift' or 'drop' fixes it, in Python grasps.conversion.mend_below_table"
+    )
+    partly = [Remark(words, rows)] if len(rows) else []
+    return partly + ([Remark(UNDER, whole, True)] if len(whole) else [])

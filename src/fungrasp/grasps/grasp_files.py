@@ -95,7 +95,8 @@ def save_robot_grasps(path: str | Path, grasps: RobotGraspSet | RobotGrasp) -> N
 def _save(path: str | Path, grasps: Any, kind: type[GraspSet[Any]]) -> None:
     if not isinstance(grasps, kind | kind.GRASP):
         raise FungraspError(
-            f"expected a path, then a {kind.__name__}, which is saved there, not a {type(grasps).__name__}"
+            f"expected a path, then a {kind.__name__}, not a {type(grasps).__name__}; {kind.__name__}.of "
+            "makes one of single grasps"
         )
     grasps.save(path)
 

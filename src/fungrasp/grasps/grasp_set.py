@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.formats.checks import is_one_line, is_plain_name
 
 if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
@@ -37,8 +38,8 @@ class ArrayField:
     """Specification of one array of a grasp set."""
 
     kind: Literal["name", "text", "number", "positive", "pose", "flag"]
-    """Type of the values. ``name``: text, not empty, not a path; ``pose``: numbers, the last four a unit
-    quaternion."""
+    """Type of the values. ``name``: text, not empty, not a path; ``text``: one line; ``pose``: numbers, the
+    last four a unit quaternion."""
     shape: tuple[str | int, ...]
     """Sizes, or letters ("N", "M", ...) for sizes shared by fields of a set."""
     optional: bool = False
@@ -63,8 +64,10 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
     _check_shape(name, field.shape, array.shape, sizes)
     if wanted == "US":
         array = array.astype(str)
-        if field.kind == "name":
-            _check_names(name, array)
+        good, kind = (is_plain_name, "name") if field.kind == "name" else (is_one_line, "line")
+        for row, text in enumerate(array.ravel().tolist()):
+            if not good(text):
+                raise FungraspError(f"field '{name}', row {row} must be a plain {kind}, not {text!r}")
         return array
     if wanted == "b":
         return array.astype(bool)
@@ -136,12 +139,6 @@ def _check_shape(
         where = f" with {', '.join(known)}" if known else ""
         raise FungraspError(f"field '{name}' has shape {found}, expected ({expected}){where}")
     sizes.update((size, actual) for size, actual in zip(wanted, found, strict=True) if isinstance(size, str))
-
-
-def _check_names(name: str, array: np.ndarray) -> None:
-    for row, text in enumerate(array.ravel()):
-        if not text or "/" in text or "\\" in text or text in (".", ".."):
-            raise FungraspError(f"field '{name}', row {row} must be a plain name, not {str(text)!r}")
 
 
 Grasp = TypeVar("Grasp")
