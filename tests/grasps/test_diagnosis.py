@@ -376,12 +376,6 @@ def test_contacts_of_links_far_from_the_object_are_doubted(tmp_path, capsys):
     assert "are the contacts in the order of HUMAN_LINKS" in run(capsys, "check", path)[1]
 
 
-def test_names_may_be_bytes(tmp_path, capsys):
-    path, mugs = written(tmp_path / "x.npz")
-    written(path, object_name=mugs.object_name.astype("S"))
-    assert run(capsys, "check", path)[1].endswith(f"{len(mugs)} usable grasps\n")
-
-
 def test_unusable_rows_are_not_counted_and_one_grasp_is_no_set(tmp_path, capsys):
     path, mugs = written(tmp_path / "x.npz")
     joints = mugs.hand_joints.copy()

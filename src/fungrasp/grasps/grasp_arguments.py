@@ -124,13 +124,10 @@ def named_objects(
         for name, model in loaded.items():
             check_density(model)
             if name in bounds and np.abs(model.bounds - bounds[name]).max() > OTHER_MESH:
-                theirs, found = (
-                    " to ".join(f"({x:.3f}, {y:.3f}, {z:.3f})" for x, y, z in corners)
-                    for corners in (bounds[name], model.bounds)
-                )
                 raise FungraspError(
-                    f"the known object '{name}' is not that of the grasps: its mesh reaches from {found} m, "
-                    f"theirs from {theirs} m; give their objects: {GIVE_OBJECTS}"
+                    f"the known object '{name}' is not that of the grasps: the corners of its mesh are "
+                    f"{model.bounds.round(3).tolist()} m, theirs {bounds[name].round(3).tolist()} m; give "
+                    f"their objects: {GIVE_OBJECTS}"
                 )
         return known | loaded
     if isinstance(objects, ObjectModel) or not isinstance(objects, Iterable):

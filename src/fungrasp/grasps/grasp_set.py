@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
-from fungrasp.core.formats.checks import is_one_line, is_plain_name
+from fungrasp.core.formats.checks import is_plain_name
 
 if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
@@ -64,10 +64,12 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
     _check_shape(name, field.shape, array.shape, sizes)
     if wanted == "US":
         array = array.astype(str)
-        good, kind = (is_plain_name, "name") if field.kind == "name" else (is_one_line, "line")
         for row, text in enumerate(array.ravel().tolist()):
-            if not good(text):
-                raise FungraspError(f"field '{name}', row {row} must be a plain {kind}, not {text!r}")
+            good = (
+                is_plain_name(text) if field.kind == "name" else text.strip() == text and text.isprintable()
+            )
+            if not good:
+                raise FungraspError(f"field '{name}', row {row} must be a plain {field.kind}, not {text!r}")
         return array
     if wanted == "b":
         return array.astype(bool)
@@ -155,6 +157,7 @@ class GraspSet(Generic[Grasp]):
     GRASP: ClassVar[type]
 
     object_name: np.ndarray
+    task: np.ndarray | None
     objects: Mapping[str, ObjectModel]
     object_bounds: Mapping[str, np.ndarray]
 
@@ -169,6 +172,8 @@ class GraspSet(Generic[Grasp]):
             if value is None and field.optional:
                 continue
             object.__setattr__(self, name, checked_array(name, field, value, sizes))
+        if self.task is None:
+            object.__setattr__(self, "task", np.full(len(self), ""))
 
     def __len__(self) -> int:
         return len(self.object_name)

@@ -107,8 +107,6 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.task is None:
-            object.__setattr__(self, "task", np.full(len(self), ""))
         bones = bone_lengths(self.hand_joints)
         longest, shortest = bones.max(axis=1, initial=0), bones.min(axis=1, initial=np.inf)
         check_rows(

@@ -204,8 +204,6 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
             raise FungraspError("give both 'shown_places' and 'shown_normals', or neither")
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")
-        if self.task is None:
-            object.__setattr__(self, "task", np.full(len(self), ""))
         object.__setattr__(self, "extra", checked_extra(self.extra, len(self)))
         squeeze = self.extra.get(SQUEEZE)
         if squeeze is not None and squeeze.shape != self.joint_positions.shape:

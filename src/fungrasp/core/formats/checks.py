@@ -105,13 +105,9 @@ def one_line(obj: Any, longest: int = 300) -> str:
 
 
 def is_plain_name(text: str) -> bool:
-    """Return whether a text can be a name: not empty, not a path, one line, no spaces at its ends."""
-    return bool(text) and is_one_line(text) and not {"/", "\\"} & set(text) and text not in (".", "..")
-
-
-def is_one_line(text: str) -> bool:
-    """Return whether a text has printable characters only, and no spaces at its ends."""
-    return text.isprintable() and text == text.strip()
+    """Return whether a text can be a name: not empty, not a path, printable, no spaces at its ends."""
+    plain = text.isprintable() and text == text.strip() and not {"/", "\\"} & set(text)
+    return plain and text not in ("", ".", "..")
 
 
 def cannot_read(path: str | Path, error: Exception) -> FungraspError:
