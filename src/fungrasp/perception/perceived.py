@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,9 +89,9 @@ class Perceived:
         return HumanGraspSet.of([self.grasp])
 
     @property
-    def objects(self) -> Mapping[str, ObjectModel]:
+    def objects(self) -> dict[str, ObjectModel]:
         """The object of the grasp by name, mirrored for a left hand."""
-        return self.grasp.objects
+        return dict(self.grasp.objects)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result for a JSON file. Lengths are in meters, poses are ``[x y z qw qx qy qz]``;
