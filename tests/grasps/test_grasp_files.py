@@ -171,19 +171,6 @@ def test_empty_sets_are_not_exchanged(tmp_path, human_grasps):
         load_human_grasps(write(tmp_path / "g.npz", nothing))
 
 
-def test_failed_writes_leave_the_old_file(tmp_path, human_grasps, monkeypatch):
-    save_human_grasps(tmp_path / "g.npz", human_grasps(2))
-    before = (tmp_path / "g.npz").read_bytes()
-
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np, "savez_compressed", full)
-    with pytest.raises(FungraspError, match=r"cannot write .*g\.npz: No space left"):
-        save_human_grasps(tmp_path / "g.npz", human_grasps(3))
-    assert (tmp_path / "g.npz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
-
-
 def test_builtin_is_a_name(tmp_path, human_grasps, monkeypatch):
     monkeypatch.setattr(files, "BUILTIN_PATH", tmp_path / "none.npz")
     with pytest.raises(FungraspError, match="lacks the built-in human grasps"):

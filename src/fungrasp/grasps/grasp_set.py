@@ -216,11 +216,8 @@ class GraspSet(Generic[Grasp]):
                 )
             if which.dtype == bool and len(which) != len(self):
                 raise FungraspError(f"the mask has {len(which)} rows, the set has {len(self)}")
-            if (
-                which.dtype != bool
-                and which.size
-                and not (-len(self) <= which.min() <= which.max() < len(self))
-            ):
+            size = len(self)
+            if which.dtype != bool and len(which) and not -size <= which.min() <= which.max() < size:
                 raise FungraspError(
                     f"index {which.min()} or {which.max()} is outside the set of {len(self)} grasps"
                 )

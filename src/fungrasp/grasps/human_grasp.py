@@ -112,18 +112,9 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
         check_rows(
             "hand_joints", longest <= MAX_BONE_LENGTH, "is not a hand in m; its longest bone [m]", longest
         )
-        check_rows(
-            "hand_joints",
-            shortest >= MIN_BONE_LENGTH,
-            "has joints that coincide; its shortest bone [m]",
-            shortest,
-        )
-        distance = np.linalg.norm(self.hand_joints - self.object_pose[:, None, :3], axis=-1).max(
-            axis=1, initial=0
-        )
-        check_rows(
-            "hand_joints",
-            distance <= MAX_HAND_DISTANCE,
-            "is far from the object; the farthest joint [m]",
-            distance,
-        )
+        words = "has joints that coincide; its shortest bone [m]"
+        check_rows("hand_joints", shortest >= MIN_BONE_LENGTH, words, shortest)
+        apart = np.linalg.norm(self.hand_joints - self.object_pose[:, None, :3], axis=-1)
+        far = apart.max(axis=1, initial=0)
+        words = "is far from the object; the farthest joint [m]"
+        check_rows("hand_joints", far <= MAX_HAND_DISTANCE, words, far)
