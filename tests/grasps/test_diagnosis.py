@@ -61,7 +61,7 @@ def foreign(kind: str) -> dict[str, Any]:
         arrays |= {name: arrays[name] * ([1000.0] * 3 + [1.0] * 4) for name in poses}
     if kind == "joints in object":
         arrays["hand_joints"] = inverse_transform_points(arrays["object_pose"], arrays["hand_joints"])
-    turns = {"y up": [HALF, -HALF, 0.0, 0.0], "z down": [0.0, 1.0, 0.0, 0.0]}
+    turns = {"y up": [HALF, -HALF, 0.0, 0.0], "z down": [0.0, -1.0, 0.0, 0.0]}
     if kind in turns:
         turn = np.array(turns[kind])
         arrays["hand_joints"] = rotate(turn, arrays["hand_joints"])
