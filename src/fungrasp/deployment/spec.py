@@ -93,10 +93,6 @@ class DeploymentSpec:
     """Description of the grasp for the log."""
 
     def __post_init__(self) -> None:
-        """
-        Raises:
-            FungraspError: ``until`` is unknown.
-        """
         check_literals(self)
 
 
