@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -140,6 +141,9 @@ class BatchRecord:
 
 Record = TypeVar("Record")
 
+_hints = cache(get_type_hints)
+"""The types of a dataclass's fields by name, which are slow to resolve."""
+
 
 def record_to_json(record: Any) -> Any:
     """Convert a dataclass with all its fields to JSON data.
@@ -173,7 +177,7 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
     """
     if not isinstance(data, Mapping):
         raise FungraspError(f"{where}: expected the fields of {kind.__name__}, not {_words(data)}")
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     names = [f.name for f in fields(kind) if f.init]  # pyright: ignore[reportArgumentType]
     for name in data:
         if name not in names:
@@ -185,6 +189,21 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
     if missing := [f.name for f in needed if f.name not in values]:
         raise FungraspError(f"{where}: the field '{missing[0]}' is missing")
     return kind(**values)
+
+
+def check_literals(record: Any) -> None:
+    """Check the fields of a dataclass, and of dataclasses in it, whose types are ``Literal``, possibly
+    optional.
+
+    Raises:
+        FungraspError: a field has another value.
+    """
+    for name, hint in _hints(type(record)).items():
+        value = getattr(record, name)
+        if Literal in (get_origin(hint), *map(get_origin, get_args(hint))):
+            _value(hint, value, name)
+        elif is_dataclass(value):
+            check_literals(value)
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:

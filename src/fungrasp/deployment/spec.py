@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from fungrasp.core.records import check_literals
+
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
@@ -89,6 +91,9 @@ class DeploymentSpec:
     """Threads of the planner; 0 means all processors, on a robot all but one, which its drivers need."""
     about: Annotated[str, tyro.conf.Suppress] = ""
     """Description of the grasp for the log."""
+
+    def __post_init__(self) -> None:
+        check_literals(self)
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import radians
-from typing import Any, get_args
+from typing import Any
 
-from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.records import record_from_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import check_literals, record_from_json
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.sim2real import (
     NOMINAL,
@@ -108,8 +108,7 @@ class LiftTestSpec:
             FungraspError: a number is invalid, the protocol is unknown, or a protocol and a randomization are
                 given.
         """
-        if self.protocol not in get_args(ProtocolName):
-            raise UnknownNameError("protocol", self.protocol, get_args(ProtocolName))
+        check_literals(self)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise FungraspError("--seed needs at least one value, and each once")
         if min(self.seeds) < 0:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import check_literals
 from fungrasp.planning.selection.settings import VariationSpread
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization
@@ -221,6 +222,7 @@ class TrainSpec:
         Raises:
             FungraspError: a value is invalid, or corrections of planned motions are combined with imitation.
         """
+        check_literals(self)
         check_numbers(self.steps, self.seed, self.threads)
         if self.ppo.imitate and self.environment.residual.base == "plan":
             raise FungraspError(
