@@ -21,7 +21,8 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid, project_to_surface
-from fungrasp.grasps.human_hand import joint_order
+from fungrasp.grasps.diagnosis import BENT, diagnosis
+from fungrasp.grasps.human_hand import joint_bends, joint_order, mirror_points
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -169,13 +170,13 @@ class Retargeter:
         if model is not None:
             origin = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
             self._scene = CollisionScene.settled([model.name], origin, {model.name: model})
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, np.ndarray] | None
         self._joints = np.zeros((1, 21, 3))
-        self._smooth = self._filter()
+        self.reset()
 
     def reset(self) -> None:
         """Forget the previous frame; the next one is solved from scratch."""
-        self._last, self._smooth = None, self._filter()
+        self._last, self._smooth, self._side_seen = None, self._filter(), False
 
     def _filter(self) -> Callable[[np.ndarray], np.ndarray]:
         s = self._settings
@@ -191,7 +192,8 @@ class Retargeter:
 
         Raises:
             FungraspError: a shape is wrong, a value is not finite, or a pose is given without an object or
-                missing with one.
+                missing with one. At the first frame: the joints are in another order or unit. Until the
+                fingers have bent: the hand is of the other side.
         """
         if (object_pose is None) != (self._scene is None):
             raise FungraspError("object_pose is given where the retargeter has an object, and only there")
@@ -202,6 +204,7 @@ class Retargeter:
             if np.shape(array) != shape or not np.all(np.isfinite(array)):
                 raise FungraspError(f"{name} must be finite numbers of shape {shape}")
         world = np.asarray(hand_joints, dtype=float)[self._order]
+        self._check_convention(world)
         if object_pose is None:
             # In the palm frame, motions of a free hand as a whole are not limited.
             world = self._smooth(world)
@@ -225,6 +228,26 @@ class Retargeter:
             wrist, independent = self._bounded(self._last, (wrist, independent), motion)
         self._last, self._joints = (wrist, independent), joints
         return FollowedPose(compose(pose, wrist[0]), self._points.kinematics.hand.all_joints(independent[0]))
+
+    def _check_convention(self, joints: np.ndarray) -> None:
+        right = joints if self.hand.side == "right" else mirror_points(joints)
+        if self._last is None:
+            fault = diagnosis({"hand_joints": right[None]}, {}, sides=False).fatal
+            if fault is not None:
+                raise FungraspError(
+                    f"hand_joints: {fault.words}; follow takes meters, and joints in the order that "
+                    "Retargeter(order=...) names"
+                )
+        if not self._side_seen:
+            # Outer finger joints hardly bend backwards. A flat hand shows no side.
+            bend = joint_bends(right)[0][:4, 1:].sum()
+            if bend < -BENT:
+                raise FungraspError(
+                    f"hand_joints: the fingers bend backwards for a {self.hand.side} hand, the side of "
+                    f"'{self.hand.name}'; mirror the joints (fungrasp.grasps.human_hand.mirror_points), or "
+                    "use a robot hand of the other side"
+                )
+            self._side_seen = bool(bend > BENT)
 
     def _problem(self, joints: np.ndarray, pose: np.ndarray) -> RetargetingProblem:
         up = rotate(quaternion_conjugate(pose[3:]), np.array([0.0, 0.0, 1.0]))[None, None]
