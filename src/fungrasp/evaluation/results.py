@@ -140,13 +140,13 @@ class LiftTestResult:
         return run_record(numbers["seed"]) | numbers | {"seconds": self.seconds}
 
     def save(self, path: str | Path, compact: bool = False) -> None:
-        """Write the result to a file for ``fungrasp.evaluation.read_result``.
+        """Write the result to a ``.json`` file for ``fungrasp.evaluation.read_result``.
 
         Args:
             compact: write the episodes to a CSV file next to it, one row each.
 
         Raises:
-            FungraspError: a file can't be written.
+            FungraspError: the suffix is wrong, or a file can't be written.
         """
         save_result(path, self.json(), compact)
 
