@@ -15,7 +15,6 @@ import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
 from fungrasp.cli.options import ObjectsOption
-from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.features import LayoutName
 from fungrasp.training import check_packages

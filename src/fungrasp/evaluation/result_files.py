@@ -14,6 +14,8 @@ import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +45,22 @@ class ResultFile:
     """Provenance and summary."""
     rows: list[Row]
     """One row per episode (in a perception benchmark: per capture)."""
+
+    def frame(self) -> Any:
+        """Return the rows as ``data_frame`` does."""
+        return data_frame(self.rows)
+
+
+def data_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Return a data frame of pandas or, if it is not installed, Polars.
+
+    Raises:
+        FungraspError: neither is installed.
+    """
+    for name in ("pandas", "polars"):
+        if find_spec(name) is not None:
+            return import_module(name).DataFrame(rows)
+    raise FungraspError("a frame needs pandas or Polars: pip install pandas")
 
 
 def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:

@@ -244,7 +244,7 @@ def grasp_pictures(
     human: HumanGraspSet | None = None,
     marks: PlaceMarks | None = None,
 ) -> list[np.ndarray]:
-    """Render one grasp with links that should touch in orange.
+    """Render one grasp with its links in the colors of ``grasp_scene``.
 
     Args:
         size: width and height [pixels].

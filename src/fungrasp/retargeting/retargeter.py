@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -37,7 +39,7 @@ NO_OBJECT = SignedDistanceBank([SignedDistanceGrid(np.zeros(3), 1.0, np.ones((2,
 
 
 @dataclass(frozen=True)
-class RetargeterSettings:
+class RetargeterSettings(CheckedRecord):
     """Scale of each cost term (the value that counts as one unit), and iterations."""
 
     fingertip_unit: float = 0.004
@@ -88,6 +90,7 @@ class RetargeterSettings:
         Raises:
             FungraspError: a value of the smoothing is not positive.
         """
+        super().__post_init__()
         for name in ("rate", "cutoff", "lag"):
             value = getattr(self, name)
             if value is not None and not value > 0:
@@ -146,7 +149,7 @@ class Retargeter:
 
     def __init__(
         self,
-        hand: Hand | str,
+        hand: Hand | str | Path,
         model: ObjectModel | None = None,
         settings: RetargeterSettings | None = None,
         *,
@@ -154,17 +157,22 @@ class Retargeter:
     ):
         """
         Args:
-            hand: robot hand, or its name.
+            hand: robot hand, its name, or the path of its TOML file.
             model: the object; None for a free hand.
             settings: weights and iterations; defaults if None.
             order: joint order of the input of ``follow``: "mediapipe", "openpose", "mano" and others.
 
         Raises:
-            FungraspError: hand or order is unknown.
+            FungraspError: hand or order is unknown, or ``model`` is not an object.
         """
+        if not isinstance(model, ObjectModel | None):
+            raise FungraspError(
+                f"model must be an object (fungrasp.load_object, fungrasp.object_from_mesh), not a "
+                f"{type(model).__name__}"
+            )
         self.hand = as_hand(hand)
         """The robot hand. Results follow its ``joint_names``."""
-        self._settings, self._order = settings or RetargeterSettings(), joint_order(order)
+        self._settings, self._order = RetargeterSettings.given(settings), joint_order(order)
         self._points = HandPoints(HandKinematics(self.hand, 1))
         self._scene = None
         if model is not None:

@@ -73,7 +73,7 @@ def train(
     check_packages()
     from fungrasp.training.ppo import joined
 
-    spec, hand = spec or TrainSpec(), as_hand(hand)
+    spec, hand = TrainSpec.given(spec), as_hand(hand)
     sets = as_training_sets(sets, hand, spec.threads)
     # An actor that sees the history needs an environment that keeps it.
     history = spec.ppo.sees == "history"
@@ -85,9 +85,7 @@ def train(
         open_warp(device)
     with joined(device) as processes:
         if spec.ppo.imitate and processes.count > 1:
-            raise FungraspError(
-                "--ppo.imitate works in one process only: leave out torchrun or --ppo.imitate"
-            )
+            raise FungraspError("ppo.imitate works in one process only: leave out torchrun or ppo.imitate")
         _train(Path(folder), sets, hand, spec, processes, planning, progress)
     return Path(folder) / POLICY
 

@@ -222,7 +222,7 @@ def build_plan_library(
     if held:
         chosen &= np.concatenate(held)
         if not chosen.any():
-            raise FungraspError("no planned motion holds its object as shown: leave out --variety.held")
+            raise FungraspError("no planned motion holds its object as shown: leave out variety.held")
     rows = np.flatnonzero(chosen)
     return PlanLibrary(plans.select(rows), group[rows])
 

@@ -197,7 +197,9 @@ def _free_port(host: str, port: int) -> int:
             return int(probe.getsockname()[1])
     except (OSError, OverflowError) as error:
         words = getattr(error, "strerror", None) or error
-        raise FungraspError(f"the page can't be served at {host}:{port}: {words}; choose --port") from error
+        raise FungraspError(
+            f"the page can't be served at {host}:{port}: {words}; choose another port"
+        ) from error
 
 
 Viewable: TypeAlias = "AnyGrasps | GraspPlan | LiftTestResult | Trajectory | Perceived | Hand | str | Path"

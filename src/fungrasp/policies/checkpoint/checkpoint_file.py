@@ -131,10 +131,13 @@ def find_policy(name: str) -> Path:
     """Return the file of a built-in policy.
 
     Raises:
-        UnknownNameError: there is no policy of this name.
+        FungraspError: there is no policy of this name, or there is one for each hand.
     """
     policies = list_policies()
     if name not in policies:
+        of_hands = [one for one in policies if f"-{name}-" in one]
+        if of_hands:
+            raise FungraspError(f"each hand has its own {name}; name one: {', '.join(of_hands)}")
         raise UnknownNameError("policy", name, policies)
     return policies[name]
 
