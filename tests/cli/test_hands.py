@@ -41,7 +41,7 @@ def test_show_draws_a_picture(tmp_path: Path, capsys):
 
 def test_a_picture_of_an_unknown_kind(tmp_path: Path, capsys):
     assert main(["hands", "show", "allegro", "--picture", str(tmp_path / "a.txt")]) == 2
-    assert "must be a .png or .jpg" in capsys.readouterr().err
+    assert "a picture is a .png or .jpg or .jpeg file" in capsys.readouterr().err
 
 
 def test_an_unknown_hand(capsys):

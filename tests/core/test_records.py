@@ -271,7 +271,7 @@ def test_settings_there_and_back(name):
         ({"name": "x", "rows": [1, 2.5]}, "r: rows[1]: expected a whole number, not 2.5"),
         ({"name": "x", "rows": 1}, "r: rows: expected a list, not 1"),
         ({"name": "x", "rows": [True]}, "r: rows[0]: expected a whole number, not True"),
-        ({"name": "x", "inner": {"pair": [1]}}, "r: inner: pair: expected a list of 2, not of 1"),
+        ({"name": "x", "inner": {"pair": [1]}}, "r: inner: pair: expected a list of 2, not [1]"),
         ({"name": "x", "maybe": 1}, "r: maybe: expected the fields of Inner, not 1"),
         ({"name": "x", "factor": "2"}, "r: factor: expected a number, not '2'"),
         ({"name": "x", "by_name": {"k": None}}, "r: by_name.k: expected a number, not None"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from fungrasp.core.records import check_literals
+from fungrasp.core.records import CheckedRecord
 
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
@@ -58,7 +58,7 @@ LAST_PHASES: dict[Until, Phase] = {
 
 
 @dataclass(frozen=True)
-class DeploymentSpec:
+class DeploymentSpec(CheckedRecord):
     """Settings of a deployment; ``fungrasp.core.records`` converts them to JSON."""
 
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"
@@ -91,9 +91,6 @@ class DeploymentSpec:
     """Threads of the planner; 0 means all processors, on a robot all but one, which its drivers need."""
     about: Annotated[str, tyro.conf.Suppress] = ""
     """Description of the grasp for the log."""
-
-    def __post_init__(self) -> None:
-        check_literals(self)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.records import check_literals
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import (
     invert,
     quaternion_conjugate,
@@ -48,7 +48,7 @@ BELOW_TABLE = -0.01
 
 
 @dataclass(frozen=True)
-class Convention:
+class Convention(CheckedRecord):
     """Conventions of human grasps. The defaults are those of fungrasp."""
 
     joint_order: str = "fungrasp"
@@ -79,10 +79,8 @@ class Convention:
         Raises:
             FungraspError: a value is unknown, or the height is not finite.
         """
-        check_literals(self)
+        super().__post_init__()
         joint_order(self.joint_order)
-        if not np.isfinite(self.table_height):
-            raise FungraspError(f"the height of the table must be a number, not {self.table_height}")
 
     @property
     def changes(self) -> dict[str, str | float]:

@@ -24,7 +24,7 @@ from fungrasp.task import Belief, GraspPlan
 
 def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None) -> RobotGraspSet:
     """Add the motion settings to ``extra`` of grasps that lack them."""
-    s = settings or MotionSettings()
+    s = MotionSettings.given(settings)
     count = len(grasps)
     defaults = {
         "force_scale": np.ones(count),
