@@ -134,6 +134,7 @@ def retarget(
         **whole,
         extra={} if human.object_mass_spread is None else {MASS_SPREAD: human.object_mass_spread},
         objects=used,
+        object_bounds={},
     )
     return robot[0] if single else robot
 

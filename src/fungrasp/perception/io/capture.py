@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -114,6 +114,7 @@ class CameraFrame:
         return Capture(self.color, self.depth, self.intrinsics)
 
 
+@runtime_checkable
 class RgbdCamera(Protocol):
     """A depth camera, opened by ``with camera:``, such as ``RealSenseCamera``."""
 

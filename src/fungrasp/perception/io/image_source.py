@@ -144,6 +144,7 @@ def as_capture(image: ImageSource | RgbdCamera | str | Path | Sequence[str | Pat
     Raises:
         FungraspError: the image can't be read.
     """
+    from fungrasp.perception.io.capture import RgbdCamera
     from fungrasp.perception.io.image_files import read_capture
     from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera
     from fungrasp.perception.io.scene_folders import PICTURES, read_folder
@@ -157,7 +158,7 @@ def as_capture(image: ImageSource | RgbdCamera | str | Path | Sequence[str | Pat
         if len(image) != 3:
             raise FungraspError(f"an image is color image, depth and intrinsics, not {len(image)} files")
         return read_capture(*image)
-    if hasattr(image, "capture"):
+    if isinstance(image, RgbdCamera):
         with image as camera:
             return camera.capture()
     given = image if isinstance(image, str | Path) else f"a {type(image).__name__}"
