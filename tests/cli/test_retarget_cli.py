@@ -69,19 +69,6 @@ def test_methods_and_hands(tmp_path, capsys):
     assert load_robot_grasps(tmp_path / "r.npz").hand == "leap"
 
 
-def test_the_number_of_threads_changes_nothing(tmp_path, capsys):
-    save_human_grasps(tmp_path / "g.npz", some_grasps())
-    for threads in (1, 2):
-        out = tmp_path / f"r{threads}.npz"
-        assert (
-            run(capsys, "retarget", "--grasps", tmp_path / "g.npz", "--out", out, "--threads", threads)[0]
-            == 0
-        )
-    one, two = (load_robot_grasps(tmp_path / f"r{threads}.npz") for threads in (1, 2))
-    np.testing.assert_array_equal(one.joint_positions, two.joint_positions)
-    np.testing.assert_array_equal(one.wrist_pose, two.wrist_pose)
-
-
 @pytest.mark.parametrize("name", BAD)
 def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
     arguments, words = bad[name]

@@ -21,7 +21,7 @@ from fungrasp.geometry.poses import (
 )
 from fungrasp.grasps import HumanGraspSet, builtin_grasps, load_human_grasps, load_objects, save_human_grasps
 from fungrasp.grasps.anatomy import grouped
-from fungrasp.grasps.conversion import Convention, converted, mend_below_table
+from fungrasp.grasps.conversion import Convention, mend_below_table
 from fungrasp.grasps.diagnosis import checked_grasps, diagnosis
 from fungrasp.grasps.human_hand import ORDERS
 from fungrasp.grasps.scene_checks import rows_in_words
@@ -175,14 +175,6 @@ def test_other_conventions_are_refused_on_loading_with_their_remedy(tmp_path, ca
         found = load_human_grasps(tmp_path / "y.npz")
         np.testing.assert_allclose(found.hand_joints, builtin_grasps().hand_joints, atol=1e-9)
         np.testing.assert_allclose(found.object_pose, builtin_grasps().object_pose, atol=1e-9)
-
-
-def test_quaternions_in_another_order_are_seen_by_what_the_fingers_touch(tmp_path, capsys):
-    np.savez(tmp_path / "x.npz", **foreign("xyzw"))
-    _, out = run(capsys, "check", tmp_path / "x.npz")
-    assert "only if quaternions are xyzw" in out and "--quaternion xyzw" in out
-    back = converted(foreign("xyzw"), Convention(quaternion="xyzw"))
-    np.testing.assert_allclose(back["object_pose"], builtin_grasps().object_pose)
 
 
 def test_good_grasps_are_not_complained_about(tmp_path, capsys, caplog):
