@@ -114,16 +114,6 @@ def test_a_given_plan_is_deployed(human):
         fungrasp.deploy(human)
 
 
-def test_sets_are_indexed_by_slices_lists_and_masks():
-    grasps = fungrasp.builtin_grasps()
-    first = grasps.object_name == grasps.object_name[0]
-    for part in (grasps[:3], grasps[[0, 1, 2]], grasps[np.arange(3)]):
-        np.testing.assert_array_equal(part.hand_joints, grasps.hand_joints[:3])
-    assert len(grasps[first]) == first.sum()
-    with pytest.raises(FungraspError, match="outside the set"):
-        grasps[[1000]]
-
-
 def test_reprs_are_short(human):
     objects = fungrasp.load_objects(human)
     for obj in (human, human[0], objects["mug"], fungrasp.load_hand("allegro")):
@@ -135,11 +125,3 @@ def test_type_checkers_are_told_the_names_that_are_loaded_on_use():
     told = re.findall(r"^from fungrasp\.(\S+) import (\w+) as \2$", stub, re.MULTILINE)
     offered = {name: module for module, names in fungrasp._NAMES.items() for name in names.split()}  # pyright: ignore[reportAttributeAccessIssue]
     assert {name: module for module, name in told} == offered
-
-
-def test_plans_are_made_in_the_open(human):
-    objects = fungrasp.load_objects(human)
-    plans = fungrasp.plan(retarget(human, objects, "allegro"), objects)
-    assert len(plans) == len(human)
-    np.testing.assert_array_equal(plans.object_name, human.object_name)
-    assert np.isfinite(plans.palm_goal_object).all() and (plans.lift_step > plans.closing_step).all()

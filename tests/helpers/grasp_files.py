@@ -1,4 +1,4 @@
-"""Small grasp files and bad input for the tests of retarget, evaluate and bench."""
+"""Small grasp files and bad input for the tests of retarget and evaluate."""
 
 from __future__ import annotations
 
@@ -34,8 +34,16 @@ def write_arrays(path: Path, **changes: np.ndarray) -> Path:
     return path
 
 
-def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
-    """By name: arguments that retarget, evaluate and bench share, and words of the error."""
+def check_bad_inputs(folder: Path, capsys: Any, command: str, *written: object) -> None:
+    """Check that retarget or evaluate refuses bad input in one line. written: what it would write."""
+    for name, (arguments, words) in _bad_inputs(folder).items():
+        status, out, err = run(capsys, command, *arguments, *written)
+        assert status == 2 and out == "", name
+        assert err.startswith("fungrasp: error: ") and err.count("\n") == 1 and words in err, (name, err)
+
+
+def _bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
+    """By name: arguments that retarget and evaluate share, and words of the error."""
     good = some_grasps()
     save_human_grasps(folder / "good.npz", good)
     (folder / "text.npz").write_text("text")
@@ -92,23 +100,3 @@ def bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
             "Did you mean 'contact'?",
         ),
     }
-
-
-BAD = (
-    "no file",
-    "a folder",
-    "no grasps",
-    "cut short",
-    "shape",
-    "nan",
-    "quaternion",
-    "unknown object",
-    "no folder",
-    "broken mesh",
-    "millimeters",
-    "too large",
-    "unknown hand",
-    "no thumb",
-    "unknown method",
-)
-"""Names in ``bad_inputs``."""

@@ -205,6 +205,8 @@ def test_setpoints_in_a_burst_are_refused() -> None:
         (np.array([np.nan, 0, 0.1, 1, 0, 0, 0]), 0.1, "not finite"),
         (np.array([0.03, 0, 0.1, 1, 0, 0, 0]), 0.1, "jumped by 3.0 cm"),
         (np.array([0.015, 0, 0.1, 1, 0, 0, 0]), 0.4, ""),
+        (np.array([0.0, 0, 0.1, 1, 0, 0, 0]), -3.0, "3000 ms ahead"),
+        (np.array([0.0, 0, 0.1, 0, 0, 0, 1]), 0.1, "turned by 180 degrees"),
     ],
 )
 def test_poses(pose, age, said) -> None:
@@ -224,8 +226,8 @@ def test_a_measured_value_that_is_no_number_stops_the_robot(device: str, what: s
     assert stop is not None and stop.reason == f"a reading of the {device} is not finite"
 
 
-@pytest.mark.parametrize("change", [{"score": np.nan}, {"captured": np.nan}])
-def test_a_pose_with_a_score_or_a_time_that_is_no_number_is_not_used(change: dict[str, float]) -> None:
+@pytest.mark.parametrize("change", [{"score": np.nan}, {"score": 0.05}, {"captured": np.nan}])
+def test_a_pose_with_a_low_score_or_without_one_or_a_time_is_not_used(change: dict[str, float]) -> None:
     pose = np.array([0.0, 0, 0, 1, 0, 0, 0])
     tracked = replace(TrackedPose(pose, 1.0, 1.0, TrackingStatus.TRACKING), **change)
     assert check_pose(tracked, pose, 1.0, CELL)
