@@ -38,6 +38,14 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
     good = some_grasps()
     save_human_grasps(folder / "good.npz", good)
     (folder / "short.npz").write_bytes((folder / "good.npz").read_bytes()[:300])
+    with np.load(folder / "good.npz") as data:
+        arrays = dict(data)
+    np.savez(folder / "shape.npz", **arrays | {"hand_joints": good.hand_joints[:, :20]})  # pyright: ignore[reportArgumentType]
+    for name in ("hand_joints", "object_pose"):
+        missing = np.where(
+            np.arange(arrays[name][0].size).reshape(arrays[name][0].shape) == 2, np.nan, arrays[name]
+        )
+        np.savez(folder / f"nan_{name}.npz", **arrays | {name: missing})  # pyright: ignore[reportArgumentType]
     meshes, millimeters, huge = folder / "meshes", folder / "millimeters", folder / "huge"
     for place, size in ((meshes, 0.06), (millimeters, 60.0), (huge, 1.8)):
         place.mkdir()
@@ -59,6 +67,9 @@ def _bad_inputs(folder: Path) -> dict[str, tuple[list[object], str]]:
     return {
         "no file": (["--grasps", folder / "none.npz"], "none.npz does not exist"),
         "cut short": (["--grasps", folder / "short.npz"], "short.npz"),
+        "shape": (["--grasps", folder / "shape.npz"], "has shape (2, 20, 3), expected (N, 21, 3)"),
+        "nan joints": (["--grasps", folder / "nan_hand_joints.npz"], "'hand_joints', row 0 is not finite"),
+        "nan pose": (["--grasps", folder / "nan_object_pose.npz"], "'object_pose', row 0 is not finite"),
         "unknown object": (["--grasps", folder / "cann.npz"], "Did you mean 'can'?"),
         "no folder": (["--grasps", folder / "block.npz", "--objects", folder / "no"], "does not exist"),
         "broken mesh": (["--grasps", folder / "broken.npz", "--objects", meshes], "broken.obj"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
+import pytest
 from planned_grasps import grasps_and_objects, hand, plan, start, tracker
 
 from fungrasp.geometry.poses import (
@@ -97,6 +98,16 @@ def test_an_object_that_sinks_is_pressed_harder_and_lifted_higher():
     np.testing.assert_allclose(
         (action.finger_targets - p.grasp_joints)[1], HARDEST * (fingers - p.grasp_joints)[1], atol=1e-9
     )
+
+
+def test_jitter_of_the_tracker_moves_the_plan_by_a_third_of_it():
+    random, anchor = np.random.default_rng(0), np.tile([0.4, 0.1, 0.0, 1.0, 0.0, 0.0, 0.0], (1000, 1))
+    truth = anchor.copy()
+    for _ in range(30):
+        jitter = np.concatenate([random.normal(0, 0.002, (1000, 3)), truth[:, 3:]], axis=1)
+        jitter[:, :2] += truth[:, :2]
+        anchor = interpolate_pose(anchor, jitter, np.full((1000, 1), ANCHOR_SHARE))
+    np.testing.assert_allclose((anchor - truth)[:, :3].std(), 0.002 / 3, rtol=0.05)
 
 
 def test_poses_are_moved_a_share_of_the_way():
@@ -230,6 +241,12 @@ def test_key_points_and_distances_are_those_of_the_worlds():
     assert near.sum() > 1 and now.surface_distance[1, tip] < -0.02
     np.testing.assert_allclose(now.surface_distance[1, near], distance[near], atol=4e-3)
     assert np.isfinite(flatten(state.robot_features())).all()
+
+
+def test_there_is_no_state_before_the_beginning():
+    at_work = PlanTracker(hand(), grasps_and_objects()[1], plan(), 2)
+    with pytest.raises(RuntimeError, match="begin comes before"):
+        at_work.state()
 
 
 def test_directions_along_the_links():

@@ -116,6 +116,11 @@ def test_a_hand_stays_above_the_table_unless_its_cell_says_otherwise() -> None:
     assert check_posture(palm, Clearance(0.03, -0.01, 0.03), load_cell("ur5e-allegro").workspace) == ""
 
 
+def test_unknown_names() -> None:
+    with pytest.raises(FungraspError, match="Did you mean 'ur5e-allegro'"):
+        load_cell("ur5-allegro")
+
+
 def test_a_wired_cell_that_says_how_its_hand_is_mounted(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     mount = "[mount]\npose_flange_hand = [0, 0, 0.156, 0.7071, 0, 0, 0.7071]\n"

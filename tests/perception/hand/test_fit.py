@@ -84,3 +84,21 @@ def test_refined_hand_leaves_the_object(held):
     assert depth_inside(scene, grid, pushed.joints_camera) > 0.004
     assert depth_inside(scene, grid, refined.joints_camera) < 0.002
     assert errors(refined, scene.joints).mean() < errors(pushed, scene.joints).mean()
+
+
+def test_refining_a_left_hand_is_refining_its_mirror_image(held):
+    scene, grid = held
+    mirror = np.array([-1.0, 1.0, 1.0])
+    hand = certain(scene, scene.joints + np.array([0.004, 0.003, 0.006]))
+    right = refine_hand(hand, HandSurroundings(grid, scene.pose_camera_object))
+    flipped = SignedDistanceGrid(
+        np.array([-grid.origin[0] - grid.spacing * (grid.values.shape[0] - 1), *grid.origin[1:]]),
+        grid.spacing,
+        np.ascontiguousarray(grid.values[::-1]),
+    )
+    pose = scene.pose_camera_object * [-1, 1, 1, 1, 1, -1, -1]
+    left = refine_hand(
+        dataclasses.replace(hand, joints_camera=hand.joints_camera * mirror, side="left"),
+        HandSurroundings(flipped, pose),
+    )
+    np.testing.assert_allclose(left.joints_camera, right.joints_camera * mirror, atol=1e-5)
