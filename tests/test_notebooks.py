@@ -11,6 +11,7 @@ import pytest
 
 import fungrasp
 from fungrasp.core.text_table import table
+from fungrasp.evaluation import read_result
 from fungrasp.media.grasp_pages import notebook_html
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples" / "notebooks").glob("*.ipynb"))
@@ -80,10 +81,12 @@ def test_jupyter_is_told_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
         assert hasattr(sys.modules.get(module) or __import__(module, fromlist=[name]), name)
 
 
-def test_a_frame_has_a_row_for_each_episode() -> None:
+def test_a_frame_has_a_row_for_each_episode(tmp_path) -> None:
     pandas = pytest.importorskip("pandas", reason="neither pandas nor Polars is installed")
     human = fungrasp.builtin_grasps()[:2]
     objects = fungrasp.load_objects(human)
-    frame = fungrasp.evaluate(fungrasp.retarget(human, objects, "inspire"), objects).frame()
-    assert isinstance(frame, pandas.DataFrame) and len(frame) == 2
-    assert {"object", "success", "reason", "seed"} <= set(frame.columns)
+    result = fungrasp.evaluate(fungrasp.retarget(human, objects, "inspire"), objects)
+    result.save(tmp_path / "r.json")
+    for frame in (result.frame(), read_result(tmp_path / "r.json").frame()):
+        assert isinstance(frame, pandas.DataFrame) and len(frame) == 2
+        assert {"object", "success", "reason", "seed"} <= set(frame.columns)

@@ -42,7 +42,7 @@ def test_show_draws_a_picture(tmp_path: Path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("show", "allegro", "--picture", "a.txt"), "must be a .png or .jpg"),
+        (("show", "allegro", "--picture", "a.txt"), "a picture is a .png or .jpg or .jpeg file"),
         (("show", "alegro"), "unknown hand 'alegro'. Did you mean 'allegro'?"),
         (("export", "allegro", "--out", "file/H.xml"), "cannot write"),
         (("export", "allegro", "--out", "H.xml", "--arm", "ur5x"), "Did you mean 'ur5"),

@@ -17,7 +17,7 @@ from fungrasp.sim2real import MODERATE, REALITY
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("train", "--steps", 0), "--steps must be at least 1"),
+        (("train", "--steps", 0), "steps must be at least 1"),
         (("train", "--seed", -1), "must not be negative"),
         (("train", "--hand", "alegro"), "Did you mean 'allegro'?"),
         (("train", "--method", "contakt"), "Did you mean 'contact'?"),
@@ -28,7 +28,7 @@ from fungrasp.sim2real import MODERATE, REALITY
         (("train", "--environment.early", 9, 4), "not 9 to 4"),
         (("train", "--environment.whole", 2), "from 0 to 1, not 2"),
         (("train", "--environment.widen", 9, 4), "to a later one, not 9 to 4"),
-        (("train", "--ppo.imitate", 100), "needs --environment.residual.base guided"),
+        (("train", "--ppo.imitate", 100), "needs environment.residual.base 'guided'"),
         (("train", "--terms", "a", "b"), "one text for each of the 1 --grasps, not 2"),
         (("distill", "--teacher", "nowhere"), "nowhere is not the folder of a training"),
     ],

@@ -15,8 +15,11 @@ from hypothesis import strategies as st
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.records import BatchRecord, record_from_json, record_to_json
+from fungrasp.deployment.spec import DeploymentSpec
+from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.grasps.as_shown import AsShown, ShownContacts
+from fungrasp.grasps.conversion import Convention
 from fungrasp.planning.attempts import AttemptRecord
 from fungrasp.planning.selection.rollouts import RolloutResults
 from fungrasp.planning.selection.settings import SelectionSettings
@@ -26,6 +29,7 @@ from fungrasp.task import Action, Belief, GraspPlan, Observation, Outcomes, Priv
 from fungrasp.task.attempt_judge import AttemptVerdict
 from fungrasp.task.outcome import HoldMiddle
 from fungrasp.task.use import UseOutcomes
+from fungrasp.training.settings import TrainSpec
 
 KINDS = (
     Action,
@@ -267,7 +271,7 @@ def test_settings_there_and_back(name):
         ({"name": "x", "rows": [1, 2.5]}, "r: rows[1]: expected a whole number, not 2.5"),
         ({"name": "x", "rows": 1}, "r: rows: expected a list, not 1"),
         ({"name": "x", "rows": [True]}, "r: rows[0]: expected a whole number, not True"),
-        ({"name": "x", "inner": {"pair": [1]}}, "r: inner: pair: expected a list of 2, not of 1"),
+        ({"name": "x", "inner": {"pair": [1]}}, "r: inner: pair: expected a list of 2, not [1]"),
         ({"name": "x", "maybe": 1}, "r: maybe: expected the fields of Inner, not 1"),
         ({"name": "x", "factor": "2"}, "r: factor: expected a number, not '2'"),
         ({"name": "x", "by_name": {"k": None}}, "r: by_name.k: expected a number, not None"),
@@ -278,6 +282,22 @@ def test_what_is_wrong_is_named(data, words):
     with pytest.raises(FungraspError) as error:
         record_from_json(Outer, data, "r")
     assert str(error.value) == words
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Convention(quaternion="XYZW"), "quaternion: expected 'wxyz' or 'xyzw', not 'XYZW'"),
+        (lambda: Convention(up="Z"), "up: expected 'z' or"),
+        (lambda: LiftTestSpec(protocol="real"), "protocol: expected 'nominal' or"),
+        (lambda: LiftTestSpec(randomization=Randomization(push_phase="end")), "push_phase: expected 'lift'"),
+        (lambda: DeploymentSpec(until="lfit"), "until: expected 'plan' or"),
+        (lambda: TrainSpec(device="gpu"), "device: expected 'cuda' or 'cpu-warp' or 'cpu', not 'gpu'"),
+    ],
+)
+def test_fields_with_fixed_values_are_checked(make, words):
+    with pytest.raises(FungraspError, match=words):
+        make()
 
 
 def test_what_json_can_not_hold():

@@ -60,7 +60,9 @@ def test_what_earlier_versions_asked_is_read():
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"protocol": "realty"}, "Did you mean 'reality'"),
+        ({"protocol": "realty"}, "protocol: expected 'nominal' or 'reality' or 'robustness', not 'realty'"),
+        ({"protocol": Randomization()}, "protocol: expected 'nominal' or"),
+        ({"seeds": 3}, "seeds: expected a list, not 3"),
         ({"seeds": ()}, "at least one value"),
         ({"seeds": (-1,)}, "must not be negative"),
         ({"attempts": 0}, "1 attempt or more"),

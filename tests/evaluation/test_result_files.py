@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.evaluation.result_files import read_result, split_rows, write_result
+from fungrasp.evaluation.result_files import read_result, save_result, split_rows, write_result
 
 HEADER = {"command": "fungrasp evaluate", "seed": 0, "success_rate": 0.5}
 ROWS = [
@@ -80,8 +80,8 @@ def test_damage_is_found(tmp_path: Path, name: str, change, message: str) -> Non
 def test_what_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(FungraspError, match="does not exist"):
         read_result(tmp_path / "none.json")
-    with pytest.raises(FungraspError, match=r"must end in \.json"):
-        write_result(tmp_path / "r.csv", {}, [])
+    with pytest.raises(FungraspError, match=r"a result is a \.json file, not .*r\.csv"):
+        save_result(tmp_path / "r.csv", {})
     with pytest.raises(FungraspError, match="cannot write"):
         write_result(tmp_path / "r.json", {"rate": float("nan")}, ROWS)
     assert list(tmp_path.iterdir()) == []

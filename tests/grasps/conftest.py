@@ -24,7 +24,7 @@ def human_grasps() -> Callable[..., HumanGraspSet]:
         random = np.random.default_rng(seed)
         quaternion = random.normal(size=(2, count, 4))
         quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
-        position = random.uniform(-0.2, 0.2, size=(2, count, 3))
+        position = random.uniform((-0.2, -0.2, 0.1), (0.2, 0.2, 0.5), size=(2, count, 3))
         fields = {
             "object_name": np.array([f"object {i % 2}" for i in range(count)]),
             "object_mass": random.uniform(0.01, 1, size=count),

@@ -81,12 +81,17 @@ def test_points_of_contact_mark_links(shown):
     ("change", "words"),
     [
         ({"joints": np.zeros((20, 3))}, r"joints: shape \(20, 3\), expected \(21, 3\)"),
+        ({"joints": np.zeros((2, 21, 3))}, r"HumanGraspSet\.of"),
+        ({"joints": [[1, 2], [3]]}, "joints: not an array of numbers"),
         ({"joints": np.full((21, 3), np.nan)}, "joints: a number is not finite"),
         ({"order": "mediapipes"}, "Did you mean 'mediapipe'"),
         ({"order": "mano"}, "order"),
         ({"contacts": np.zeros(3, dtype=bool)}, "a flag"),
+        ({"contacts": np.full(16, 0.5)}, "expected a flag"),
         ({"object_pose": np.ones((4, 4))}, "is no rotation"),
-        ({"object_pose": [0, 0, 0]}, "object_pose: shape"),
+        ({"object_pose": np.eye(4).T + 0.05 * np.eye(4, k=-3)}, "last row of the matrix .* is it transposed"),
+        ({"object_pose": np.zeros(7)}, "its quaternion .* has length 0, not 1"),
+        ({"object_pose": np.eye(4)[:3]}, r"shape \(3, 4\), expected \(7,\) or \(4, 4\)"),
         ({"mesh": 3}, "expected a mesh .* not int"),
         ({"mesh": "nowhere.obj"}, "nowhere"),
         ({"mass": 400.0}, "is the mass in grams"),
@@ -97,6 +102,9 @@ def test_points_of_contact_mark_links(shown):
         ({"joints": np.zeros((2, 21, 3))}, r"HumanGraspSet\.of"),
         ({"joints": [[1, 2], [3]]}, "joints: not an array of numbers"),
         ({"contacts": np.full(16, 0.5)}, "expected a flag"),
+        ({"convention": "mm"}, "expected a Convention, such as .* not 'mm'"),
+        ({"convention": Convention(side="left")}, "1 of 1 hands bend as those of right hands"),
+        ({"task": "drink\n"}, "'task', row 0 must be a plain text"),
     ],
 )
 def test_mistakes_are_named(shown, change, words):
@@ -105,6 +113,25 @@ def test_mistakes_are_named(shown, change, words):
     given |= change
     with pytest.raises(FungraspError, match=words):
         fungrasp.human_grasp(given.pop("joints"), given.pop("mesh"), **given)
+
+
+def test_another_mesh_of_the_same_name_is_refused(shown, tmp_path):
+    """A file holds the bounds of the mesh, and not the mesh."""
+    grasp, mesh = shown
+    own = fungrasp.object_from_mesh(mesh.copy().apply_scale(1.1), 0.3, grasp.object_name)
+    fungrasp.human_grasp(grasp.hand_joints, own, object_pose=grasp.object_pose).save(tmp_path / "g.npz")
+    grasps = fungrasp.load_grasps(tmp_path / "g.npz")
+    for again in (grasps, fungrasp.retarget(grasps, own)):
+        again.save(tmp_path / "again.npz")
+        loaded = fungrasp.load_grasps(tmp_path / "again.npz")
+        with pytest.raises(FungraspError, match=rf"'{own.name}' is not that of the grasps.*objects="):
+            fungrasp.load_objects(loaded)
+        mesh.copy().apply_scale(1.11).export(tmp_path / f"{own.name}.obj")
+        assert fungrasp.load_objects(loaded, tmp_path)[own.name].mass == 0.3
+        assert fungrasp.load_objects(loaded, own) == {own.name: own}
+    theirs = fungrasp.human_grasp(grasp.hand_joints, grasp.object_name, object_pose=grasp.object_pose)
+    with pytest.raises(FungraspError, match="stands for different meshes"):
+        fungrasp.HumanGraspSet.of([grasps[0], theirs])
 
 
 def test_a_guessed_mass_is_said_and_its_spread_kept(shown, caplog):

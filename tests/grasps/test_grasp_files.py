@@ -14,6 +14,7 @@ from test_grasp_sets import same
 
 import fungrasp.grasps.grasp_files as files
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.formats.checks import is_plain_name
 from fungrasp.grasps import (
     HumanGraspSet,
     builtin_grasps,
@@ -30,7 +31,7 @@ DEXYCB = SHARED / "data" / "dexycb_train.npz"
 names = st.text(
     st.characters(exclude_characters="/\\\0", exclude_categories=("Cs",)), min_size=1, max_size=20
 )
-plain = names.filter(lambda text: text not in (".", ".."))
+plain = names.filter(is_plain_name)
 numbers = st.floats(-1e6, 1e6)
 
 
@@ -41,7 +42,7 @@ def test_human_sets_survive(tmp_path, human_grasps, data, count, single):
         count,
         seed=data.draw(st.integers(0, 100)),
         object_name=np.array(data.draw(st.lists(plain, min_size=count, max_size=count))),
-        task=data.draw(st.none() | st.lists(names, min_size=count, max_size=count).map(np.array)),
+        task=data.draw(st.none() | st.lists(plain, min_size=count, max_size=count).map(np.array)),
         hand_qpos=data.draw(st.none() | hnp.arrays(np.float64, (count, 51), elements=numbers)),
     )
     if single:
@@ -168,19 +169,6 @@ def test_empty_sets_are_not_exchanged(tmp_path, human_grasps):
     assert not any(tmp_path.iterdir())
     with pytest.raises(FungraspError, match="holds no grasps"):
         load_human_grasps(write(tmp_path / "g.npz", nothing))
-
-
-def test_failed_writes_leave_the_old_file(tmp_path, human_grasps, monkeypatch):
-    save_human_grasps(tmp_path / "g.npz", human_grasps(2))
-    before = (tmp_path / "g.npz").read_bytes()
-
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np, "savez_compressed", full)
-    with pytest.raises(FungraspError, match=r"cannot write .*g\.npz: No space left"):
-        save_human_grasps(tmp_path / "g.npz", human_grasps(3))
-    assert (tmp_path / "g.npz").read_bytes() == before and len(list(tmp_path.iterdir())) == 1
 
 
 def test_builtin_is_a_name(tmp_path, human_grasps, monkeypatch):

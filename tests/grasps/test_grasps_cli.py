@@ -10,7 +10,6 @@ import pytest
 import trimesh
 from bent_hand import bent_hand
 from PIL import Image
-from test_dexycb import write_dataset
 from test_pickles import labels
 
 from fungrasp.cli.main import main
@@ -95,14 +94,6 @@ def test_import_dgrasp(tmp_path, capsys, human_grasps):
     status, out, _ = run(capsys, "import", "dgrasp", tmp_path / "labels.pkl", "--out", tmp_path / "g.npz")
     assert status == 0 and "2 grasps of 1 objects" in out
     assert load_human_grasps(tmp_path / "g.npz").object_name.tolist() == ["025_mug"] * 2
-
-
-def test_import_dexycb(tmp_path, capsys):
-    root = write_dataset(tmp_path / "data", side="left")
-    flags = ("--left-hands", "mirror", "--out", tmp_path / "g.npz")
-    status, out, _ = run(capsys, "import", "dexycb", root, *flags)
-    assert status == 0 and "1 grasps of 1 objects" in out
-    assert load_human_grasps(tmp_path / "g.npz").object_name.tolist() == ["003_cracker_box_mirrored"]
 
 
 def test_importers_of_other_packages(tmp_path, capsys, monkeypatch, human_grasps):

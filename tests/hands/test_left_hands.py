@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -108,8 +109,12 @@ def test_mixed_pairs_are_refused(left: Hand):
 
 
 def test_mirroring_twice_gives_the_same():
-    grasps: HumanGraspSet = human_grasps()
-    twice = mirrored_grasps(mirrored_grasps(grasps))
+    grasps: HumanGraspSet = replace(human_grasps(), objects=grasped_objects())
+    once = mirrored_grasps(grasps)
+    assert {model.name: model.mirror_image for model in load_objects(once).values()} == {
+        f"{name}_mirrored": model for name, model in grasped_objects().items()
+    }
+    twice = mirrored_grasps(once)
     for name in ("object_name", "object_pose", "object_rest_pose", "hand_joints", "link_contacts"):
         np.testing.assert_array_equal(getattr(twice, name), getattr(grasps, name))
     assert check_anatomy(mirrored_grasps(grasps)) == check_anatomy(grasps)

@@ -11,7 +11,9 @@ from fungrasp.media import Renderer, look_at_grasp
 from fungrasp.media.camera import orbit_camera
 from fungrasp.media.grasp_scenes import (
     CONTACT,
+    MISSED,
     OBJECT_BODY,
+    UNWANTED,
     human_grasp_scene,
     robot_grasp_scene,
     robot_scene_colors,
@@ -138,6 +140,10 @@ def test_links_light_up_along_a_motion(allegro):
     contacts[2, 1:] = True
     colors = robot_scene_colors(model, allegro, contacts)
     np.testing.assert_array_equal(colors[0], colors[1])
+    wanted = np.arange(len(allegro.links)) == 1
+    asked = robot_scene_colors(model, allegro, contacts, wanted)[..., :3]
+    assert np.isclose(asked[0], MISSED).all(-1).sum() == np.isclose(asked[2], CONTACT).all(-1).sum() > 0
+    assert np.isclose(asked[2], UNWANTED).all(-1).sum() > 10
     assert np.isclose(colors[2, :, :3], CONTACT).all(-1).sum() > 10
     states = robot_scene_states(
         model, allegro, np.tile(wrist, (3, 1)), np.tile(joints, (3, 1)), np.tile(POSE, (3, 1))

@@ -33,7 +33,8 @@ def robot(human, objects):
 
 def test_grasps_are_drawn(human, robot, objects, tmp_path):
     people = fungrasp.view(human, out=tmp_path / "people.html").read_text()
-    robots = fungrasp.view(robot, objects, out=tmp_path / "robots.html").read_text()
+    save_robot_grasps(tmp_path / "robot.npz", robot)
+    robots = fungrasp.view(tmp_path / "robot.npz", objects, out=tmp_path / "robots.html").read_text()
     for page in (people, robots):
         assert page.count("data:image/png;base64,") == 2
         assert not re.search(r"(src|href)=\"(?!data:|#)", page), "the page needs another file"
@@ -78,10 +79,12 @@ def test_the_hand_is_drawn_as_it_held(robot, objects):
 
 
 def test_what_can_not_be_viewed_is_said(robot, tmp_path):
-    with pytest.raises(FungraspError, match="not of a list"):
+    with pytest.raises(FungraspError, match="a page of a list"):
         fungrasp.view([1, 2], out=tmp_path / "view.html")  # type: ignore[arg-type]
-    with pytest.raises(FungraspError, match="not of a str"):
+    with pytest.raises(FungraspError, match=r"only grasp files .* not log\.mcap"):
         fungrasp.view("log.mcap", out=tmp_path / "view.html")
+    with pytest.raises(FungraspError, match=r"a page is a \.html file, not .*view\.png"):
+        fungrasp.view(robot, out=tmp_path / "view.png")
     # A file does not hold the objects that a set carries.
     robot_file = tmp_path / "robot.npz"
     save_robot_grasps(robot_file, robot)

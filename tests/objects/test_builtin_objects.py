@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from fungrasp.core.errors import FungraspError
 from fungrasp.objects import ObjectModel, builtin_object, object_names
 from fungrasp.objects.mesh_repair import bodies, hull_solid, solid
 
@@ -135,21 +134,3 @@ def test_rests_where_it_lies(name):
     up = np.empty(9)
     mujoco.mju_quat2Mat(up, data.qpos[3:])
     assert np.degrees(np.arccos(min(1.0, up[8]))) < 2
-
-
-def test_rest_pose_puts_the_lowest_vertex_on_the_table():
-    model = builtin_object("hammer")
-    pose = model.rest_pose(yaw=0.3)
-    assert (model.vertices[:, 2] + pose[2]).min() == pytest.approx(0.0, abs=1e-12)
-    assert np.linalg.norm(pose[3:]) == pytest.approx(1.0)
-
-
-def test_mass_can_be_given():
-    light, heavy = builtin_object("mug"), builtin_object("mug", 2 * builtin_object("mug").mass)
-    np.testing.assert_allclose(heavy.inertia, 2 * light.inertia)
-
-
-@pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), float("inf")])
-def test_bad_mass(mass):
-    with pytest.raises(FungraspError, match="'mug': the mass"):
-        builtin_object("mug", mass)

@@ -11,6 +11,7 @@ from hand_scenes import CAMERA, HandScene, hand_scene
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import compose, inverse_transform_points, invert, transform_points
+from fungrasp.grasps import load_objects
 from fungrasp.grasps.human_hand import mirror_points
 from fungrasp.objects import ObjectModel, builtin_object
 from fungrasp.perception import Capture, ObjectEstimate, pipeline
@@ -197,6 +198,7 @@ def test_a_left_hand_is_mirrored_on_the_way_in():
         image, model, detector=StandIn(hand), object_estimate=obj, table=scene.table * [-1, 1, 1, 1]
     )
     assert left.hand.side == "left" and left.grasp.object_name == "gum_mirrored"
+    assert left.grasp.objects["gum_mirrored"].mirror_image is model
     # Other pixels show the hand, and the meshes' distance grids differ by a fraction of a cell: either may
     # decide the search of a finger.
     apart = np.linalg.norm(left.hand.joints_camera * FLIP - right.hand.joints_camera, axis=1)
@@ -428,8 +430,10 @@ def test_a_wall_is_no_table():
 def test_the_record_goes_on_and_says_what_happened():
     scene, detected = mug()
     found = seen()
-    assert found.capture is scene.capture and list(found.objects) == ["mug"]
+    assert found.capture is scene.capture and len(repr(found)) < 100
     assert len(found.grasps) == 1
+    # The mesh is the one in the image, even if a built-in object has the same name.
+    assert load_objects(found.grasps) == load_objects(found) == {"mug": scene.model}
     np.testing.assert_array_equal(found.grasps[0].hand_joints, found.grasp.hand_joints)
     (candidate,) = found.candidates
     assert candidate.detected is detected and candidate.holds

@@ -12,7 +12,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation.grasp_quality import static_quality
 from fungrasp.geometry.poses import compose, transform_points
 from fungrasp.grasps import RobotGraspSet
-from fungrasp.grasps.human_hand import OPENPOSE
+from fungrasp.grasps.human_hand import OPENPOSE, mirror_points
 from fungrasp.hands import load_hand
 from fungrasp.hands.collisions import self_collision_depth
 from fungrasp.hands.correspondence import correspond
@@ -107,6 +107,36 @@ def test_what_is_not_a_hand_is_refused():
         Retargeter("allegro", order="mediapip")
     with pytest.raises(FungraspError, match="rate must be positive, not 0"):
         RetargeterSettings(rate=0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda joints: 1000 * joints, "joints are in mm, not m; follow takes meters"),
+        (lambda joints: joints[np.argsort(OPENPOSE)], r"order of openpose .* Retargeter\(order"),
+        (mirror_points, "bend backwards for a right hand, the side of 'allegro'; mirror the joints"),
+    ],
+)
+def test_another_convention_is_refused_at_the_first_frame_that_shows_it(change, message):
+    flat, bent = straightened(held().hand_joints[0]), held().hand_joints[0]
+    retargeter = Retargeter("allegro")
+    with pytest.raises(FungraspError, match=message):
+        retargeter.follow(change(bent))
+    with pytest.raises(FungraspError, match=message):
+        retargeter.follow(change(flat))
+        retargeter.follow(change(bent))
+    retargeter.reset()
+    retargeter.follow(flat)
+
+
+def straightened(joints: np.ndarray) -> np.ndarray:
+    """The hand with straight fingers, each along its first bone [m]."""
+    flat = joints.copy()
+    for base in range(1, 17, 4):
+        along = (joints[base] - joints[0]) / np.linalg.norm(joints[base] - joints[0])
+        lengths = np.linalg.norm(np.diff(joints[base : base + 4], axis=0), axis=1)
+        flat[base + 1 : base + 4] = joints[base] + np.cumsum(lengths)[:, None] * along
+    return flat
 
 
 def gestures(frames: int = 60) -> np.ndarray:

@@ -51,7 +51,6 @@ CHANGES = {
         a, finger_targets=a.finger_targets[:, 1:]
     ),
     r"lift holds int64, expected bool": lambda a, plan: replace(a, lift=a.lift.astype(int)),
-    r"finger_targets is not finite": lambda a, plan: replace(a, finger_targets=np.nan * a.finger_targets),
     r"quaternion of length 1": lambda a, plan: replace(a, palm_goal_world=0 * a.palm_goal_world),
     r"is in the object's frame: give .*compose": lambda a, plan: replace(
         a, palm_goal_world=plan.palm_goal_object[:, 0]
@@ -73,6 +72,19 @@ def test_a_wrong_action_is_named_before_the_first_step(robot, words):
 
     with pytest.raises(FungraspError, match=words):
         fungrasp.evaluate(robot, policy=Wrong())
+
+
+@pytest.mark.parametrize("at", [0, 3])
+def test_an_action_that_is_not_finite_is_no_diverged_simulation(robot, at):
+    class Broken(OpenLoopPolicy):
+        def act(self, observation):
+            action = super().act(observation)
+            step = round(float(observation.time[0] / 0.1))
+            return replace(action, finger_targets=np.where(step < at, 1.0, np.nan) * action.finger_targets)
+
+    words = f"policy Broken returned finger_targets that is not finite at control step {at} of world 0"
+    with pytest.raises(FungraspError, match=words):
+        fungrasp.evaluate(robot, policy=Broken())
 
 
 def test_a_plan_in_the_world_is_no_mistake(robot):

@@ -51,7 +51,9 @@ def test_a_port_in_use_is_said():
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        with pytest.raises(FungraspError, match=f"127.0.0.1:{port}: Address already in use; choose --port"):
+        with pytest.raises(
+            FungraspError, match=f"127.0.0.1:{port}: Address already in use; choose another port"
+        ):
             fungrasp.view("allegro", port=port, wait=False)
 
 

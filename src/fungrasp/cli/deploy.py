@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from fungrasp.cli.console import Answering, CommandResult, suggestion
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import check_suffix
 from fungrasp.deployment.spec import DeploymentSpec, GraspChoice
 
 if TYPE_CHECKING:
@@ -60,8 +61,8 @@ class Deploy(Answering):
         hand = load_hand(cell.hand)
         if self.hand and load_hand(self.hand).name != hand.name:
             raise FungraspError(f"robot cell '{cell.name}' carries the hand '{hand.name}', not '{self.hand}'")
-        if self.picture is not None and self.picture.suffix != ".png":
-            raise FungraspError(f"--picture needs a .png file, not {self.picture}")
+        if self.picture is not None:
+            check_suffix(self.picture, "--picture", ".png")
         log = self.log or Path(strftime("deploy-%Y%m%d-%H%M%S.mcap"))
         choice, picture = self.choice, self.picture
         spec = replace(self.spec, real_time=not self.fast, threads=choice.threads, about=choice.words)

@@ -20,6 +20,7 @@ from fungrasp.cli.options import (
     print_use,
 )
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import check_suffix
 from fungrasp.evaluation import LiftTestSpec
 from fungrasp.evaluation.lift_test_spec import WorldDifferences
 from fungrasp.planning.selection.settings import SelectionSettings
@@ -83,6 +84,8 @@ class Evaluate(GraspsOption, MirrorOption, ThreadsOption, ClusterOption, LiftTes
         from fungrasp.sim2real.joint_dynamics import identified_hand
 
         spec, cluster, path = self._spec(), self.cluster, json_path(self.json)
+        for written in filter(None, (path, self.out)):
+            check_suffix(written, "a result", ".json")
         file = path or self.out
         if cluster is not None and file is None:
             raise FungraspError("--ray stores finished parts next to the result: give --json or --out too")

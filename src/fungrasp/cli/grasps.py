@@ -378,7 +378,10 @@ class SelectGrasps(Answering):
             if not isinstance(grasps, RobotGraspSet):
                 raise FungraspError("--best needs robot grasps: give a file of 'fungrasp retarget'")
             if self.by not in grasps.extra or grasps.extra[self.by].ndim != 1:
-                raise UnknownNameError("value of the grasps", self.by, grasps.extra)
+                remedy = (
+                    "'fungrasp retarget' writes the static quality, which Python's retarget does not add."
+                )
+                raise UnknownNameError("value of the grasps", self.by, grasps.extra, remedy)
             values = np.where(kept, grasps.extra[self.by].astype(float), np.nan)
             if not 0 < self.best <= 1:
                 raise FungraspError(f"--best must be a share in (0, 1], not {self.best:g}")
@@ -499,9 +502,9 @@ def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, 
     """Load the known objects of a file's grasps by name, each with the mass in its first grasp."""
     import numpy as np
 
-    from fungrasp.objects import load_object, mesh_files, object_names
-    from fungrasp.objects.object_registry import check_density
-    from fungrasp.objects.object_variants import MIRRORED
+    from fungrasp.grasps.grasp_arguments import named_objects
+    from fungrasp.grasps.grasp_set import given_bounds
+    from fungrasp.objects import MIRRORED, mesh_files, object_names
 
     known = {*object_names(), *mesh_files(folder)}
     names, masses = (np.ravel(fields.get(f"object_{field}", ())).tolist() for field in ("name", "mass"))
@@ -509,11 +512,9 @@ def _known_objects(fields: Mapping[str, Any], folder: Path | None) -> dict[str, 
     masses = (
         masses if len(masses) == len(names) and all(0 < m < np.inf for m in masses) else [1e-3] * len(names)
     )
-    first = {str(n): float(m) for n, m in reversed(list(zip(names, masses, strict=True)))}
-    found = {n: load_object(n, m, folder) for n, m in first.items() if n.removesuffix(MIRRORED) in known}
-    for model in found.values():
-        check_density(model)
-    return found
+    rows = reversed(list(zip(names, masses, strict=True)))
+    first = {str(n): float(m) for n, m in rows if str(n).removesuffix(MIRRORED) in known}
+    return named_objects([*first], [*first.values()], folder, bounds=given_bounds(fields))
 
 
 def _description(grasp: HumanGrasp | RobotGrasp) -> str:

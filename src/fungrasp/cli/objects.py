@@ -59,15 +59,13 @@ class ShowObject(Answering):
     def run(self) -> CommandResult:
         from fungrasp.objects.object_description import describe_object
 
-        if self.picture is not None:
-            from fungrasp.media.pictures import check_picture, draw_object
-
-            check_picture(self.picture)
         model, weighed = self._load()
         description = describe_object(model)
         if not weighed:
             description |= {"mass": None, "inertia": None}
         if self.picture is not None:
+            from fungrasp.media.pictures import draw_object
+
             draw_object(self.picture, model, self.pieces)
             print(f"wrote {self.picture}", file=sys.stderr)
         return CommandResult(description, _text(description))

@@ -15,9 +15,9 @@ import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, progress_bar
 from fungrasp.cli.options import ObjectsOption
-from fungrasp.core.errors import FungraspError
 from fungrasp.sim2real import preset
 from fungrasp.task.features import LayoutName
+from fungrasp.training import check_packages
 from fungrasp.training.settings import StudentSpec, TrainSpec
 
 LINE_PERIOD = 10.0
@@ -115,18 +115,12 @@ COMMAND = Train
 
 
 def prepare_torch() -> None:
-    """Check that the training packages are installed, and set torch to one thread, faster for small networks.
+    """Set torch to one thread, which is faster for small networks.
 
     Raises:
-        FungraspError: a package is missing.
+        FungraspError: a package for training is missing.
     """
-    try:
-        for name in ("torch", "rsl_rl", "tensorboard"):
-            importlib.import_module(name)
-    except ImportError as error:
-        raise FungraspError(
-            f'training needs more packages ({error}): pip install ".[learning]" in the clone'
-        ) from error
+    check_packages()
     importlib.import_module("torch").set_num_threads(1)
 
 

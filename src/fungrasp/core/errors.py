@@ -13,12 +13,15 @@ class FungraspError(ValueError):
 class UnknownNameError(FungraspError):
     """Unknown name."""
 
-    def __init__(self, kind: str, given: str, known: Iterable[str]):
+    def __init__(self, kind: str, given: str, known: Iterable[str], remedy: str = ""):
         """
         Args:
             kind: kind of name, singular ("hand", "object", ...).
+            remedy: sentence at the end of the message.
         """
         names = sorted(known)
         near = difflib.get_close_matches(given.lower(), names, n=1, cutoff=0.5)
         hint = f" Did you mean '{near[0]}'?" if near else ""
-        super().__init__(f"unknown {kind} '{given}'.{hint} Known: {', '.join(names)}.")
+        super().__init__(
+            f"unknown {kind} '{given}'.{hint} Known: {', '.join(names) or 'none'}. {remedy}".rstrip()
+        )

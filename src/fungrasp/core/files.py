@@ -80,6 +80,21 @@ def check_writable(paths: Mapping[str, str | Path]) -> None:
             raise FungraspError(f"cannot write {path} ({name}): {above} {problem}")
 
 
+def check_suffix(path: str | Path, what: str, *suffixes: str) -> Path:
+    """Return the path of an output file after checking its suffix, in any case.
+
+    Args:
+        what: the content, for messages: "a picture".
+
+    Raises:
+        FungraspError: the suffix is another one.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in suffixes:
+        raise FungraspError(f"{what} is a {' or '.join(suffixes)} file, not {path}")
+    return path
+
+
 def remove_leftovers(path: str | Path) -> None:
     """Delete temporary files of ``path`` that killed processes of this machine left."""
     path = Path(path)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -138,6 +139,37 @@ class BatchRecord:
         return type(self)(**unknown | {name: getattr(self, name) for name in self.SCALARS}, **arrays)
 
 
+class CheckedRecord:
+    """Base class of settings: a subclass is a frozen dataclass whose values are checked against the types of
+    its fields. Whole numbers are accepted as floats, lists and arrays as tuples, and mappings as settings."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value has a wrong type.
+        """
+        for name, hint in _field_types(type(self)).items():
+            value = _value(hint, getattr(self, name), name)
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def given(cls, settings: Self | None) -> Self:
+        """Return settings given as an argument, or the defaults if None.
+
+        Raises:
+            FungraspError: the argument has another type.
+        """
+        if settings is not None and not isinstance(settings, cls):
+            raise FungraspError(f"expected a {cls.__name__}, not {_words(settings)}")
+        return cls() if settings is None else settings
+
+
+@cache
+def _field_types(kind: type) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {f.name: hints[f.name] for f in fields(kind) if f.init}  # pyright: ignore[reportArgumentType]
+
+
 Record = TypeVar("Record")
 
 
@@ -173,14 +205,13 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
     """
     if not isinstance(data, Mapping):
         raise FungraspError(f"{where}: expected the fields of {kind.__name__}, not {_words(data)}")
-    hints = get_type_hints(kind)
-    names = [f.name for f in fields(kind) if f.init]  # pyright: ignore[reportArgumentType]
+    types = _field_types(kind)
     for name in data:
-        if name not in names:
-            near = get_close_matches(str(name), names, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(names)}"
+        if name not in types:
+            near = get_close_matches(str(name), types, n=1)
+            hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(types)}"
             raise FungraspError(f"{where}: there is no field '{name}'; {hint}")
-    values = {name: _value(hints[name], data[name], f"{where}: {name}") for name in names if name in data}
+    values = {name: _value(types[name], item, f"{where}: {name}") for name, item in data.items()}
     needed = [f for f in fields(kind) if f.init and f.default is f.default_factory is MISSING]  # pyright: ignore
     if missing := [f.name for f in needed if f.name not in values]:
         raise FungraspError(f"{where}: the field '{missing[0]}' is missing")
@@ -188,7 +219,9 @@ def record_from_json(kind: type[Record], data: Any, where: str) -> Record:
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
-    """Return a value checked against a type; whole numbers are accepted as floats."""
+    """Return a value checked against a type and converted as by ``CheckedRecord``."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
     origin, arguments = get_origin(hint), get_args(hint)
     if hint is Any:
         return value
@@ -205,7 +238,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             return {name: _value(arguments[1], item, f"{where}.{name}") for name, item in value.items()}
         raise FungraspError(f"{where}: expected values by name, not {_words(value)}")
     if is_dataclass(hint):
-        return record_from_json(cast("type[Any]", hint), value, where)
+        kind = cast("type[Any]", hint)
+        return value if isinstance(value, kind) else record_from_json(kind, value, where)
     return _plain(hint, value, where)
 
 
@@ -235,12 +269,12 @@ def _one_of(kinds: tuple[Any, ...], value: Any, where: str) -> Any:
 
 
 def _tuple(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple):
-        raise FungraspError(f"{where}: expected a list, not {_words(value)}")
-    if len(kinds) == 2 and kinds[1] is Ellipsis:
+    is_list = isinstance(value, Sequence) and not isinstance(value, str)
+    if is_list and len(kinds) == 2 and kinds[1] is Ellipsis:
         kinds = kinds[:1] * len(value)
-    if len(kinds) != len(value):
-        raise FungraspError(f"{where}: expected a list of {len(kinds)}, not of {len(value)}")
+    if not is_list or len(kinds) != len(value):
+        size = "" if Ellipsis in kinds else f" of {len(kinds)}"
+        raise FungraspError(f"{where}: expected a list{size}, not {_words(value)}")
     return tuple(_value(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True)))
 
 

@@ -175,7 +175,7 @@ def deploy(
         FungraspError: contradictory settings (``deployment_task``), a missing device, or a grasp that can't
             be planned or reached. Nothing has moved then.
     """
-    spec = spec or DeploymentSpec()
+    spec = DeploymentSpec.given(spec)
     spec = replace(spec, cell=cell or spec.cell, policy=policy or spec.policy)
     found = as_grasp_set(grasps)
     if len(found) != 1:

@@ -52,7 +52,7 @@ class Deployment(AttemptCarrier):
             FungraspError: the speed is not allowed (``Robot.slow_down``).
         """
         self.robot, self.policy, self._preparer = robot, policy, preparer
-        self.spec, self._observers = spec or DeploymentSpec(), observers
+        self.spec, self._observers = DeploymentSpec.given(spec), observers
         self.phase, self.fault = Phase.IDLE, ""
         """The current phase, and the reason of FAULT, as a phrase."""
         late = robot.cell.watchdog.late_tick

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from fungrasp.core.records import CheckedRecord
+
 if TYPE_CHECKING:
     from fungrasp.grasps import HumanGraspSet, RobotGraspSet
     from fungrasp.hands import Hand
@@ -56,7 +58,7 @@ LAST_PHASES: dict[Until, Phase] = {
 
 
 @dataclass(frozen=True)
-class DeploymentSpec:
+class DeploymentSpec(CheckedRecord):
     """Settings of a deployment; ``fungrasp.core.records`` converts them to JSON."""
 
     cell: Annotated[str, tyro.conf.arg(name="robot")] = "ur5e-allegro"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -14,14 +15,16 @@ from fungrasp.geometry.poses import compose, inverse_transform_points, invert, t
 from fungrasp.geometry.signed_distance import SignedDistanceBank, nearest_on_mesh, project_to_surface
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.as_shown import ShownContacts, ShownJudge, shown_places
-from fungrasp.hands import Hand, as_hand
+from fungrasp.grasps.grasp_arguments import AnyGrasps, HumanGrasps, Objects, as_human_grasps
+from fungrasp.hands import Hand
 from fungrasp.hands.collisions import CollisionSpheres, collision_spheres, self_collision_depth
 from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import BodyPoints, HandKinematics
-from fungrasp.objects import ObjectModel, check_objects
+from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import nearest_surface_points
 from fungrasp.optimization.force_closure import closure_epsilon, closure_residual, primitive_wrenches
 from fungrasp.optimization.link_contacts import CONTACT_DISTANCE
+from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.simulation.scene import NOMINAL_FRICTION
 
 UNITS = ("mm", "deg", "rad")
@@ -39,7 +42,7 @@ GRID_ERROR = 0.001
 
 @dataclass(frozen=True)
 class StaticQuality:
-    """Quality measures, shape [N] each; NaN for grasps without contacts."""
+    """Quality measures, shape [N] each; NaN for grasps without contacts, or if not measured."""
 
     held_as_shown: np.ndarray
     """1 if the hand holds the object as the person does (``grasps.as_shown``), else 0."""
@@ -114,39 +117,43 @@ def with_quality(robot: RobotGraspSet, quality: StaticQuality) -> RobotGraspSet:
 
 
 def static_quality(
-    robot: RobotGraspSet,
-    human: HumanGraspSet,
-    objects: Mapping[str, ObjectModel],
-    hand: Hand | str | None = None,
+    robot: AnyGrasps,
+    human: HumanGrasps | None = None,
+    objects: Objects = None,
+    hand: Hand | str | Path | None = None,
     spacing: float = 0.004,
     exact: bool = True,
 ) -> StaticQuality:
     """Measure the quality of robot grasps relative to their human grasps.
 
     Args:
-        robot: N grasps.
-        hand: robot hand or its name; the hand of the grasps if None.
+        robot: N robot grasps, or human grasps, which are retargeted first.
+        human: the human grasps of the robot grasps. None: the human contacts come from the robot grasps, and
+            ``link_direction_error_deg`` is NaN.
+        objects: objects of the grasps, as for ``retarget``.
+        hand: robot hand, its name or file; the hand of the grasps if None.
         spacing: spacing of the points that cover the hand's collision geometry [m].
         exact: use exact mesh distances and compute ``force_closure_epsilon``, which is slow. Otherwise
             distances come from the solver's grid (up to 1 mm off), and ``force_closure_epsilon`` is NaN.
 
     Raises:
-        FungraspError: robot and human grasps do not match.
+        FungraspError: robot and human grasps do not match, the robot grasps are of another hand, an object is
+            missing, or there are neither human grasps nor human contacts.
     """
-    hand = robot.load_hand() if hand is None else as_hand(hand)
-    check_objects(robot.object_name.tolist(), objects)
-    if len(robot) != len(human) or np.any(robot.object_name != human.object_name):
+    robot, known, hand, made_of = as_robot_grasps(robot, objects, hand)
+    shown = made_of if human is None else as_human_grasps(human)
+    if shown is None and robot.shown_places is None:
+        raise FungraspError("the robot grasps have no human contacts: give human=, their human grasps")
+    if shown is not None and not np.array_equal(robot.object_name, shown.object_name):
         raise FungraspError(
             "the robot grasps and the human grasps are not of the same objects in the same order"
         )
-    if tuple(robot.joint_names) != hand.joint_names:
-        raise FungraspError(f"the robot grasps have other joints than hand '{hand.name}'")
     match = correspond(hand)
     spheres = collision_spheres(hand, spacing)
     # Process grasps in parts, sorted by object, to limit memory.
     order = np.argsort(robot.object_name, kind="stable")
     parts = [
-        _quality(robot.select(rows), human.select(rows), objects, hand, match, spheres, exact)
+        _quality(robot.select(rows), shown and shown.select(rows), known, hand, match, spheres, exact)
         for rows in np.split(order, np.arange(PART, len(order), PART))
         if len(rows)
     ]
@@ -159,7 +166,7 @@ def static_quality(
 
 def _quality(
     robot: RobotGraspSet,
-    human: HumanGraspSet,
+    human: HumanGraspSet | None,
     objects: Mapping[str, ObjectModel],
     hand: Hand,
     match: Correspondence,
@@ -170,16 +177,19 @@ def _quality(
     wrist = compose(invert(robot.object_pose), robot.wrist_pose)
     kinematics.update(wrist, hand.independent(robot.joint_positions))
     keypoints = kinematics.points(kinematics.body_points(hand.keypoint_names))
-    joints = inverse_transform_points(human.object_pose, human.hand_joints)
-
     names = sorted(set(robot.object_name.tolist()))
     bank = SignedDistanceBank([objects[name].signed_distance for name in names])
     grid = np.array([names.index(name) for name in robot.object_name.tolist()])
     models = [objects[name] for name in names]
-    wanted = match.link_contacts(human.link_contacts)[:, 1:]
-    places, normals = robot.shown_places, robot.shown_normals
-    if exact or places is None or normals is None:
-        places, normals = shown_places(human, objects, match)
+    wanted, places, normals = robot.link_contacts[:, 1:], robot.shown_places, robot.shown_normals
+    direction_error = np.full(len(robot), np.nan)
+    if human is not None:
+        wanted = match.link_contacts(human.link_contacts)[:, 1:]
+        joints = inverse_transform_points(human.object_pose, human.hand_joints)
+        direction_error = np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1))
+        if exact or places is None:
+            places, normals = shown_places(human, objects, match)
+    assert places is not None and normals is not None
     ours = nearest_surface_points(models, grid, keypoints[:, match.far], wanted)
     contact_error = _mean_where(np.linalg.norm(places - ours, axis=-1), wanted)
 
@@ -200,7 +210,7 @@ def _quality(
         strays=shown.strays.astype(float),
         contact_error_mm=1e3 * contact_error,
         contact_gap_mm=1e3 * _mean_where(np.maximum(by_link[:, 1:], 0.0), wanted),
-        link_direction_error_deg=np.rad2deg(_direction_error(keypoints, joints, match).mean(axis=1)),
+        link_direction_error_deg=direction_error,
         object_penetration_mm=1e3
         * penetration_depth(models, bank, grid, centers, clearance, spheres.radius, spheres.link, exact),
         table_penetration_mm=1e3 * np.maximum(-heights.min(axis=1), 0.0),

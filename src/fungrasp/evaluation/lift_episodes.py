@@ -85,12 +85,12 @@ class LiftTest:
         _ = self.policy_digest
         check_attempts(spec.attempts, not isinstance(self.policy, OpenLoopPolicy))
         if spec.attempts > 1 and self.record is not None:
-            raise FungraspError("--record keeps one attempt: record one attempt, or leave --record out")
+            raise FungraspError("only one attempt is recorded: give record a single attempt, or leave it out")
         if len(spec.seeds) > 1 and not any(map(self.is_random, spec.conditions.values())):
             raise FungraspError(
                 "nothing is random here, so several seeds would only repeat the same episodes: give one "
-                "--seed, or something random (--protocol, --pose-noise, --push, --object-shift, "
-                "a learned policy that chooses plans)"
+                "seed, or something random (a protocol, pose noise, pushes, an object shift, a learned "
+                "policy that chooses plans)"
             )
 
     @cached_property

@@ -97,7 +97,7 @@ def evaluate(
         FungraspError: there are no grasps, the policy is unknown, the grasps are of another hand, options
             contradict each other, or a folder can't be written.
     """
-    spec = spec or LiftTestSpec()
+    spec = LiftTestSpec.given(spec)
     policy = str(policy) if isinstance(policy, Path) else policy
     own = policy if policy is not None and not isinstance(policy, str) else None
     if own is not None:

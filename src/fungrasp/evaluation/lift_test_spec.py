@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import radians
-from typing import Any, get_args
+from typing import Any
 
-from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.records import record_from_json
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord, record_from_json
 from fungrasp.planning.selection.settings import SelectionSettings
 from fungrasp.sim2real import (
     NOMINAL,
@@ -23,7 +23,7 @@ from fungrasp.task import LiftProtocol
 
 
 @dataclass(frozen=True)
-class WorldDifferences:
+class WorldDifferences(CheckedRecord):
     """Differences of worlds from the belief of planner and policy, the same in every episode."""
 
     mass_scale: float = 1.0
@@ -65,7 +65,7 @@ class WorldDifferences:
 
 
 @dataclass(frozen=True)
-class LiftTestSpec:
+class LiftTestSpec(CheckedRecord):
     """Settings of a lift test; ``fungrasp.core.records`` converts them to and from JSON."""
 
     policy: str = "reference"
@@ -105,18 +105,16 @@ class LiftTestSpec:
     def __post_init__(self) -> None:
         """
         Raises:
-            FungraspError: a number is invalid, the protocol is unknown, or a protocol and a randomization are
-                given.
+            FungraspError: a value is invalid, or a protocol and a randomization are given.
         """
-        if self.protocol not in get_args(ProtocolName):
-            raise UnknownNameError("protocol", self.protocol, get_args(ProtocolName))
+        super().__post_init__()
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise FungraspError("--seed needs at least one value, and each once")
+            raise FungraspError("seeds needs at least one value, and each once")
         if min(self.seeds) < 0:
-            raise FungraspError("--seed must not be negative")
+            raise FungraspError("a seed must not be negative")
         if self.protocol != "nominal" and self.randomization != NOMINAL:
             raise FungraspError(
-                f"--protocol {self.protocol} already defines how worlds differ: leave out single options"
+                f"the protocol {self.protocol} already defines how worlds differ: leave out other differences"
             )
         from fungrasp.planning.attempts import check_attempts
 

@@ -14,11 +14,13 @@ import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, check_suffix
 from fungrasp.core.formats.checks import one_line, read_bytes
 from fungrasp.core.formats.text_files import read_json
 
@@ -44,6 +46,22 @@ class ResultFile:
     rows: list[Row]
     """One row per episode (in a perception benchmark: per capture)."""
 
+    def frame(self) -> Any:
+        """Return the rows as ``data_frame`` does."""
+        return data_frame(self.rows)
+
+
+def data_frame(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Return a data frame of pandas or, if it is not installed, Polars.
+
+    Raises:
+        FungraspError: neither is installed.
+    """
+    for name in ("pandas", "polars"):
+        if find_spec(name) is not None:
+            return import_module(name).DataFrame(rows)
+    raise FungraspError("a frame needs pandas or Polars: pip install pandas")
+
 
 def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write a header and its table, ``<name>.json`` and ``<name>.csv``.
@@ -54,11 +72,9 @@ def write_result(path: str | Path, header: Mapping[str, Any], rows: Iterable[Map
         rows: rows, which may be nested and may lack columns.
 
     Raises:
-        FungraspError: a file can't be written, or a value is NaN or infinite.
+        FungraspError: the suffix is wrong, a file can't be written, or a value is NaN or infinite.
     """
-    path = Path(path)
-    if path.suffix != ".json":
-        raise FungraspError(f"a result file must end in .json, not {path}")
+    path = check_suffix(path, "a result", ".json")
     flat = [dict(_flattened(row)) for row in rows]
     names = dict.fromkeys(name for row in flat for name in row)
     kinds = {name: _kind([row.get(name) for row in flat]) for name in names}
@@ -87,8 +103,9 @@ def save_result(path: str | Path, whole: Mapping[str, Any], compact: bool = Fals
         compact: write a header and a table (``write_result``) instead of one file.
 
     Raises:
-        FungraspError: a file can't be written.
+        FungraspError: the suffix is wrong, or a file can't be written.
     """
+    path = check_suffix(path, "a result", ".json")
     if compact:
         write_result(path, *split_rows(whole))
         return

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fungrasp.core import __version__
-from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.text_files import finite
 from fungrasp.core.provenance import run_record
 from fungrasp.core.records import record_to_json
@@ -21,7 +18,7 @@ from fungrasp.core.text_table import table
 from fungrasp.evaluation.contact_estimate import ContactEstimates
 from fungrasp.evaluation.grasp_quality import StaticQuality
 from fungrasp.evaluation.lift_test_spec import LiftTestSpec
-from fungrasp.evaluation.result_files import save_result
+from fungrasp.evaluation.result_files import data_frame, save_result
 from fungrasp.evaluation.statistics import mean_over_groups, wilson_interval
 from fungrasp.evaluation.use_evaluation import use_json
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
@@ -140,13 +137,13 @@ class LiftTestResult:
         return run_record(numbers["seed"]) | numbers | {"seconds": self.seconds}
 
     def save(self, path: str | Path, compact: bool = False) -> None:
-        """Write the result to a file for ``fungrasp.evaluation.read_result``.
+        """Write the result to a ``.json`` file for ``fungrasp.evaluation.read_result``.
 
         Args:
             compact: write the episodes to a CSV file next to it, one row each.
 
         Raises:
-            FungraspError: a file can't be written.
+            FungraspError: the suffix is wrong, or a file can't be written.
         """
         save_result(path, self.json(), compact)
 
@@ -156,11 +153,7 @@ class LiftTestResult:
         Raises:
             FungraspError: neither is installed.
         """
-        rows = self.json()["trials"]
-        for name in ("pandas", "polars"):
-            if find_spec(name) is not None:
-                return import_module(name).DataFrame(rows)
-        raise FungraspError("a frame needs pandas or Polars: pip install pandas")
+        return data_frame(self.json()["trials"])
 
     @property
     def knows_places(self) -> bool:
@@ -359,7 +352,8 @@ def not_found_lines(result: LiftTestResult) -> list[str]:
         return []
     some = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
     return [
-        f"no firm grasp as shown found for {len(rows)} grasps (rows {some}): --other-places plays what holds"
+        f"no firm grasp as shown found for {len(rows)} grasps (rows {some}): the setting other_places "
+        "(--other-places) plays what holds"
     ]
 
 

@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import (
     invert,
     quaternion_conjugate,
@@ -17,11 +18,12 @@ from fungrasp.geometry.poses import (
     rotate,
     transform_points,
 )
+from fungrasp.grasps.grasp_set import BOUNDS
 from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.human_hand import joint_order, mirror_points, mirror_pose
+from fungrasp.grasps.human_hand import hand_sides, joint_order, mirror_points, mirror_pose
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import settled_up
-from fungrasp.objects.object_variants import mirrored_name
+from fungrasp.objects.object_variants import mirrored_name, mirrored_object
 
 Unit = Literal["m", "dm", "inch", "cm", "mm"]
 
@@ -46,7 +48,7 @@ BELOW_TABLE = -0.01
 
 
 @dataclass(frozen=True)
-class Convention:
+class Convention(CheckedRecord):
     """Conventions of human grasps. The defaults are those of fungrasp."""
 
     joint_order: str = "fungrasp"
@@ -71,6 +73,14 @@ class Convention:
     """"left": mirror hands and objects in the plane y = 0; object names then end in "_mirrored"."""
     rest_pose: Literal["given", "settled"] = "given"
     """"settled": compute rest poses from the held poses (``settled_pose``)."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a value is unknown, or the height is not finite.
+        """
+        super().__post_init__()
+        joint_order(self.joint_order)
 
     @property
     def changes(self) -> dict[str, str | float]:
@@ -102,13 +112,11 @@ def converted(arrays: Mapping[str, np.ndarray], convention: Convention) -> dict[
         arrays: fields of ``HumanGraspSet`` by name.
 
     Raises:
-        FungraspError: a field has a wrong shape or type, or the joint order, unit, axis or height is invalid.
+        FungraspError: a field has a wrong shape or type, the convention has another type, or it declares
+            right hands as left ones.
     """
-    for kind, name, known in (("unit", convention.unit, UNITS), ("axis", convention.up, UP)):
-        if name not in known:
-            raise UnknownNameError(kind, name, known)
-    if not np.isfinite(convention.table_height):
-        raise FungraspError(f"the height of the table must be a number, not {convention.table_height}")
+    if not isinstance(convention, Convention):
+        raise FungraspError(f'expected a Convention, such as Convention(unit="mm"), not {convention!r}')
     for name, shape in {"hand_joints": (21, 3), **dict.fromkeys(POSES, (7,))}.items():
         array = arrays.get(name)
         if array is not None and (array.shape[1:] != shape or array.dtype.kind not in "fiu"):
@@ -130,9 +138,16 @@ def converted(arrays: Mapping[str, np.ndarray], convention: Convention) -> dict[
         result[name] = np.concatenate([rotate(turn, pose[:, :3]) - down, turned], axis=1)
     if convention.side == "left":
         joints = mirror_points(joints)
+        right = hand_sides(joints) == "left"
+        if 2 * right.sum() > len(right):
+            raise FungraspError(
+                f"side is left, but the fingers of {right.sum()} of {len(right)} hands bend as those of "
+                "right hands: leave it out"
+            )
         result |= {name: mirror_pose(result[name]) for name in poses}
         names = arrays["object_name"].astype(str)
         result["object_name"] = np.array([mirrored_name(str(name)) for name in names])
+        result = {name: array for name, array in result.items() if not name.startswith(BOUNDS)}
     result["hand_joints"] = joints
     if convention.rest_pose == "settled":
         result.pop("object_rest_pose", None)
@@ -206,4 +221,6 @@ def mirrored_grasps(grasps: HumanGraspSet) -> HumanGraspSet:
         object_rest_pose=mirror_pose(grasps.object_rest_pose),
         hand_joints=mirror_points(grasps.hand_joints),
         hand_qpos=None,
+        objects={mirrored_name(name): mirrored_object(model) for name, model in grasps.objects.items()},
+        object_bounds={},
     )

@@ -17,6 +17,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import quaternion_conjugate, rotate
 from fungrasp.grasps.contacts import link_contacts
 from fungrasp.grasps.conversion import BELOW_TABLE, POSES, UNITS, Convention, Unit, settled_pose
+from fungrasp.grasps.grasp_set import given_bounds
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.human_hand import HUMAN_LINKS, ORDERS, bone_ratios, joint_bends, order_misfit
 from fungrasp.grasps.scene_checks import GraspScene, Remark, scene_is_sound
@@ -124,7 +125,7 @@ def checked_grasps(
         raise FungraspError(f"{where}: field '{missing[0]}' is missing{mesh}; found: {given}")
     try:
         rows: dict[str, Any] = {n: a for n, a in complete.items() if n in HumanGraspSet.FIELDS}
-        return HumanGraspSet(**rows)
+        return HumanGraspSet(**rows, object_bounds=given_bounds(arrays))
     except FungraspError as error:
         raise FungraspError(f"{where}: {error}") from error
 
@@ -199,6 +200,8 @@ def diagnosis(
             convention = replace(convention, side="left")
     if set(convention.changes) <= {"side"}:
         remarks += table_remarks(joints)
+        if remarks and remarks[-1].words is UNDER and 2 * len(remarks[-1].rows) > len(joints):
+            convention = replace(convention, up="-z")
     return GraspDiagnosis(len(joints), tuple(remarks), convention, tuple(untested))
 
 
@@ -271,11 +274,17 @@ def _side_remarks(joints: np.ndarray, object_name: np.ndarray | None) -> list[Re
     return [Remark(LEFT, rows, True)] if len(rows) else []
 
 
+UNDER = "the whole hand is below the table: z points down, or the table top is not at z = 0 (table height)"
+
+
 def table_remarks(hand_joints: np.ndarray) -> list[Remark]:
-    """Report hands below the table top. hand_joints: [m], world frame, shape [N, 21, 3]."""
-    depth = hand_joints[..., 2].min(axis=1, initial=np.inf)
-    rows = np.flatnonzero(depth < BELOW_TABLE)
-    if not len(rows):
-        return []
-    words = f"the hand reaches {-1000 * depth[rows].min():.0f} mm below the table"
-    return [Remark(f"{words}; 'fungrasp grasps convert --below-table lift' or 'drop' fixes it", rows)]
+    """Report hands partly and wholly below the table top. hand_joints: [m], world frame, shape [N, 21, 3]."""
+    lowest, highest = hand_joints[..., 2].min(axis=1), hand_joints[..., 2].max(axis=1)
+    under = highest < 0
+    rows, whole = np.flatnonzero((lowest < BELOW_TABLE) & ~under), np.flatnonzero(under)
+    words = (
+        f"the hand reaches {-1000 * lowest[rows].min(initial=0):.0f} mm below the table; 'fungrasp grasps "
+        "convert --below-table lift' or 'drop' fixes it, in Python grasps.conversion.mend_below_table"
+    )
+    partly = [Remark(words, rows)] if len(rows) else []
+    return partly + ([Remark(UNDER, whole, True)] if len(whole) else [])

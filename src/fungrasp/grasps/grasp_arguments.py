@@ -7,7 +7,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.grasps.grasp_set import OTHER_MESH
 from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, check_objects, load_object
@@ -16,6 +19,9 @@ from fungrasp.objects.object_registry import check_density
 Objects: TypeAlias = "Mapping[str, ObjectModel] | Iterable[ObjectModel] | ObjectModel | str | Path | None"
 """Objects of grasps: a mapping by name, a list, a single object, or a folder of meshes. None: attached and
 built-in objects."""
+
+GIVE_OBJECTS = "objects= takes a folder of meshes or fungrasp.object_from_mesh(...), --objects a folder"
+"""Remedy for objects that are not found."""
 
 
 class HasGrasps(Protocol):
@@ -47,10 +53,13 @@ def as_grasp_set(grasps: AnyGrasps) -> HumanGraspSet | RobotGraspSet:
         return RobotGraspSet.of([grasps])
     if isinstance(grasps, HumanGraspSet | RobotGraspSet):
         return grasps
-    raise FungraspError(
-        f"expected human or robot grasps, not a {type(grasps).__name__}: fungrasp.human_grasp makes one of "
-        "arrays, fungrasp.load_grasps reads a file"
-    )
+    if isinstance(grasps, list | tuple):
+        remedy = "HumanGraspSet.of and RobotGraspSet.of make a set of single grasps"
+    elif isinstance(grasps, str | Path):
+        remedy = "fungrasp.load_grasps reads a file of grasps"
+    else:
+        remedy = "fungrasp.human_grasp makes one of arrays"
+    raise FungraspError(f"expected human or robot grasps, not a {type(grasps).__name__}: {remedy}")
 
 
 def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
@@ -67,17 +76,21 @@ def as_human_grasps(grasps: HumanGrasps) -> HumanGraspSet:
     return found
 
 
-def load_objects(grasps: HumanGraspSet | RobotGraspSet, objects: Objects = None) -> dict[str, ObjectModel]:
-    """Return the objects of grasps and other given objects, by name. Loaded objects have the mass of their
-    first grasp.
+def load_objects(grasps: AnyGrasps, objects: Objects = None) -> dict[str, ObjectModel]:
+    """Return the objects of grasps and other given objects, by name: those that the grasps carry, else
+    built-in ones. Loaded objects have the mass of their first grasp.
 
     Args:
+        grasps: grasps, or a result with grasps.
         objects: models, or a folder of meshes ``<name>.obj``; with precedence over other objects.
 
     Raises:
-        FungraspError: an object is missing or cannot be read.
+        FungraspError: the argument is not grasps, an object is missing or cannot be read, or a loaded object
+            is another one than that of the grasps.
     """
-    return named_objects(grasps.object_name.tolist(), grasps.object_mass.tolist(), objects, grasps.objects)
+    grasps = as_grasp_set(grasps)
+    names, masses = grasps.object_name.tolist(), grasps.object_mass.tolist()
+    return named_objects(names, masses, objects, grasps.objects, grasps.object_bounds)
 
 
 def named_objects(
@@ -85,6 +98,7 @@ def named_objects(
     masses: Sequence[float],
     objects: Objects = None,
     carried: Mapping[str, ObjectModel] = MappingProxyType({}),
+    bounds: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> dict[str, ObjectModel]:
     """Return the named objects and other given objects, by name.
 
@@ -93,9 +107,10 @@ def named_objects(
         masses: their masses [kg]; a loaded object has the mass of its first occurrence.
         objects: given objects.
         carried: objects attached to the grasps; ``objects`` has precedence.
+        bounds: known ``ObjectModel.bounds`` of the needed objects by name, which loaded meshes must have.
 
     Raises:
-        FungraspError: an object is missing.
+        FungraspError: an object is missing, or a loaded mesh has other bounds.
     """
     needed = {}
     for name, mass in zip(names, masses, strict=True):
@@ -105,11 +120,15 @@ def named_objects(
         try:
             loaded = {n: load_object(n, m, objects) for n, m in needed.items() if n not in known}
         except UnknownNameError as error:
-            raise FungraspError(
-                f"{error} Give the grasps' objects: a folder of meshes, or fungrasp.object_from_mesh(...)"
-            ) from None
-        for model in loaded.values():
+            raise FungraspError(f"{error} Give the grasps' objects: {GIVE_OBJECTS}") from None
+        for name, model in loaded.items():
             check_density(model)
+            if name in bounds and np.abs(model.bounds - bounds[name]).max() > OTHER_MESH:
+                raise FungraspError(
+                    f"the known object '{name}' is not that of the grasps: the corners of its mesh are "
+                    f"{model.bounds.round(3).tolist()} m, theirs {bounds[name].round(3).tolist()} m; give "
+                    f"their objects: {GIVE_OBJECTS}"
+                )
         return known | loaded
     if isinstance(objects, ObjectModel) or not isinstance(objects, Iterable):
         objects = [objects]

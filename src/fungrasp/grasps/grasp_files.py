@@ -12,9 +12,9 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.formats.checks import guarded, one_line
 from fungrasp.core.formats.numpy_files import npz_names, read_npz
 from fungrasp.grasps.diagnosis import checked_grasps
-from fungrasp.grasps.grasp_set import FILE_VERSION, GraspSet
-from fungrasp.grasps.human_grasp import HumanGraspSet
-from fungrasp.grasps.robot_grasp import EXTRA, RobotGraspSet
+from fungrasp.grasps.grasp_set import BOUNDS, FILE_VERSION, GraspSet, given_bounds
+from fungrasp.grasps.human_grasp import HumanGrasp, HumanGraspSet
+from fungrasp.grasps.robot_grasp import EXTRA, RobotGrasp, RobotGraspSet
 from fungrasp.objects import ObjectModel, load_object, object_names
 
 BUILTIN = "builtin"
@@ -74,13 +74,30 @@ def builtin_grasps() -> HumanGraspSet:
     return load_human_grasps(BUILTIN_PATH)
 
 
-def save_human_grasps(path: str | Path, grasps: HumanGraspSet) -> None:
-    """Write human grasps, as ``grasps.save`` does."""
-    grasps.save(path)
+def save_human_grasps(path: str | Path, grasps: HumanGraspSet | HumanGrasp) -> None:
+    """Write human grasps, as ``grasps.save`` does.
+
+    Raises:
+        FungraspError: the grasps are of another kind, there are none, or the file cannot be written.
+    """
+    _save(path, grasps, HumanGraspSet)
 
 
-def save_robot_grasps(path: str | Path, grasps: RobotGraspSet) -> None:
-    """Write robot grasps, as ``grasps.save`` does."""
+def save_robot_grasps(path: str | Path, grasps: RobotGraspSet | RobotGrasp) -> None:
+    """Write robot grasps, as ``grasps.save`` does.
+
+    Raises:
+        FungraspError: see ``save_human_grasps``.
+    """
+    _save(path, grasps, RobotGraspSet)
+
+
+def _save(path: str | Path, grasps: Any, kind: type[GraspSet[Any]]) -> None:
+    if not isinstance(grasps, kind | kind.GRASP):
+        raise FungraspError(
+            f"expected a path, then a {kind.__name__}, not a {type(grasps).__name__}; {kind.__name__}.of "
+            "makes one of single grasps"
+        )
     grasps.save(path)
 
 
@@ -139,7 +156,8 @@ def _build(
 ) -> Grasps:
     _require_fields(path, kind, arrays)
     try:
-        grasps = kind(**whole, **{name: arrays.get(name) for name in kind.FIELDS})
+        bounds = {"object_bounds": given_bounds(arrays)}
+        grasps = kind(**whole, **bounds, **{name: arrays.get(name) for name in kind.FIELDS})
     except FungraspError as error:
         raise FungraspError(f"{path}: {error}") from error
     if not len(grasps):
@@ -177,7 +195,7 @@ def read_grasp_fields(path: str | Path) -> dict[str, np.ndarray]:
         FungraspError: the file is missing or cannot be read, or its version is not supported.
     """
     path = Path(path)
-    arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith(EXTRA))
+    arrays = read_npz(path, "grasp file", lambda name: name in _KNOWN or name.startswith((EXTRA, BOUNDS)))
     version = arrays.pop("version", np.array(FILE_VERSION))
     if version.ndim or version.dtype.kind not in "iu" or not 1 <= version <= FILE_VERSION:
         given = one_line(version, 60)

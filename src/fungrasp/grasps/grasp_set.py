@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Self, TypeVar, overload
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
+from fungrasp.core.formats.checks import is_plain_name
 
 if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
@@ -22,6 +23,12 @@ FILE_VERSION = 1
 QUATERNION_TOLERANCE = 1e-3
 """Largest deviation of a quaternion's norm from 1; within it, quaternions are normalized."""
 
+BOUNDS = "object_bounds/"
+"""Prefix of the names of objects' bounds in files."""
+
+OTHER_MESH = 5e-3
+"""Largest difference between the bounds of meshes of the same object [m], such as two scans."""
+
 UNIT_NORM_TOLERANCE = 1e-12
 """Quaternions this close to unit norm are not modified, so that reading a written file is exact."""
 
@@ -31,8 +38,8 @@ class ArrayField:
     """Specification of one array of a grasp set."""
 
     kind: Literal["name", "text", "number", "positive", "pose", "flag"]
-    """Type of the values. ``name``: text, not empty, not a path; ``pose``: numbers, the last four a unit
-    quaternion."""
+    """Type of the values. ``name``: text, not empty, not a path; ``text``: one line; ``pose``: numbers, the
+    last four a unit quaternion."""
     shape: tuple[str | int, ...]
     """Sizes, or letters ("N", "M", ...) for sizes shared by fields of a set."""
     optional: bool = False
@@ -57,8 +64,12 @@ def checked_array(name: str, field: ArrayField, value: Any, sizes: dict[str, int
     _check_shape(name, field.shape, array.shape, sizes)
     if wanted == "US":
         array = array.astype(str)
-        if field.kind == "name":
-            _check_names(name, array)
+        for row, text in enumerate(array.ravel().tolist()):
+            good = (
+                is_plain_name(text) if field.kind == "name" else text.strip() == text and text.isprintable()
+            )
+            if not good:
+                raise FungraspError(f"field '{name}', row {row} must be a plain {field.kind}, not {text!r}")
         return array
     if wanted == "b":
         return array.astype(bool)
@@ -132,12 +143,6 @@ def _check_shape(
     sizes.update((size, actual) for size, actual in zip(wanted, found, strict=True) if isinstance(size, str))
 
 
-def _check_names(name: str, array: np.ndarray) -> None:
-    for row, text in enumerate(array.ravel()):
-        if not text or "/" in text or "\\" in text or text in (".", ".."):
-            raise FungraspError(f"field '{name}', row {row} must be a plain name, not {str(text)!r}")
-
-
 Grasp = TypeVar("Grasp")
 
 
@@ -152,15 +157,23 @@ class GraspSet(Generic[Grasp]):
     GRASP: ClassVar[type]
 
     object_name: np.ndarray
+    task: np.ndarray | None
     objects: Mapping[str, ObjectModel]
+    object_bounds: Mapping[str, np.ndarray]
 
     def __post_init__(self) -> None:
+        bounds = {**self.object_bounds, **{name: model.bounds for name, model in self.objects.items()}}
+        corners = ArrayField("number", (2, 3))
+        checked = {name: checked_array(BOUNDS + name, corners, b, {}) for name, b in bounds.items()}
+        object.__setattr__(self, "object_bounds", checked)
         sizes: dict[str, int] = {}
         for name, field in self.FIELDS.items():
             value = getattr(self, name)
             if value is None and field.optional:
                 continue
             object.__setattr__(self, name, checked_array(name, field, value, sizes))
+        if self.task is None:
+            object.__setattr__(self, "task", np.full(len(self), ""))
 
     def __len__(self) -> int:
         return len(self.object_name)
@@ -203,23 +216,28 @@ class GraspSet(Generic[Grasp]):
                 )
             if which.dtype == bool and len(which) != len(self):
                 raise FungraspError(f"the mask has {len(which)} rows, the set has {len(self)}")
-            if (
-                which.dtype != bool
-                and which.size
-                and not (-len(self) <= which.min() <= which.max() < len(self))
-            ):
+            size = len(self)
+            if which.dtype != bool and len(which) and not -size <= which.min() <= which.max() < size:
                 raise FungraspError(
                     f"index {which.min()} or {which.max()} is outside the set of {len(self)} grasps"
                 )
         return type(self)(**self._shared(), **self._rows(which))
 
     @classmethod
-    def of(cls, grasps: Sequence[Grasp]) -> Self:
+    def of(cls, grasps: Iterable[Grasp] | Grasp) -> Self:
         """Return a set of single grasps. Optional values are kept if every grasp has them.
 
         Raises:
-            FungraspError: there are no grasps, their hands differ, or different objects have one name.
+            FungraspError: there are no grasps, one is of another kind, their hands differ, or different
+                objects have one name.
         """
+        grasps = list(grasps) if isinstance(grasps, Iterable) else [grasps]
+        for grasp in grasps:
+            if not isinstance(grasp, cls.GRASP):
+                raise FungraspError(
+                    f"{cls.__name__}.of makes a set of single grasps ({cls.GRASP.__name__}), not of a "
+                    f"{type(grasp).__name__}; {cls.__name__}.concatenate joins sets"
+                )
         return cls.concatenate([cls._of_one(grasp) for grasp in grasps])
 
     @classmethod
@@ -231,11 +249,11 @@ class GraspSet(Generic[Grasp]):
     @classmethod
     def _whole_of(cls, grasp: Any) -> dict[str, Any]:
         """Return the other arguments of a set, besides ``FIELDS``, for one grasp."""
-        return {"objects": grasp.objects}
+        return {"objects": grasp.objects, "object_bounds": grasp.object_bounds}
 
     def save(self, path: str | Path) -> None:
-        """Write an ``.npz`` file (docs/file-format.md) without the objects. Arrays are stored as float32 if
-        this is exact, else as float64.
+        """Write an ``.npz`` file (docs/file-format.md) with the objects' bounds, but without their meshes.
+        Arrays are stored as float32 if this is exact, else as float64.
 
         Raises:
             FungraspError: the set is empty, or the file cannot be written.
@@ -243,6 +261,8 @@ class GraspSet(Generic[Grasp]):
         if not len(self):
             raise FungraspError(f"no grasps to write to {path}")
         arrays = {name: getattr(self, name) for name in self.FIELDS} | self._further_arrays()
+        named = set(self.object_name.tolist())
+        arrays |= {BOUNDS + name: corners for name, corners in self.object_bounds.items() if name in named}
         stored = {name: _compact(value) for name, value in arrays.items() if value is not None}
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
             np.savez_compressed(stream, version=np.array(FILE_VERSION), **stored)  # pyright: ignore[reportArgumentType]
@@ -268,20 +288,24 @@ class GraspSet(Generic[Grasp]):
                         f"cannot join grasp sets of different {name}: {first[name]} and {value}"
                     )
         objects: dict[str, ObjectModel] = {}
+        bounds: dict[str, np.ndarray] = {}
         for grasps in sets:
             for name, model in grasps.objects.items():
                 if objects.setdefault(name, model).digest != model.digest:
                     raise FungraspError(f"cannot join grasp sets: '{name}' stands for different objects")
-        whole: dict[str, Any] = {**first, "objects": objects}
+            for name, corners in grasps.object_bounds.items():
+                if np.abs(bounds.setdefault(name, corners) - corners).max() > OTHER_MESH:
+                    raise FungraspError(f"cannot join grasp sets: '{name}' stands for different meshes")
+        whole: dict[str, Any] = {**first, "objects": objects, "object_bounds": bounds}
         return cls(**whole, **_joined([grasps._rows(slice(None)) for grasps in sets]))
 
     def _whole_set(self) -> dict[str, Any]:
-        """Return the values common to all grasps, without the objects."""
+        """Return the values common to all grasps, without the objects and their bounds."""
         return {}
 
     def _shared(self) -> dict[str, Any]:
         """Return the values common to all grasps."""
-        return {**self._whole_set(), "objects": self.objects}
+        return {**self._whole_set(), "objects": self.objects, "object_bounds": self.object_bounds}
 
     def _rows(self, which: Any) -> dict[str, Any]:
         """Return the values of selected grasps: arrays, None or a dict of arrays."""
@@ -293,6 +317,11 @@ class GraspSet(Generic[Grasp]):
             else:
                 rows[name] = None if value is None else value[which]
         return rows
+
+
+def given_bounds(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the objects' bounds among the arrays of a file, by the objects' names."""
+    return {name.removeprefix(BOUNDS): value for name, value in arrays.items() if name.startswith(BOUNDS)}
 
 
 def _joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -49,6 +49,8 @@ class HumanGrasp:
     """Standard deviation of the logarithm of a guessed mass."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     def save(self, path: str | Path) -> None:
         """Write a file with this grasp, see ``HumanGraspSet.save``."""
@@ -87,6 +89,8 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
     """Standard deviation of the logarithm of guessed masses, shape [N]."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -103,25 +107,14 @@ class HumanGraspSet(GraspSet[HumanGrasp]):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.task is None:
-            object.__setattr__(self, "task", np.full(len(self), ""))
         bones = bone_lengths(self.hand_joints)
         longest, shortest = bones.max(axis=1, initial=0), bones.min(axis=1, initial=np.inf)
         check_rows(
             "hand_joints", longest <= MAX_BONE_LENGTH, "is not a hand in m; its longest bone [m]", longest
         )
-        check_rows(
-            "hand_joints",
-            shortest >= MIN_BONE_LENGTH,
-            "has joints that coincide; its shortest bone [m]",
-            shortest,
-        )
-        distance = np.linalg.norm(self.hand_joints - self.object_pose[:, None, :3], axis=-1).max(
-            axis=1, initial=0
-        )
-        check_rows(
-            "hand_joints",
-            distance <= MAX_HAND_DISTANCE,
-            "is far from the object; the farthest joint [m]",
-            distance,
-        )
+        words = "has joints that coincide; its shortest bone [m]"
+        check_rows("hand_joints", shortest >= MIN_BONE_LENGTH, words, shortest)
+        apart = np.linalg.norm(self.hand_joints - self.object_pose[:, None, :3], axis=-1)
+        far = apart.max(axis=1, initial=0)
+        words = "is far from the object; the farthest joint [m]"
+        check_rows("hand_joints", far <= MAX_HAND_DISTANCE, words, far)

@@ -67,6 +67,8 @@ class RobotGrasp:
     """TOML file of a hand that is not registered by name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     @property
     def wrist_pose_object(self) -> np.ndarray:
@@ -170,6 +172,8 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
     """TOML file of a hand that is not registered by name."""
     objects: Mapping[str, ObjectModel] = field(default_factory=dict)
     """Models of objects by name, if attached; not written to files."""
+    object_bounds: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Lowest and highest corner of the objects' meshes by name, if known, object frame [m], shape [2, 3]."""
 
     FIELDS: ClassVar = {
         "object_name": ArrayField("name", ("N",)),
@@ -200,8 +204,6 @@ class RobotGraspSet(GraspSet[RobotGrasp]):
             raise FungraspError("give both 'shown_places' and 'shown_normals', or neither")
         if len(set(self.joint_names)) != len(self.joint_names):
             raise FungraspError("field 'joint_names' names a joint twice")
-        if self.task is None:
-            object.__setattr__(self, "task", np.full(len(self), ""))
         object.__setattr__(self, "extra", checked_extra(self.extra, len(self)))
         squeeze = self.extra.get(SQUEEZE)
         if squeeze is not None and squeeze.shape != self.joint_positions.shape:

@@ -9,6 +9,9 @@ from pathlib import Path
 from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.hands.hand import Hand, read_hand_toml
 
+MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
+"""Suffixes of model files, of which ``fungrasp hands add`` makes hands."""
+
 
 @cache
 def hand_files() -> dict[str, Path]:
@@ -34,7 +37,23 @@ def load_hand(name: str | Path) -> Hand:
         if not path.is_file():
             raise FungraspError(f"the hand file {path} does not exist")
         return read_hand_toml(path)
+    if Path(text).suffix.lower() in MODEL_SUFFIXES:
+        raise FungraspError(
+            f"{text} is a model, which does not name palm and fingers: 'fungrasp hands add {text}' makes a "
+            "hand of it"
+        )
     raise UnknownNameError("hand", text, hand_files())
+
+
+def check_no_hand(objects: object) -> None:
+    """Check the argument for objects, which precedes ``hand``, for hands.
+
+    Raises:
+        FungraspError: the argument is a hand or its name.
+    """
+    name = objects.name if isinstance(objects, Hand) else objects
+    if isinstance(name, str) and name in hand_files() and not Path(name).is_dir():
+        raise FungraspError(f"the second argument is the objects, and '{name}' is a hand: give hand='{name}'")
 
 
 def as_hand(hand: Hand | str | Path) -> Hand:

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.files import check_suffix
 from fungrasp.core.plots import RateBars, rates_svg
 from fungrasp.core.provenance import page_provenance
 from fungrasp.evaluation import LiftTestResult, StaticQuality, Trajectory
 from fungrasp.evaluation.statistics import wilson_interval
 from fungrasp.geometry.poses import compose
-from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_objects
+from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, load_grasps, load_objects
 from fungrasp.grasps.as_shown import place_marks
 from fungrasp.grasps.grasp_arguments import Objects, as_grasp_set
 from fungrasp.hands import Hand
@@ -63,12 +64,17 @@ MEANINGS: dict[str, tuple[str, str, str]] = {
 """Name, unit and meaning of the fields of ``StaticQuality`` on a page."""
 
 
+WRITES = (
+    "it writes pages of grasps and of what evaluate and perceive return; without out=, a browser shows more"
+)
+
+
 def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
     """Write a page about grasps, a lift test or a perceived grasp.
 
     Args:
-        what: human or robot grasps (up to ``DRAWN_GRASPS`` are drawn), a result (some successes and failures
-            are drawn), or the result of ``perceive``.
+        what: human or robot grasps or their file (up to ``DRAWN_GRASPS`` are drawn; None: the built-in
+            grasps), a result (some successes and failures are drawn), or the result of ``perceive``.
         objects: objects of the grasps, as for ``retarget``. A result has its own.
         out: self-contained HTML file to write.
 
@@ -76,9 +82,13 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
         The path of the page.
 
     Raises:
-        FungraspError: wrong type, a missing object, or the file can't be written.
+        FungraspError: wrong type or suffix, a missing object, or a file can't be read or written.
     """
-    path = Path(out)
+    path = check_suffix(out, "a page", ".html")
+    if what is None or isinstance(what, str | Path):
+        if what is not None and Path(what).suffix not in ("", ".npz"):
+            raise FungraspError(f"out= reads only grasp files (.npz), not {what}: {WRITES}")
+        what = load_grasps(what or "builtin")
     if isinstance(what, Perceived):
         write_perception_page(path, what, page_provenance({}, 0))
     elif isinstance(what, LiftTestResult):
@@ -94,10 +104,7 @@ def write_view(what: Any, objects: Objects, out: str | Path) -> Path:
             words += MARKS_MEAN
         write_page(path, Page("Grasps", reports, hand, words.strip(), page_provenance({}, 0)))
     else:
-        raise FungraspError(
-            "out= writes pages of grasps, results and perceived grasps, not of "
-            f"{'nothing' if what is None else 'a ' + type(what).__name__}; a browser shows more"
-        )
+        raise FungraspError(f"out= can't write a page of a {type(what).__name__}: {WRITES}")
     return path
 
 

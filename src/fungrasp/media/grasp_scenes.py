@@ -19,12 +19,19 @@ from fungrasp.media.render import Renderer, Views
 from fungrasp.media.surfaces import VISIBLE_GROUPS, model_materials
 from fungrasp.media.visual_meshes import dressed_spec
 from fungrasp.objects import ObjectModel
+from fungrasp.optimization.link_contacts import LinkDistances
 
 SKIN = (0.86, 0.68, 0.57)
 """Color of a human hand, sRGB."""
 
 CONTACT = (0.95, 0.49, 0.16)
 """Color of links in contact, sRGB."""
+
+MISSED = (0.85, 0.25, 0.45)
+"""Color of links that should touch and do not, sRGB."""
+
+UNWANTED = (0.95, 0.80, 0.25)
+"""Color of links that touch and should not, sRGB."""
 
 OBJECT_BODY = "object"
 """Name of the object's body in these scenes."""
@@ -92,6 +99,7 @@ def robot_grasp_scene(
     obj: ObjectModel,
     object_pose: np.ndarray,
     link_contacts: np.ndarray | None = None,
+    wanted: np.ndarray | None = None,
 ) -> tuple[mujoco.MjModel, np.ndarray]:
     """Create the model of a robot hand with colored links in contact and an object, both with free joints.
 
@@ -100,6 +108,7 @@ def robot_grasp_scene(
         joint_positions: in the order of ``hand.joint_names`` [rad], shape [M].
         object_pose: world frame, shape [7].
         link_contacts: in the order of ``hand.links``, shape [L] bool; none if None.
+        wanted: links that should touch, shape [L] bool; as ``link_contacts`` if None.
 
     Returns:
         the model and its qpos, shape [nq].
@@ -115,7 +124,7 @@ def robot_grasp_scene(
     add_object(spec, obj).add_freejoint(name=OBJECT_BODY)
     model = _compiled(spec)
     if link_contacts is not None:
-        colors = robot_scene_colors(model, hand, np.asarray(link_contacts)[None])[0]
+        colors = robot_scene_colors(model, hand, np.asarray(link_contacts)[None], wanted)[0]
         tinted = np.any(colors != model_materials(model).colors, axis=1)
         model.geom_rgba[tinted], model.geom_matid[tinted] = colors[tinted], -1
     pose, positions = np.asarray(wrist_pose, dtype=float), np.asarray(joint_positions, dtype=float)
@@ -128,13 +137,25 @@ def robot_grasp_scene(
 def grasp_scene(
     grasp: HumanGrasp | RobotGrasp, obj: ObjectModel, hand: Hand | None = None
 ) -> tuple[mujoco.MjModel, np.ndarray]:
-    """Return the scene of a grasp and its qpos, shape [nq]. hand: required for a robot grasp."""
+    """Return the scene of a grasp and its qpos, shape [nq]. Links of a human hand in contact are ``CONTACT``;
+    of a robot hand, those that should touch are ``CONTACT`` or ``MISSED``, others that touch ``UNWANTED``.
+
+    Args:
+        hand: required for a robot grasp.
+    """
     if isinstance(grasp, HumanGrasp):
         model = human_grasp_scene(grasp.hand_joints, obj, grasp.object_pose, grasp.link_contacts)
         return model, model.qpos0
     assert hand is not None
+    touch = LinkDistances(hand, obj).of(grasp.wrist_pose, grasp.joint_positions, grasp.object_pose)
     return robot_grasp_scene(
-        hand, grasp.wrist_pose, grasp.joint_positions, obj, grasp.object_pose, grasp.link_contacts
+        hand,
+        grasp.wrist_pose,
+        grasp.joint_positions,
+        obj,
+        grasp.object_pose,
+        touch.reached,
+        grasp.link_contacts,
     )
 
 
@@ -179,12 +200,15 @@ def robot_scene_states(
     return states
 
 
-def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray) -> np.ndarray:
+def robot_scene_colors(
+    model: mujoco.MjModel, hand: Hand, link_contacts: np.ndarray, wanted: np.ndarray | None = None
+) -> np.ndarray:
     """Return geom colors of a ``robot_grasp_scene`` with highlighted links in contact.
 
     Args:
         model: result of ``robot_grasp_scene`` for the same hand, without contacts.
         link_contacts: in the order of ``hand.links``, shape [T, L] bool.
+        wanted: links that should touch, shape [L] bool; as ``link_contacts`` if None.
 
     Returns:
         sRGB and opacity, shape [T, ngeom, 4].
@@ -196,12 +220,16 @@ def robot_scene_colors(model: mujoco.MjModel, hand: Hand, link_contacts: np.ndar
     if contacts.ndim != 2 or contacts.shape[1] != len(hand.links):
         raise FungraspError(f"link_contacts must have shape [T, {len(hand.links)}], not {contacts.shape}")
     colors = np.tile(model_materials(model).colors, (len(contacts), 1, 1))
+    asked = contacts if wanted is None else np.broadcast_to(np.asarray(wanted, dtype=bool), contacts.shape)
+    touches, asked = contacts[..., None].astype(bool), asked[..., None]
+    tints = np.where(touches & asked, CONTACT, np.where(touches, UNWANTED, MISSED))
+    shares = (touches | asked) * 1.0
     owner = {_PREFIX + body: k for k, bodies in enumerate(hand.links) for body in bodies}
     for geom in range(model.ngeom):
         link = owner.get(model.body(int(model.geom_bodyid[geom])).name)
         if link is not None:
-            tint = contacts[:, link, None] * (PALM_TINT if link == 0 else 1.0)
-            colors[:, geom, :3] += tint * (np.asarray(CONTACT) - colors[:, geom, :3])
+            share = shares[:, link] * (PALM_TINT if link == 0 else 1.0)
+            colors[:, geom, :3] += share * (tints[:, link] - colors[:, geom, :3])
     return colors
 
 
@@ -355,7 +383,8 @@ def _shares(mask: np.ndarray) -> np.ndarray:
 
 
 def _touching(model: mujoco.MjModel, seen: Views) -> np.ndarray:
-    whole = np.flatnonzero(np.all(np.abs(model.geom_rgba[:, :3] - np.asarray(CONTACT)) < 1e-3, axis=1))
+    apart = np.abs(model.geom_rgba[:, None, :3] - np.array([CONTACT, MISSED, UNWANTED]))
+    whole = np.flatnonzero((apart < 1e-3).all(axis=2).any(axis=1))
     textured = np.flatnonzero(model.geom_matid >= 0)
     orange = seen.color[..., 2] < 0.5 * seen.color[..., 0]
     return np.isin(seen.segmentation, whole) | (np.isin(seen.segmentation, textured) & orange)

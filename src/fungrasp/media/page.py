@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, check_suffix
 
 PHOTOGRAPH_QUALITY = 90
 """JPEG quality of photographs, 0 to 100."""
@@ -226,7 +226,7 @@ def write_page(path: str | Path, page: Page, opening: Sequence[str] = ()) -> Pat
         FungraspError: a video can't be read or is not an mp4 file, a picture has the wrong shape, or the page
             can't be written.
     """
-    path = Path(path)
+    path = check_suffix(path, "a page", ".html")
     text = page_html(page, opening)
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, check_suffix
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.as_shown import PlaceMarks, place_marks
@@ -121,14 +121,8 @@ PART_COLORS = {
 """Colors of an object's parts, sRGB, in the order of the parts."""
 
 
-def check_picture(path: Path) -> None:
-    """Check the suffix of a picture file.
-
-    Raises:
-        FungraspError: the file is not .png or .jpg.
-    """
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise FungraspError(f"a picture must be a .png or .jpg file, not {path}")
+PICTURES = (".png", ".jpg", ".jpeg")
+"""Suffixes of picture files."""
 
 
 def draw_object(path: Path, obj: ObjectModel, by_piece: bool = False) -> None:
@@ -179,7 +173,7 @@ def draw_hand(path: Path, hand: Hand) -> None:
 
 
 def _write_four_views(path: Path, model: mujoco.MjModel, labels: Sequence[str] = ()) -> None:
-    check_picture(path)
+    check_suffix(path, "a picture", *PICTURES)
     picture = Image.fromarray(grid(four_views(model), labels, columns=2))
     with atomic_path(path) as temporary:
         picture.save(temporary)
@@ -216,7 +210,11 @@ def draw_grasps(
         human: the human grasps that they were retargeted from, drawn to their left.
         captions: text for each grasp after the name of its object; the name of the hand if None.
         progress: called with the share that is done, up to 1.
+
+    Raises:
+        FungraspError: the suffix is wrong, or the file can't be written.
     """
+    check_suffix(path, "a picture", *PICTURES)
     rows = spread_rows(robot.object_name)
     images, labels = [], []
     for done, row in enumerate(rows):
@@ -228,7 +226,7 @@ def draw_grasps(
         labels += [f"{name}: human", f"{name}: {words}"][-len(pictures) :]
         progress((done + 1) / len(rows))
     with atomic_path(path) as temporary:
-        Image.fromarray(grid(images, labels, columns=4)).save(temporary, format="PNG")
+        Image.fromarray(grid(images, labels, columns=4)).save(temporary)
 
 
 def spread_rows(object_name: np.ndarray, most: int = DRAWN_GRASPS) -> list[int]:
@@ -246,7 +244,7 @@ def grasp_pictures(
     human: HumanGraspSet | None = None,
     marks: PlaceMarks | None = None,
 ) -> list[np.ndarray]:
-    """Render one grasp with links that should touch in orange.
+    """Render one grasp with its links in the colors of ``grasp_scene``.
 
     Args:
         size: width and height [pixels].

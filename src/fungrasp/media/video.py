@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fungrasp.core.errors import FungraspError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, check_suffix
 
 
 def write_video(
@@ -42,9 +42,7 @@ def write_video(
     from av.error import FFmpegError
     from av.video.reformatter import ColorRange, Colorspace, VideoReformatter
 
-    path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise FungraspError(f"{path}: a film's name must end in .mp4")
+    path = check_suffix(path, "a film", ".mp4")
     if not 0 < fps <= 1000:
         raise FungraspError(f"{path}: frames per second must lie between 0 and 1000, not {fps}")
     checked = _checked(path, frames)

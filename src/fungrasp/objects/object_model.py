@@ -11,6 +11,7 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import digest
+from fungrasp.core.formats.checks import is_plain_name
 from fungrasp.geometry.signed_distance import SignedDistanceGrid, nearest_on_mesh
 from fungrasp.geometry.triangle_mesh import (
     hull_triangles,
@@ -64,6 +65,8 @@ class ObjectModel:
         return f"<ObjectModel: {self.name!r}, {self.mass:g} kg, {len(self.faces)} triangles>"
 
     def __post_init__(self) -> None:
+        if not is_plain_name(self.name):
+            raise FungraspError(f"the name of an object must be a plain name, not {self.name!r}")
         if not (np.isfinite(self.mass) and self.mass > 0):
             raise FungraspError(
                 f"object '{self.name}': the mass must be positive and finite, not {self.mass!r} kg"
@@ -119,6 +122,11 @@ class ObjectModel:
         """Inertia [kg m2], shape [3, 3], about the center of mass, axes of the object frame, at uniform
         density."""
         return np.array(self.mesh.moment_inertia)
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """Lowest and highest corner of the mesh, object frame [m], shape [2, 3]."""
+        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
 
     @cached_property
     def size(self) -> np.ndarray:

@@ -56,6 +56,8 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
     """
     if isinstance(name, Path):
         return object_from_file(name, mass)
+    if isinstance(mass, str | Path):
+        raise FungraspError(f"the second argument is the mass [kg], not '{mass}': give the folder as folder=")
     files = mesh_files(folder)
     known = {**dict.fromkeys(BUILTINS), **files}
     if name not in known and name.endswith(MIRRORED):
@@ -65,7 +67,8 @@ def load_object(name: str | Path, mass: float | None = None, folder: str | Path 
             raise FungraspError(f"object '{name}': a shape needs a mass [kg]")
         return plain_shape(name, float(mass))
     if name not in known:
-        raise UnknownNameError("object", name, known)
+        remedy = "In Python, fungrasp.object_from_mesh(path, mass) reads a mesh file."
+        raise UnknownNameError("object", name, known, remedy if Path(name).suffix in MESH_SUFFIXES else "")
     path = known[name]
     if path is None:
         return builtin_object(name, mass)

@@ -98,7 +98,7 @@ def resolve_object(
         mass, between = DENSITY * volume, (DENSITIES[0] * volume, DENSITIES[1] * volume)
         notes = (
             f"the mass was guessed, {mass:.2g} kg, and may be {between[0]:.2g} to {between[1]:.2g}: give "
-            "--mass if you know it",
+            "it if you know it",
         )
     model = plain_shape(mesh, mass) if shape else object_from_file(mesh, mass)
     check_density(model)

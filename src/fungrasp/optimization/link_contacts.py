@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,10 @@ import numpy as np
 from fungrasp.geometry.array_distances import GridArrays
 from fungrasp.geometry.compiling import compiled, compiled_part, plain
 from fungrasp.geometry.distance_queries import distance_bound, signed_distance, unit_vector
+from fungrasp.geometry.poses import compose, invert
+from fungrasp.hands import Hand
+from fungrasp.hands.kinematics import HandKinematics
+from fungrasp.objects import ObjectModel
 from fungrasp.optimization.frames import (
     AddTerm,
     Equations,
@@ -250,3 +255,43 @@ def least_clearance(frames: Frames, i: int, groups: Groups, group: int, grids: G
     """Return a lower bound of the clearances [m] of a group's spheres."""
     point = place(frames, i, groups.body[group], groups.center[group])
     return distance_bound(grids, grid, point) - groups.reach[group]
+
+
+@dataclass(frozen=True, eq=False)
+class LinkTouch:
+    """Points of a hand's links nearest to the object, object frame."""
+
+    place: np.ndarray
+    """Points [m], shape [L, 3]."""
+    inward: np.ndarray
+    """Unit normals into the object, shape [L, 3]."""
+    clearance: np.ndarray
+    """Clearances [m], negative inside, shape [L]."""
+
+    @property
+    def reached(self) -> np.ndarray:
+        """Links that touch, shape [L] bool."""
+        return self.clearance < CONTACT_DISTANCE
+
+
+class LinkDistances:
+    """Distances of a hand's links from one object, computed in a millisecond."""
+
+    def __init__(self, hand: Hand, model: ObjectModel):
+        self._hand = hand
+        self._points = HandPoints(HandKinematics(hand, 1), 0.006)
+        self._scene = CollisionScene.settled(
+            [model.name], np.array([[0, 0, 0, 1.0, 0, 0, 0]]), {model.name: model}
+        )
+
+    def of(self, wrist_pose: np.ndarray, joints: np.ndarray, object_pose: np.ndarray) -> LinkTouch:
+        """Return the nearest points of a hand.
+
+        Args:
+            wrist_pose: pose of the palm body, world frame, shape [7].
+            joints: all joints of the hand [rad], shape [M].
+            object_pose: world frame, shape [7].
+        """
+        pose = compose(invert(object_pose), wrist_pose)[None]
+        found = contacts_of_links(self._points, self._scene, pose, self._hand.independent(joints)[None])
+        return LinkTouch(found.place[0], found.inward[0], found.clearance[0])

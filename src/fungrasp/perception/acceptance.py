@@ -247,7 +247,10 @@ class Acceptance:
                 + (f"; not sure: {against}" if not self.sure and against else "")
             )
         if self.sure:
-            return f"sure: all {len(self.evidence)} quantities are within their limits"
+            known = sum(not isnan(m.value) for m in self.evidence)
+            unknown = len(self.evidence) - known
+            more = f"; {unknown} more {'is' if unknown == 1 else 'are'} not known" if unknown else ""
+            return f"sure: all {known} quantities are within their limits{more}"
         return f"not sure: {against or 'the pose is not judged'}"
 
     def rows(self) -> list[tuple[str, str, str, str]]:

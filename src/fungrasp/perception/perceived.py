@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.grasps import HUMAN_LINKS, HumanGrasp, HumanGraspSet
-from fungrasp.objects import ObjectModel, mirrored_object
+from fungrasp.objects import ObjectModel
 from fungrasp.perception.acceptance import Acceptance
 from fungrasp.perception.hand.detected_hand import DetectedHand
 from fungrasp.perception.io.capture import Capture
@@ -39,7 +39,7 @@ class HandCandidate:
         return self.object.score * self.hand.score
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Perceived:
     """The result for one image."""
 
@@ -75,6 +75,9 @@ class Perceived:
     fitted: FittedShape | None = None
     """Shape fitted to an object without a mesh; None if a mesh was given."""
 
+    def __repr__(self) -> str:
+        return f"<Perceived: {self.grasp!r}, {'sure' if self.confident else 'not sure'}>"
+
     @property
     def confident(self) -> bool:
         """Whether the result is sure."""
@@ -88,8 +91,7 @@ class Perceived:
     @property
     def objects(self) -> dict[str, ObjectModel]:
         """The object of the grasp by name, mirrored for a left hand."""
-        model, name = self.object_model, self.grasp.object_name
-        return {name: model if name == model.name else mirrored_object(model)}
+        return dict(self.grasp.objects)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result for a JSON file. Lengths are in meters, poses are ``[x y z qw qx qy qz]``;

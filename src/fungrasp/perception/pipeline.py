@@ -24,7 +24,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.poses import transform_points
 from fungrasp.grasps import HumanGrasp
 from fungrasp.grasps.human_hand import mirror_points, mirror_pose
-from fungrasp.objects import MIRRORED, ObjectModel, ResolvedObject, resolve_object
+from fungrasp.objects import ObjectModel, ResolvedObject, mirrored_object, resolve_object
 from fungrasp.perception.acceptance import (
     check_held,
     check_holdable,
@@ -351,6 +351,7 @@ def _warnings(
 def _grasp(
     held: ResolvedObject, hand: HandEstimate, obj: ObjectEstimate, pose_world_camera: np.ndarray, task: str
 ) -> HumanGrasp:
+    """Return the grasp in the world, with its object; the scene of a left hand is mirrored."""
     model, pose = held.model, in_world(pose_world_camera, obj.pose_camera_object)
     grasp = HumanGrasp(
         object_name=model.name,
@@ -361,13 +362,16 @@ def _grasp(
         link_contacts=touching_links(hand.joints_camera, model.signed_distance, obj.pose_camera_object),
         task=task,
         object_mass_spread=held.mass_spread,
+        objects={model.name: model},
     )
     if hand.side == "right":
         return grasp
+    mirrored = mirrored_object(model)
     return replace(
         grasp,
-        object_name=model.name + MIRRORED,
+        object_name=mirrored.name,
         object_pose=mirror_pose(grasp.object_pose),
         object_rest_pose=mirror_pose(grasp.object_rest_pose),
         hand_joints=mirror_points(grasp.hand_joints),
+        objects={mirrored.name: mirrored},
     )

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from fungrasp.core.parallel import in_chunks
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import compose, rotate
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -44,7 +45,7 @@ NARROW = 0.25
 
 
 @dataclass(frozen=True)
-class ApproachSettings:
+class ApproachSettings(CheckedRecord):
     """Margins of the path, and weights of its optimization."""
 
     object_margin: float = 0.008

@@ -70,7 +70,7 @@ def check_attempts(attempts: int, watches: bool) -> None:
         raise FungraspError(f"there must be 1 attempt or more, not {attempts}")
     if attempts > 1 and not watches:
         raise FungraspError(
-            "an open-loop policy can't notice that it failed: several attempts need --policy student"
+            "an open-loop policy can't notice that it failed: several attempts need the policy student"
         )
 
 

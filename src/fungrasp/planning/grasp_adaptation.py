@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from fungrasp.core.parallel import in_chunks
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
@@ -28,7 +29,7 @@ from fungrasp.optimization.problem import CollisionScene, RetargetingProblem
 
 
 @dataclass(frozen=True)
-class AdaptSettings:
+class AdaptSettings(CheckedRecord):
     """Settings of the adaptation."""
 
     table_margin: float = 0.001
@@ -70,7 +71,7 @@ def adapt_to_settled_object(
         grasp: independent joints in the grasps [rad], shape [N, U].
         settings: defaults if None.
     """
-    s = settings or AdaptSettings()
+    s = AdaptSettings.given(settings)
     names = grasps.object_name.tolist()
     around = CollisionScene.settled(names, settled_pose, objects)
     count, shared = len(grasps), HandPoints(HandKinematics(hand, 1))

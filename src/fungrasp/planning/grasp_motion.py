@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fungrasp.core.files import digest
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import compose, invert, quaternion_conjugate, rotate
 from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand, as_hand
@@ -31,7 +32,7 @@ object's lowest point."""
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class MotionSettings(CheckedRecord):
     """Settings of approach, closing, squeeze and lift."""
 
     least_force: float = 2.0
@@ -121,7 +122,7 @@ class MotionPlanner:
             protocol: protocol with motion limits and control period; the published one if None.
         """
         self.hand, self.objects = as_hand(hand), objects
-        self.settings, self.protocol = settings or MotionSettings(), protocol or LiftProtocol()
+        self.settings, self.protocol = MotionSettings.given(settings), LiftProtocol.given(protocol)
         self.key = digest(self.settings, self.protocol)
         """Digest of everything that plans depend on besides hand, objects and the arguments of ``plan``."""
 
@@ -273,7 +274,7 @@ def squeeze_offsets(
         joints: independent joints in the grasps [rad], shape [N, U].
         settings: defaults if None.
     """
-    s = settings or MotionSettings()
+    s = MotionSettings.given(settings)
     models = [objects[name] for name in grasps.object_name.tolist()]
     around = CollisionScene.settled(grasps.object_name.tolist(), belief.object_pose, objects)
     stiffness = np.tile([servo.kp for servo in hand.actuators.values()], (len(grasps), 1))

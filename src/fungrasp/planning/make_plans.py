@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
 from fungrasp.core.progress import ShowProgress, shown_progress
 from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.planning.grasp_motion import MotionPlanner, MotionSettings
 from fungrasp.planning.planner import Planner
@@ -79,7 +80,7 @@ def plan(
 
 def make_planner(
     name: str,
-    hand: Hand,
+    hand: Hand | str | Path,
     objects: Mapping[str, ObjectModel],
     settings: SelectionSettings | None = None,
     protocol: LiftProtocol | None = None,
@@ -90,14 +91,16 @@ def make_planner(
 
     Args:
         name: name of the policy, as for ``policy_source``.
+        hand: robot hand, its name, or the path of its TOML file.
         settings: defaults if None.
         protocol: published protocol if None.
         threads: 0 for all processors. Plans do not depend on it.
         motions: defaults if None.
 
     Raises:
-        FungraspError: the policy is unknown or for another hand.
+        FungraspError: hand or policy is unknown, or the policy is for another hand.
     """
+    hand = as_hand(hand)
     source = policy_source(name, hand.name)
     if not source.searches:
         return MotionPlanner(hand, objects, motions, protocol)

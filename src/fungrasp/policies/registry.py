@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.hands import Hand
+from fungrasp.hands import Hand, as_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.policies.checkpoint.checkpoint_file import SUFFIX, list_policies, load_policy, read_card
 from fungrasp.policies.open_loop import OpenLoopPolicy
@@ -64,7 +64,7 @@ def policy_source(name: str, hand: str) -> PolicySource:
     card = read_card(path)
     if card.kind == "predictor":
         raise FungraspError(
-            f"{path} is a success predictor, which nothing needs any more: use --policy {PLAN}"
+            f"{path} is a success predictor, which nothing needs any more: use the policy '{PLAN}'"
         )
     return PolicySource(path, bool(card.plans))
 
@@ -89,14 +89,18 @@ def default_policy(hand: str) -> str:
     return name if name in list_policies() else PLAN
 
 
-def make_policy(name: str, hand: Hand, objects: Mapping[str, ObjectModel]) -> Policy | PrivilegedPolicy:
+def make_policy(
+    name: str, hand: Hand | str | Path, objects: Mapping[str, ObjectModel]
+) -> Policy | PrivilegedPolicy:
     """Make a policy by name.
 
     Args:
         name: see ``policy_source``.
+        hand: robot hand, its name, or the path of its TOML file.
 
     Raises:
-        FungraspError: the policy is unknown or for another hand.
+        FungraspError: hand or policy is unknown, or the policy is for another hand.
     """
+    hand = as_hand(hand)
     path = policy_source(name, hand.name).network
     return OpenLoopPolicy() if path is None else residual_policy(load_policy(path), hand, objects)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import Array, array_namespace, clip, compose, quaternion_from_rotation_vector
 
 WRIST_ACTIONS = 6
@@ -18,7 +19,7 @@ Base = Literal["plan", "guided"]
 
 
 @dataclass(frozen=True)
-class ResidualSettings:
+class ResidualSettings(CheckedRecord):
     """Target and scale of residual actions."""
 
     base: Base = "plan"

@@ -20,6 +20,7 @@ from fungrasp.grasps.diagnosis import checked_grasps
 from fungrasp.grasps.grasp_arguments import HasGrasps, HumanGrasps, Objects, as_human_grasps, load_objects
 from fungrasp.grasps.robot_grasp import MASS_SPREAD
 from fungrasp.hands import Hand, as_hand, hand_origin
+from fungrasp.hands.hand_registry import check_no_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.optimization.hand_state import HandPoints
@@ -108,9 +109,10 @@ def retarget(
     """
     single = isinstance(human, HumanGrasp)
     human = as_human_grasps(human)
+    check_no_hand(objects)
     hand = as_hand(hand)
     origin = hand_origin(hand)
-    spec = RetargetSpec(origin or hand.name, method, settings or RetargetSettings())
+    spec = RetargetSpec(origin or hand.name, method, RetargetSettings.given(settings))
     _check(human, hand)
     known = load_objects(human, objects)
     human = checked_grasps(vars(human), known, "retarget", read=True)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import (
     compose,
     invert,
@@ -21,7 +23,8 @@ from fungrasp.geometry.poses import (
     transform_points,
 )
 from fungrasp.geometry.signed_distance import SignedDistanceBank, SignedDistanceGrid, project_to_surface
-from fungrasp.grasps.human_hand import joint_order
+from fungrasp.grasps.diagnosis import BENT, diagnosis
+from fungrasp.grasps.human_hand import joint_bends, joint_order, mirror_points
 from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -36,7 +39,7 @@ NO_OBJECT = SignedDistanceBank([SignedDistanceGrid(np.zeros(3), 1.0, np.ones((2,
 
 
 @dataclass(frozen=True)
-class RetargeterSettings:
+class RetargeterSettings(CheckedRecord):
     """Scale of each cost term (the value that counts as one unit), and iterations."""
 
     fingertip_unit: float = 0.004
@@ -87,6 +90,7 @@ class RetargeterSettings:
         Raises:
             FungraspError: a value of the smoothing is not positive.
         """
+        super().__post_init__()
         for name in ("rate", "cutoff", "lag"):
             value = getattr(self, name)
             if value is not None and not value > 0:
@@ -145,7 +149,7 @@ class Retargeter:
 
     def __init__(
         self,
-        hand: Hand | str,
+        hand: Hand | str | Path,
         model: ObjectModel | None = None,
         settings: RetargeterSettings | None = None,
         *,
@@ -153,29 +157,34 @@ class Retargeter:
     ):
         """
         Args:
-            hand: robot hand, or its name.
+            hand: robot hand, its name, or the path of its TOML file.
             model: the object; None for a free hand.
             settings: weights and iterations; defaults if None.
             order: joint order of the input of ``follow``: "mediapipe", "openpose", "mano" and others.
 
         Raises:
-            FungraspError: hand or order is unknown.
+            FungraspError: hand or order is unknown, or ``model`` is not an object.
         """
+        if not isinstance(model, ObjectModel | None):
+            raise FungraspError(
+                f"model must be an object (fungrasp.load_object, fungrasp.object_from_mesh), not a "
+                f"{type(model).__name__}"
+            )
         self.hand = as_hand(hand)
         """The robot hand. Results follow its ``joint_names``."""
-        self._settings, self._order = settings or RetargeterSettings(), joint_order(order)
+        self._settings, self._order = RetargeterSettings.given(settings), joint_order(order)
         self._points = HandPoints(HandKinematics(self.hand, 1))
         self._scene = None
         if model is not None:
             origin = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
             self._scene = CollisionScene.settled([model.name], origin, {model.name: model})
-        self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, np.ndarray] | None
         self._joints = np.zeros((1, 21, 3))
-        self._smooth = self._filter()
+        self.reset()
 
     def reset(self) -> None:
         """Forget the previous frame; the next one is solved from scratch."""
-        self._last, self._smooth = None, self._filter()
+        self._last, self._smooth, self._side_seen = None, self._filter(), False
 
     def _filter(self) -> Callable[[np.ndarray], np.ndarray]:
         s = self._settings
@@ -191,7 +200,8 @@ class Retargeter:
 
         Raises:
             FungraspError: a shape is wrong, a value is not finite, or a pose is given without an object or
-                missing with one.
+                missing with one. At the first frame: the joints are in another order or unit. Until the
+                fingers have bent: the hand is of the other side.
         """
         if (object_pose is None) != (self._scene is None):
             raise FungraspError("object_pose is given where the retargeter has an object, and only there")
@@ -202,6 +212,7 @@ class Retargeter:
             if np.shape(array) != shape or not np.all(np.isfinite(array)):
                 raise FungraspError(f"{name} must be finite numbers of shape {shape}")
         world = np.asarray(hand_joints, dtype=float)[self._order]
+        self._check_convention(world)
         if object_pose is None:
             # In the palm frame, motions of a free hand as a whole are not limited.
             world = self._smooth(world)
@@ -225,6 +236,26 @@ class Retargeter:
             wrist, independent = self._bounded(self._last, (wrist, independent), motion)
         self._last, self._joints = (wrist, independent), joints
         return FollowedPose(compose(pose, wrist[0]), self._points.kinematics.hand.all_joints(independent[0]))
+
+    def _check_convention(self, joints: np.ndarray) -> None:
+        right = joints if self.hand.side == "right" else mirror_points(joints)
+        if self._last is None:
+            fault = diagnosis({"hand_joints": right[None]}, {}, sides=False).fatal
+            if fault is not None:
+                raise FungraspError(
+                    f"hand_joints: {fault.words}; follow takes meters, and joints in the order that "
+                    "Retargeter(order=...) names"
+                )
+        if not self._side_seen:
+            # Outer finger joints hardly bend backwards. A flat hand shows no side.
+            bend = joint_bends(right)[0][:4, 1:].sum()
+            if bend < -BENT:
+                raise FungraspError(
+                    f"hand_joints: the fingers bend backwards for a {self.hand.side} hand, the side of "
+                    f"'{self.hand.name}'; mirror the joints (fungrasp.grasps.human_hand.mirror_points), or "
+                    "use a robot hand of the other side"
+                )
+            self._side_seen = bool(bend > BENT)
 
     def _problem(self, joints: np.ndarray, pose: np.ndarray) -> RetargetingProblem:
         up = rotate(quaternion_conjugate(pose[3:]), np.array([0.0, 0.0, 1.0]))[None, None]

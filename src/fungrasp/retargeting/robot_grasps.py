@@ -8,6 +8,7 @@ from typing import NamedTuple
 from fungrasp.grasps import HumanGraspSet, RobotGraspSet
 from fungrasp.grasps.grasp_arguments import AnyGrasps, Objects, as_grasp_set, load_objects
 from fungrasp.hands import Hand, as_hand
+from fungrasp.hands.hand_registry import check_no_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting.human_to_robot import retarget
 from fungrasp.retargeting.settings import RetargetSpec
@@ -42,6 +43,7 @@ def as_robot_grasps(
             are of another hand.
     """
     found = as_grasp_set(grasps)
+    check_no_hand(objects)
     known = load_objects(found, objects)
     if isinstance(found, HumanGraspSet):
         used = as_hand(RetargetSpec.hand if hand is None else hand)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from fungrasp.core.errors import UnknownNameError
+from fungrasp.core.records import CheckedRecord
 
 METHODS = ("contact", "angle-copy", "dexgraspnet")
 """Retargeting methods: our own (contacts and forces) and two baselines."""
 
 
 @dataclass(frozen=True)
-class Start:
+class Start(CheckedRecord):
     """A start of the solver, relative to the robot hand aligned with the human's. Axes of a right palm: along
     the fingers, out of the palm, across it; mirrored for a left hand."""
 
@@ -35,7 +36,7 @@ STARTS = (
 
 
 @dataclass(frozen=True)
-class RetargetSettings:
+class RetargetSettings(CheckedRecord):
     """Scale of each cost term (the value that counts as one unit), and iterations."""
 
     fingertip_unit: float = 0.01
@@ -76,7 +77,7 @@ def method_name(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class RetargetSpec:
+class RetargetSpec(CheckedRecord):
     """Settings of retargeting: hand, method and weights."""
 
     hand: str = "allegro"
@@ -91,4 +92,5 @@ class RetargetSpec:
         Raises:
             FungraspError: the method is unknown.
         """
+        super().__post_init__()
         object.__setattr__(self, "method", method_name(self.method))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, check_suffix
 from fungrasp.core.formats.checks import guarded
 from fungrasp.core.formats.text_files import read_toml
 from fungrasp.core.records import record_from_json
@@ -260,15 +260,13 @@ def write_new_cell(path: str | Path, hand: str) -> None:
     """Write a slow cell for a new robot. Values that must be measured are left empty, and are refused until
     they are set. path: TOML file, which must not exist. Raises: FungraspError: the file exists or is no TOML
     file, or the hand has no driver."""
-    path = Path(path)
+    path = check_suffix(path, "a cell", ".toml")
     # Lines of a hand follow "#: name"; the rest follows "#: end".
     head, *parts = re.split(r"^#: (\w+)\n", NEW_CELL.read_text(encoding="utf-8"), flags=re.MULTILINE)
     devices = dict(zip(parts[::2], parts[1::2], strict=True))
     rest = devices.pop("end")
     if hand not in devices:
         raise UnknownNameError("hand with a driver", hand, devices)
-    if path.suffix != ".toml":
-        raise FungraspError(f"{path}: a cell is a .toml file")
     if path.exists():
         raise FungraspError(f"{path} already exists")
     text = (head + devices[hand] + rest).replace("HAND", hand).replace("NAME", path.stem)

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.records import CheckedRecord
 
 Range = tuple[float, float]
 """Smallest and largest value; equal for a constant."""
@@ -30,7 +31,7 @@ OBJECT_SCALES = 5
 
 
 @dataclass(frozen=True)
-class MeasurementError:
+class MeasurementError(CheckedRecord):
     """Zero-mean error of a measured quantity, per coordinate, in the unit of the quantity."""
 
     bias: float = 0.0
@@ -51,7 +52,7 @@ class MeasurementError:
 
 
 @dataclass(frozen=True)
-class Randomization:
+class Randomization(CheckedRecord):
     """Ranges of parameters, drawn for every episode. Default: the nominal world.
 
     Factors are drawn log-uniformly (half is as likely as double), other ranges uniformly.
@@ -138,6 +139,7 @@ class Randomization:
         Raises:
             FungraspError: invalid value.
         """
+        super().__post_init__()
         for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, MeasurementError):
@@ -147,8 +149,6 @@ class Randomization:
             else:
                 numbers = np.ravel(np.asarray(value, dtype=float))
             name = f.name.replace("_", " ")
-            if not np.isfinite(numbers).all():
-                raise FungraspError(f"{name} must be finite, not {value}")
             ranges = np.reshape(numbers, (-1, 2)) if isinstance(value, tuple) else np.empty((0, 2))
             if (ranges[:, 0] > ranges[:, 1]).any():
                 raise FungraspError(f"{name} must rise from low to high, not {value}")

@@ -59,7 +59,7 @@ class MujocoWarpWorlds(MujocoArrays):
         self._lib = open_warp(device)
         warp, mjw, torch = self._lib.warp, self._lib.mujoco, self._lib.torch
         if scene.settings.noslip_iterations:
-            raise FungraspError("--noslip needs --device cpu: the GPU engine does not support it")
+            raise FungraspError("noslip iterations need the device cpu: the GPU engine does not support them")
         self.sizes = sizes or probe_buffer_sizes(scene)
         self._device = torch.device(self._lib.device)
         host = host_model(scene.model)
@@ -123,7 +123,7 @@ class MujocoWarpWorlds(MujocoArrays):
             wanted = _larger(max(contacts, pool) / max(len(self), 4))
             lines.append(
                 f"contacts did not fit in the pool of {pool} that {len(self)} worlds share, and any may lack "
-                f"some: give --buffers {wanted} {self.sizes.rows}"
+                f"some: give buffers of {wanted} {self.sizes.rows}"
             )
         if (bits & flags.CONTACT_MATCH).any():
             where = worlds_named((bits & flags.CONTACT_MATCH) != 0)

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.hands import Hand, as_hand
-from fungrasp.objects import ObjectModel
+from fungrasp.objects import ObjectModel, check_objects
 from fungrasp.objects.object_model import GRAVITY
 from fungrasp.simulation.devices import BufferSizes, Device
 
@@ -32,7 +34,7 @@ _DATA = mujoco.mjtConDataField
 
 
 @dataclass(frozen=True)
-class SceneSettings:
+class SceneSettings(CheckedRecord):
     """Physics of the lift test (docs/evaluate.md)."""
 
     timestep: float = 0.005
@@ -114,20 +116,22 @@ class Scene:
 
 
 def build_scene(
-    hand: Hand | str, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
+    hand: Hand | str | Path, objects: Mapping[str, ObjectModel], settings: SceneSettings | None = None
 ) -> Scene:
     """Compile a scene with a hand and objects.
 
     Args:
-        hand: a hand or its name.
+        hand: robot hand, its name, or the path of its TOML file.
+        objects: objects by name.
 
     Raises:
-        FungraspError: no object, or the scene does not compile.
+        FungraspError: the hand is unknown, there is no object, or the scene does not compile.
     """
     hand = as_hand(hand)
+    check_objects((), objects)
     if not objects:
         raise FungraspError("a scene needs at least one object")
-    settings = settings or SceneSettings()
+    settings = SceneSettings.given(settings)
     slots = max(len(model.pieces) for model in objects.values())
     names = tuple(objects)
     whole = _compile(hand, objects, names[0], slots, settings)

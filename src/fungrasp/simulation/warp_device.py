@@ -111,7 +111,7 @@ def open_warp(device: Device) -> Warp:
     check_warp_packages(device)
     # Check before importing Warp, whose error message is longer.
     if device == "cuda" and cuda_devices() == 0:
-        raise FungraspError(f"--device cuda: {why_no_cuda()}; --device cpu works without a GPU")
+        raise FungraspError(f"device cuda: {why_no_cuda()}; device cpu works without a GPU")
     import mujoco_warp  # pyright: ignore[reportMissingImports]
     import torch
     import warp  # pyright: ignore[reportMissingImports]
@@ -121,7 +121,7 @@ def open_warp(device: Device) -> Warp:
         _prepare_cache(warp)
         return Warp(warp, mujoco_warp, torch, "cpu")
     if not warp.is_cuda_available():
-        raise FungraspError(f"--device cuda: {why_no_cuda()}; --device cpu works without a GPU")
+        raise FungraspError(f"device cuda: {why_no_cuda()}; device cpu works without a GPU")
     if not torch.cuda.is_available():
         raise FungraspError(
             f"--device cuda: torch {torch.__version__} is built without CUDA: install the one from "
@@ -163,7 +163,7 @@ def check_warp_packages(device: Device) -> None:
     """
     for name in ("warp", "mujoco_warp", "torch"):
         if find_spec(name) is None:
-            raise FungraspError(f"--device {device} needs {name}, which is not installed: {INSTALL}")
+            raise FungraspError(f"device {device} needs {name}, which is not installed: {INSTALL}")
     wanted = {"mujoco-warp": "4.0.", "mujoco": "4.", "warp-lang": "1.19."}
     found = {}
     for name, start in wanted.items():
@@ -173,13 +173,13 @@ def check_warp_packages(device: Device) -> None:
             found[name] = "none"
         if not found[name].startswith(start):
             raise FungraspError(
-                f"--device {device} needs {name} {start}x, not {found[name]}: {INSTALL} --force-reinstall"
+                f"device {device} needs {name} {start}x, not {found[name]}: {INSTALL} --force-reinstall"
             )
     # Both install to the folder mujoco/, and the last one overwrites the other.
     core = version("mujoco-core")
     if core != found["mujoco"]:
         raise FungraspError(
-            f"--device {device} needs mujoco and mujoco-core of one version, not {found['mujoco']}, {core}: "
+            f"device {device} needs mujoco and mujoco-core of one version, not {found['mujoco']}, {core}: "
             f"pip install mujoco=={core} mujoco-core=={core}"
         )
 

@@ -177,6 +177,7 @@ def choose_grasps(
         hand_joints=transform_points(pose, candidates.joints[rows]),
         link_contacts=candidates.contacts[rows],
         task=np.array([specs[i].task for i in chosen]),
+        objects={name: objects[name] for name in names},
     )
 
 

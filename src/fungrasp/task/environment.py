@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from fungrasp.core.errors import FungraspError
 from fungrasp.geometry.arrays import copied, moved_to, rows_like
 from fungrasp.geometry.poses import array_namespace, compose, relative
 from fungrasp.grasps import RobotGraspSet
@@ -21,7 +23,7 @@ from fungrasp.task.lift import LiftTask
 from fungrasp.task.object_placement import Placement, on_drawn_table, resting_shift, where_seen
 from fungrasp.task.outcome import Outcomes
 from fungrasp.task.policy import Action, Observation, Policy, Privileged, PrivilegedPolicy
-from fungrasp.task.policy_checks import check_action, check_policy
+from fungrasp.task.policy_checks import check_action, check_finite, check_policy
 from fungrasp.task.protocol import LiftProtocol
 from fungrasp.task.sensors import Jitter, SimulatedSensors
 
@@ -52,7 +54,14 @@ class LiftEnvironment:
             threads: 0 for all processors. Results do not depend on it.
             engine: engine with W worlds of the scene; made for the scene's device if None. Episode arrays are
                 on its device.
+
+        Raises:
+            FungraspError: ``scene`` is not a scene.
         """
+        if not isinstance(scene, Scene):
+            raise FungraspError(
+                f"expected a scene (fungrasp.build_scene(hand, objects)), not a {type(scene).__name__}"
+            )
         self.scene, self.randomization = scene, randomization
         self.engine: Engine = engine or make_engine(scene, count, threads)
         self.task = LiftTask(self.engine, protocol)
@@ -92,7 +101,11 @@ class LiftEnvironment:
 
         Returns:
             Estimated state and nominal parameters of the scenes.
+
+        Raises:
+            FungraspError: the number of grasps is not W.
         """
+        self._check_count(grasps, RobotGraspSet, "robot grasps")
         everyone = np.arange(len(self))
         self.sample = self.sample if sample is None else sample
         rest = on_drawn_table(grasps.object_rest_pose, np.zeros(len(self)), self.sample)
@@ -236,6 +249,12 @@ class LiftEnvironment:
             lifted_height=self.task.measurements.height,
         )
 
+    def _check_count(self, rows: Any, kind: type, words: str) -> None:
+        if not isinstance(rows, kind):
+            raise FungraspError(f"expected {words}, not a {type(rows).__name__}")
+        if len(rows) != len(self):
+            raise FungraspError(f"there are {len(rows)} {words} for an environment of {len(self)} worlds")
+
     def _object_index(self, names: np.ndarray, sample: EpisodeSample) -> np.ndarray:
         """Return the index of each object in its sampled size, shape [I]. names: shape [I] str."""
         sizes = zip(names.tolist(), sample.object_scale.tolist(), strict=True)
@@ -348,9 +367,11 @@ def play(
         look: called with each observation.
 
     Raises:
-        FungraspError: the policy lacks a method, or its first action is invalid.
+        FungraspError: the policy lacks a method, its first action is invalid, an action is not finite, or the
+            number of plans is not the number of worlds.
     """
     check_policy(policy)
+    environment._check_count(plan, GraspPlan, "plans")
     task, lost = environment.task, np.zeros(len(environment), dtype=bool)
     observation = environment.observe()
     look(observation)
@@ -363,6 +384,7 @@ def play(
             action = policy.act(observation)
         if observation is first:
             check_action(action, plan, observation)
+        check_finite(policy, action, plan, task.time, task.done | environment.engine.diverged)
         environment.step(action, watch)
         if end_lost:
             gone = task.lost

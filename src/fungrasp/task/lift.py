@@ -28,7 +28,7 @@ class LiftTask:
             protocol: published protocol if None.
         """
         self.engine, self.scene = engine, engine.scene
-        self.protocol = protocol or LiftProtocol()
+        self.protocol = LiftProtocol.given(protocol)
         count, links = len(engine), len(self.scene.hand.links)
         on = engine.object_pose
         xp = array_namespace(on)

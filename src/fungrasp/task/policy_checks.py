@@ -40,8 +40,8 @@ def check_action(action: Any, plan: GraspPlan, observation: Observation) -> None
         observation: observation passed to the policy.
 
     Raises:
-        FungraspError: the value is not an action of W robots or not finite, or its goal is in a frame other
-            than the world's.
+        FungraspError: the value is not an action of W robots, or its goal is in a frame other than the
+            world's.
     """
     if not isinstance(action, Action):
         raise FungraspError(f"the policy's act must return a fungrasp.Action, not a {type(action).__name__}")
@@ -58,8 +58,6 @@ def check_action(action: Any, plan: GraspPlan, observation: Observation) -> None
             raise FungraspError(f"the policy's {name} has shape {value.shape}, expected {shape}")
         if name == "lift" and value.dtype != bool:
             raise FungraspError(f"the policy's lift holds {value.dtype}, expected bool")
-        if not np.isfinite(value).all():
-            raise FungraspError(f"the policy's {name} is not finite")
     goal = np.asarray(action.palm_goal_world)
     if np.abs(np.linalg.norm(goal[:, 3:], axis=1) - 1).max() > 1e-3:
         raise FungraspError(
@@ -74,3 +72,28 @@ def check_action(action: Any, plan: GraspPlan, observation: Observation) -> None
             "the policy's palm_goal_world is the plan's palm_goal_object, which is in the object's frame: "
             "give fungrasp.geometry.poses.compose(observation.object_pose, goal)"
         )
+
+
+def check_finite(policy: Any, action: Action, plan: GraspPlan, time: Any, ended: Any) -> None:
+    """Check that an action is finite, because such an episode would look like a diverged simulation. Actions
+    on a GPU are not checked.
+
+    Args:
+        plan: plans that are followed, W of them.
+        time: time of each episode [s], shape [W].
+        ended: episodes that ended or diverged, whose actions are not used, shape [W] bool.
+
+    Raises:
+        FungraspError: a value is NaN or infinite.
+    """
+    if not is_numpy(time):
+        return
+    for name in ("palm_goal_world", "finger_targets"):
+        bad = np.flatnonzero(~np.isfinite(getattr(action, name)).all(axis=1) & ~ended)
+        if len(bad):
+            row = int(bad[0])
+            step = round(float(time[row] / plan.control_period))
+            raise FungraspError(
+                f"the policy {type(policy).__name__} returned {name} that is not finite at control step "
+                f"{step} of world {row} ('{plan.object_name[row]}')"
+            )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from fungrasp.core.records import CheckedRecord
+
 
 @dataclass(frozen=True)
-class LiftProtocol:
+class LiftProtocol(CheckedRecord):
     """Parameters of start, motion limits, lift and hold."""
 
     settle_time: float = 2.0

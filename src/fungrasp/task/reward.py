@@ -15,13 +15,14 @@ from operator import add
 from array_api_compat import array_namespace
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.geometry.poses import Array
 from fungrasp.grasps.as_shown import NEAR
 from fungrasp.objects.object_model import GRAVITY
 
 
 @dataclass(frozen=True)
-class RewardWeights:
+class RewardWeights(CheckedRecord):
     """Weights of the reward terms, by the names used in ``total``."""
 
     position: float = 0.3
@@ -46,12 +47,6 @@ class RewardWeights:
     """Reward for a successful end of the episode, times ``shown_share``."""
     drop: float = -3.0
     """Reward for losing the object."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not abs(value) < float("inf"):
-                raise FungraspError(f"the reward weight '{field.name}' must be finite, not {value}")
 
 
 def total(terms: Mapping[str, Array], weights: RewardWeights) -> Array:

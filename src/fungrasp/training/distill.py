@@ -168,7 +168,7 @@ def train_student(
         FungraspError: the teacher is missing or sees no contacts, the folder is of another training, a
             checkpoint is damaged, or a file can't be written.
     """
-    spec, folder = spec or StudentSpec(), Path(folder)
+    spec, folder = StudentSpec.given(spec), Path(folder)
     steps, seed = int(spec.steps), spec.seed
     teacher_folder = Path(teacher_folder)
     teacher = read_teacher(teacher_folder, spec.objects)

@@ -145,12 +145,12 @@ class TrainingEnvironment:
             library: plans of ``hand``.
             physics: device and buffers of the worlds; the timestep is that of ``settings``.
         """
-        s = self.settings = settings or EnvironmentSettings()
+        s = self.settings = EnvironmentSettings.given(settings)
         self.library, self.hand = library, hand
         self.rng = np.random.default_rng(seed)
         names = sorted(set(library.plans.object_name.tolist()))
         sizes = with_sizes({name: objects[name] for name in names}, s.randomization.object_scales)
-        scene = build_scene(hand, sizes, replace(physics or SceneSettings(), timestep=s.timestep))
+        scene = build_scene(hand, sizes, replace(SceneSettings.given(physics), timestep=s.timestep))
         self.protocol = replace(LiftProtocol(), hold_time=s.hold_time)
         engine = make_engine(scene, s.worlds, threads, tensors=True)
         self.on: Array = engine.object_pose

@@ -75,7 +75,7 @@ def lift_worlds(
     grasps.check_hand(hand)
     spec = TrainSpec(seed=seed, threads=threads, variety=Variety(copies))
     library = build_plan_library(grasps, objects, hand, spec)
-    settings = settings or EnvironmentSettings()
+    settings = EnvironmentSettings.given(settings)
     settings = replace(settings, worlds=count, randomization=preset(worlds), history=False)
     return TrainingEnvironment(library, objects, hand, settings, seed, threads)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.planning.selection.settings import VariationSpread
 from fungrasp.policies.residual_action import ResidualSettings
 from fungrasp.sim2real import MODERATE, Randomization
@@ -21,7 +22,7 @@ HIDDEN = (256, 128)
 
 
 @dataclass(frozen=True)
-class EnvironmentSettings:
+class EnvironmentSettings(CheckedRecord):
     """Settings of training episodes."""
 
     worlds: int = 512
@@ -56,6 +57,7 @@ class EnvironmentSettings:
         Raises:
             FungraspError: a value is invalid.
         """
+        super().__post_init__()
         if self.worlds < 1:
             raise FungraspError(f"a training needs at least one world, not {self.worlds}")
         if self.early[0] > self.early[1]:
@@ -69,7 +71,7 @@ class EnvironmentSettings:
 
 
 @dataclass(frozen=True)
-class Variety:
+class Variety(CheckedRecord):
     """Variations of each grasp."""
 
     copies: int = 8
@@ -81,12 +83,13 @@ class Variety:
     that correct plans also learn from plans that fail."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.copies < 1:
             raise FungraspError(f"training needs at least one copy of each grasp, not {self.copies}")
 
 
 @dataclass(frozen=True)
-class PpoSettings:
+class PpoSettings(CheckedRecord):
     """Settings of PPO."""
 
     hidden: tuple[int, ...] = HIDDEN
@@ -129,7 +132,7 @@ class PpoSettings:
 
 
 @dataclass(frozen=True)
-class CurveSettings:
+class CurveSettings(CheckedRecord):
     """Learning curve. It does not affect the training, except for held-out grasps."""
 
     every: float = 1e5
@@ -145,17 +148,18 @@ class CurveSettings:
         Raises:
             FungraspError: a value is invalid.
         """
+        super().__post_init__()
         if not 0 <= self.every < 1e15 or not 0 <= self.held_out < 1 or self.seed < 0:
             raise FungraspError(
                 "a curve needs every of 0 (no curve) or more, held_out from 0 to below 1 and a seed of 0 or "
                 f"more, not {self.every:g}, {self.held_out:g} and {self.seed}"
             )
         if self.held_out and not self.every:
-            raise FungraspError("--curve.held-out needs a learning curve, but --curve.every is 0")
+            raise FungraspError("curve.held_out needs a learning curve, but curve.every is 0")
 
 
 @dataclass(frozen=True)
-class DistillSettings:
+class DistillSettings(CheckedRecord):
     """Settings of distillation."""
 
     steps: int = 24
@@ -179,7 +183,7 @@ class DistillSettings:
 
 
 @dataclass(frozen=True)
-class TrainSpec:
+class TrainSpec(CheckedRecord):
     """Settings of ``train``. To continue a training, use the same spec; only ``steps``, ``licence``,
     ``shrink``, the curve, and settings without effect on the result may change."""
 
@@ -221,11 +225,12 @@ class TrainSpec:
         Raises:
             FungraspError: a value is invalid, or corrections of planned motions are combined with imitation.
         """
+        super().__post_init__()
         check_numbers(self.steps, self.seed, self.threads)
         if self.ppo.imitate and self.environment.residual.base == "plan":
             raise FungraspError(
-                "corrections follow the planned motion from the start: --ppo.imitate needs "
-                "--environment.residual.base guided"
+                "corrections follow the planned motion from the start: ppo.imitate needs "
+                "environment.residual.base 'guided'"
             )
         if self.steps < self.ppo.imitate:
             raise FungraspError(
@@ -235,7 +240,7 @@ class TrainSpec:
 
 
 @dataclass(frozen=True)
-class StudentSpec:
+class StudentSpec(CheckedRecord):
     """Settings of the distillation of a student."""
 
     steps: float = 5e5
@@ -250,6 +255,7 @@ class StudentSpec:
     """Settings of the learning."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_numbers(self.steps, self.seed, self.threads)
 
 
@@ -260,6 +266,6 @@ def check_numbers(steps: float, seed: int, threads: int) -> None:
         FungraspError: a number is out of range.
     """
     if not 1 <= steps < 1e15:
-        raise FungraspError(f"--steps must be at least 1, not {steps:g}")
+        raise FungraspError(f"steps must be at least 1, not {steps:g}")
     if seed < 0 or threads < 0:
-        raise FungraspError("--seed and --threads must not be negative")
+        raise FungraspError("seed and threads must not be negative")

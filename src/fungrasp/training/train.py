@@ -7,8 +7,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-
-from torch.utils.tensorboard import SummaryWriter
+from typing import TYPE_CHECKING
 
 from fungrasp.core import __version__
 from fungrasp.core.errors import FungraspError
@@ -18,19 +17,20 @@ from fungrasp.hands import Hand, as_hand, hand_files
 from fungrasp.policies.checkpoint.card import SEARCH, Budget, PolicyCard, TrainingData
 from fungrasp.policies.checkpoint.checkpoint_file import PolicyNetwork, hand_digest
 from fungrasp.simulation import BufferSizes, SceneSettings, found_device
-from fungrasp.training.environment import TrainingEnvironment
-from fungrasp.training.export import export_policy, make_card, policy_graph
-from fungrasp.training.folder import RunFolder
-from fungrasp.training.learning_curve import LearningCurve
-from fungrasp.training.ppo import Processes, Progress, Trainer, joined
+from fungrasp.training import check_packages
 from fungrasp.training.settings import TrainSpec
 from fungrasp.training.training_sets import (
+    Trainable,
     TrainingSet,
+    as_training_sets,
     joined_objects,
     kept_library,
     planned_sets,
     split_sets,
 )
+
+if TYPE_CHECKING:
+    from fungrasp.training.ppo import Processes, Progress, Trainer
 
 PLANS = "plans.npz"
 HELD_OUT_PLANS = "held-out-plans.npz"
@@ -45,7 +45,7 @@ PLANNED_FROM = ("hand", "hand_sha256", "sets", "variety", "seed", "hand_dynamics
 
 def train(
     folder: str | Path,
-    sets: Sequence[TrainingSet],
+    sets: Trainable | Sequence[Trainable],
     hand: Hand | str | Path = "allegro",
     spec: TrainSpec | None = None,
     *,
@@ -56,7 +56,8 @@ def train(
     has its own worlds, and the first one writes the files.
 
     Args:
-        sets: at least one set of grasps of ``hand``.
+        sets: one or more sets of robot grasps of ``hand``, or of human grasps, which are retargeted:
+            ``TrainingSet`` with the names and terms for the policy's card, or grasps with their objects.
         hand: robot hand, its name, or the path of its TOML file.
         spec: settings; defaults if None. To continue a training, pass the same settings.
         planning: called with the number of finished plans.
@@ -66,10 +67,14 @@ def train(
         The policy file, ``policy.onnx`` in the folder, for ``evaluate`` and ``deploy``.
 
     Raises:
-        FungraspError: no grasp is usable, the folder is of another training, a checkpoint is damaged, a
-            package is missing, or a file can't be written.
+        FungraspError: no grasp is usable, grasps are of another hand, the folder is of another training, a
+            checkpoint is damaged, a package is missing, or a file can't be written.
     """
-    spec, hand = spec or TrainSpec(), as_hand(hand)
+    check_packages()
+    from fungrasp.training.ppo import joined
+
+    spec, hand = TrainSpec.given(spec), as_hand(hand)
+    sets = as_training_sets(sets, hand, spec.threads)
     # An actor that sees the history needs an environment that keeps it.
     history = spec.ppo.sees == "history"
     spec = replace(spec, environment=replace(spec.environment, history=history))
@@ -80,9 +85,7 @@ def train(
         open_warp(device)
     with joined(device) as processes:
         if spec.ppo.imitate and processes.count > 1:
-            raise FungraspError(
-                "--ppo.imitate works in one process only: leave out torchrun or --ppo.imitate"
-            )
+            raise FungraspError("ppo.imitate works in one process only: leave out torchrun or ppo.imitate")
         _train(Path(folder), sets, hand, spec, processes, planning, progress)
     return Path(folder) / POLICY
 
@@ -96,6 +99,14 @@ def _train(
     planning: Callable[[int], None],
     progress: Callable[[Progress], None],
 ) -> None:
+    from torch.utils.tensorboard import SummaryWriter
+
+    from fungrasp.training.environment import TrainingEnvironment
+    from fungrasp.training.export import export_policy, policy_graph
+    from fungrasp.training.folder import RunFolder
+    from fungrasp.training.learning_curve import LearningCurve
+    from fungrasp.training.ppo import Trainer
+
     run, plan_file = RunFolder(folder), spec.plan_file or folder / PLANS
     objects = joined_objects(sets)
     curve = spec.curve
@@ -198,6 +209,8 @@ def checkpoint_digest(folder: Path) -> str:
     Raises:
         FungraspError: there is no checkpoint.
     """
+    from fungrasp.training.folder import RunFolder
+
     try:
         return hashlib.sha256(RunFolder(folder).checkpoint.read_bytes()).hexdigest()
     except OSError as error:
@@ -206,6 +219,8 @@ def checkpoint_digest(folder: Path) -> str:
 
 def training_card(folder: Path, trainer: Trainer, sets: Sequence[TrainingSet], spec: TrainSpec) -> PolicyCard:
     """Return the card of a trained policy."""
+    from fungrasp.training.export import make_card
+
     environment = trainer.environment
     teacher = trainer.settings.sees == "contacts"
     return make_card(

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from fungrasp.core.errors import FungraspError
 from fungrasp.core.files import atomic_path, digest
 from fungrasp.core.formats.numpy_files import read_npz
 from fungrasp.grasps import RobotGraspSet, load_grasps, load_objects
+from fungrasp.grasps.grasp_arguments import AnyGrasps
 from fungrasp.grasps.grasp_files import BUILTIN
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
@@ -23,6 +24,7 @@ from fungrasp.planning.selection.rollouts import roll_out
 from fungrasp.planning.selection.settings import RolloutSettings
 from fungrasp.policies import OpenLoopPolicy
 from fungrasp.retargeting import RetargetSpec, method_name, retarget
+from fungrasp.retargeting.robot_grasps import as_robot_grasps
 from fungrasp.sim2real import NOMINAL, draw
 from fungrasp.simulation import Scene, SceneSettings, build_scene
 from fungrasp.task import Belief, GraspPlan, LiftEnvironment
@@ -72,6 +74,31 @@ class TrainingSet:
         }
 
 
+Trainable: TypeAlias = "TrainingSet | AnyGrasps"
+"""Grasps to train on."""
+
+
+def as_training_sets(
+    sets: Trainable | Sequence[Trainable], hand: Hand, threads: int = 0
+) -> list[TrainingSet]:
+    """Convert grasps to training sets of a hand; human grasps are retargeted.
+
+    Raises:
+        FungraspError: an argument is not grasps, grasps are of another hand, or an object is missing.
+    """
+    found = []
+    for one in sets if isinstance(sets, Sequence) else (sets,):
+        is_named = isinstance(one, TrainingSet)
+        name, grasps, known = (one.name, one.grasps, one.objects) if is_named else ("grasps", one, None)
+        try:
+            robot, objects, _, _ = as_robot_grasps(grasps, known, hand, threads)
+        except FungraspError as error:
+            raise FungraspError(f"{name}: {error}") from error
+        made = one if is_named else TrainingSet(name, robot, objects)
+        found.append(replace(made, grasps=robot, objects=objects))
+    return found
+
+
 def load_training_sets(
     names: tuple[str, ...],
     folder: Path | None,
@@ -87,8 +114,7 @@ def load_training_sets(
         terms: license terms, one per name or none.
 
     Raises:
-        FungraspError: a file or an object can't be read, grasps are of another hand, or the method is
-            unknown.
+        FungraspError: a file or an object can't be read, or the method is unknown.
     """
     method = method_name(method)
     if not names or len(set(names)) < len(names):
@@ -101,10 +127,6 @@ def load_training_sets(
         place = None if name == BUILTIN else folder
         objects = load_objects(grasps, place)
         if isinstance(grasps, RobotGraspSet):
-            try:
-                grasps.check_hand(hand)
-            except FungraspError as error:
-                raise FungraspError(f"{name}: {error}") from error
             robot, label = grasps, ""
         else:
             robot = retarget(grasps, objects, hand, method, threads=threads)
@@ -200,7 +222,7 @@ def build_plan_library(
     if held:
         chosen &= np.concatenate(held)
         if not chosen.any():
-            raise FungraspError("no planned motion holds its object as shown: leave out --variety.held")
+            raise FungraspError("no planned motion holds its object as shown: leave out variety.held")
     rows = np.flatnonzero(chosen)
     return PlanLibrary(plans.select(rows), group[rows])
 

@@ -143,8 +143,8 @@ def choose_page(what: Any, objects: Objects, hand: str | Hand) -> ChosenPage:
     """
     if what is None or isinstance(what, str | Path):
         what = _read("builtin" if what is None else what)
-    if isinstance(what, HumanGrasp | RobotGrasp):
-        what = as_grasp_set(what)
+    if isinstance(what, HumanGrasp | RobotGrasp | list):
+        what = as_grasp_set(what)  # pyright: ignore[reportArgumentType]
     if isinstance(what, HumanGraspSet | RobotGraspSet) and not len(what):
         raise FungraspError("there are no grasps to view: the set is empty")
     if isinstance(what, ChosenPage):

@@ -14,9 +14,9 @@ from fungrasp.evaluation.trajectory import PHASES
 from fungrasp.geometry.poses import relative
 from fungrasp.hands import Hand
 from fungrasp.objects import ObjectModel
+from fungrasp.optimization.link_contacts import LinkDistances
 from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
 from fungrasp.viewer.page import BrowserPage
-from fungrasp.viewer.robot_view import LinkDistances
 
 if TYPE_CHECKING:
     from viser import SceneApi

@@ -10,7 +10,7 @@ import numpy as np
 from fungrasp.geometry.poses import compose, invert, transform_points
 from fungrasp.grasps.as_shown import PlaceMarks
 from fungrasp.hands import Hand
-from fungrasp.media.grasp_scenes import CONTACT, SKIN
+from fungrasp.media.grasp_scenes import CONTACT, MISSED, SKIN, UNWANTED
 from fungrasp.media.hand_mesh import human_hand_mesh
 from fungrasp.media.materials import painted_parts
 from fungrasp.media.pictures import AS_SHOWN, NOT_SHOWN
@@ -237,13 +237,6 @@ class ContactMarks:
 def _removed(handle: Any) -> None:
     if handle is not None:
         handle.remove()
-
-
-MISSED: Color = (0.85, 0.25, 0.45)
-"""Color of links that should touch and do not."""
-
-UNWANTED: Color = (0.95, 0.80, 0.25)
-"""Color of links that touch and should not."""
 
 
 class _Part(NamedTuple):

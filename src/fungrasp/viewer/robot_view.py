@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,6 @@ import numpy as np
 
 from fungrasp.core.errors import FungraspError
 from fungrasp.evaluation import StaticQuality, static_quality
-from fungrasp.geometry.poses import compose, invert
 from fungrasp.grasps import HumanGrasp, HumanGraspSet, RobotGrasp, RobotGraspSet, save_robot_grasps
 from fungrasp.grasps.as_shown import PlaceMarks, place_marks
 from fungrasp.grasps.conversion import mirrored_grasps
@@ -21,9 +20,7 @@ from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_variants import mirrored_object
-from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.link_contacts import CONTACT_DISTANCE, contacts_of_links
-from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.link_contacts import LinkDistances, LinkTouch
 from fungrasp.retargeting import retarget
 from fungrasp.retargeting.retargeter import Retargeter, RetargeterSettings
 from fungrasp.viewer.figures import ContactMarks, ObjectFigure, RobotFigure
@@ -34,46 +31,6 @@ if TYPE_CHECKING:
 
 MARKED = 0.006
 """Maximum clearance of links with a mark [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class LinkTouch:
-    """Points of a hand's links nearest to the object, object frame."""
-
-    place: np.ndarray
-    """Points [m], shape [L, 3]."""
-    inward: np.ndarray
-    """Unit normals into the object, shape [L, 3]."""
-    clearance: np.ndarray
-    """Clearances [m], negative inside, shape [L]."""
-
-    @property
-    def reached(self) -> np.ndarray:
-        """Links that touch, shape [L] bool."""
-        return self.clearance < CONTACT_DISTANCE
-
-
-class LinkDistances:
-    """Distances of a hand's links from one object, computed in a millisecond."""
-
-    def __init__(self, hand: Hand, model: ObjectModel):
-        self._hand = hand
-        self._points = HandPoints(HandKinematics(hand, 1), 0.006)
-        self._scene = CollisionScene.settled(
-            [model.name], np.array([[0, 0, 0, 1.0, 0, 0, 0]]), {model.name: model}
-        )
-
-    def of(self, wrist_pose: np.ndarray, joints: np.ndarray, object_pose: np.ndarray) -> LinkTouch:
-        """Return the nearest points of a hand.
-
-        Args:
-            wrist_pose: pose of the palm body, world frame, shape [7].
-            joints: all joints of the hand [rad], shape [M].
-            object_pose: world frame, shape [7].
-        """
-        pose = compose(invert(object_pose), wrist_pose)[None]
-        found = contacts_of_links(self._points, self._scene, pose, self._hand.independent(joints)[None])
-        return LinkTouch(found.place[0], found.inward[0], found.clearance[0])
 
 
 class RobotView:

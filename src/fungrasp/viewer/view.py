@@ -197,7 +197,9 @@ def _free_port(host: str, port: int) -> int:
             return int(probe.getsockname()[1])
     except (OSError, OverflowError) as error:
         words = getattr(error, "strerror", None) or error
-        raise FungraspError(f"the page can't be served at {host}:{port}: {words}; choose --port") from error
+        raise FungraspError(
+            f"the page can't be served at {host}:{port}: {words}; choose another port"
+        ) from error
 
 
 Viewable: TypeAlias = "AnyGrasps | GraspPlan | LiftTestResult | Trajectory | Perceived | Hand | str | Path"
@@ -223,7 +225,8 @@ def view(
             a hand, or the path of one of their files, a deployment log or a capture. None: the built-in
             grasps.
         objects: objects of grasps or plans, as for ``retarget``. A result has its own.
-        out: self-contained HTML file to write instead, for grasps, results and perceived grasps.
+        out: self-contained HTML file to write instead, for grasps and their files, results and perceived
+            grasps.
         hand: initial robot hand for human grasps.
         host: address to listen on. Default: reachable from this machine only.
         port: 0 for any free port; the first free one from 8080 if None.
@@ -234,8 +237,8 @@ def view(
         The running server (call ``close``), or the path of the written page.
 
     Raises:
-        FungraspError: wrong type, a missing object, a port in use, a file can't be read or written, or the
-            extra ``viewer`` is missing.
+        FungraspError: wrong type or suffix, a missing object, a port in use, a file can't be read or written,
+            or the extra ``viewer`` is missing.
     """
     if out is not None:
         from fungrasp.media.grasp_pages import write_view

@@ -104,6 +104,12 @@ def one_line(obj: Any, longest: int = 300) -> str:
     return text if len(text) <= longest else f"{text[:longest]} ..."
 
 
+def is_plain_name(text: str) -> bool:
+    """Return whether a text can be a name: not empty, not a path, printable, no spaces at its ends."""
+    plain = text.isprintable() and text == text.strip() and not {"/", "\\"} & set(text)
+    return plain and text not in ("", ".", "..")
+
+
 def cannot_read(path: str | Path, error: Exception) -> FungraspError:
     """Return the error for a file that the system can't read."""
     return FungraspError(

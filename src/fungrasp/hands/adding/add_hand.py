@@ -34,6 +34,7 @@ from fungrasp.hands.adding.structure import Answers, HandStructure, find_structu
 from fungrasp.hands.export import self_contained_xml
 from fungrasp.hands.findings import Finding, error, note
 from fungrasp.hands.hand import read_hand_toml
+from fungrasp.hands.hand_registry import MODEL_SUFFIXES
 from fungrasp.hands.kinematic_tree import body_name
 from fungrasp.hands.plausibility import check_plausibility
 
@@ -112,9 +113,6 @@ def add_hand(
     with atomic_path(toml_path) as temporary:
         temporary.write_text(toml)
     return toml_path, [*findings, *check_hand(toml_path)]
-
-
-MODEL_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
 
 @guarded("hand")

@@ -39,9 +39,11 @@ MESSAGES: Mapping[str, str] = {
     "side_not_as_given": "the hand looks like a {seen} hand, but a {given} one was given",
     "side_from_fingers": (
         "the hand looks like a {seen} one, but its fingers bend like those of a {taken} one: taken for a "
-        "{taken} one; --side sets it"
+        "{taken} one; side (--side) sets it"
     ),
-    "side_from_depth": "left or right is ambiguous: a {side} hand fits the depth better; --side sets it",
+    "side_from_depth": (
+        "left or right is ambiguous: a {side} hand fits the depth better; side (--side) sets it"
+    ),
     "hand_size": (
         "by the depth there, the hand is {size:.2f} times as large as an adult's (95 % of adults: {low:.2f} "
         "to {high:.2f}): are the depth's unit and the focal length right?"

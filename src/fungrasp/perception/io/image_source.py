@@ -146,16 +146,22 @@ def as_capture(image: ImageSource | RgbdCamera | str | Path | Sequence[str | Pat
     """
     from fungrasp.perception.io.image_files import read_capture
     from fungrasp.perception.io.realsense import RECORDINGS, capture_from_camera
-    from fungrasp.perception.io.scene_folders import read_folder
+    from fungrasp.perception.io.scene_folders import PICTURES, read_folder
 
     if isinstance(image, ImageSource):
         return image.read()
-    if isinstance(image, str | Path):
+    if isinstance(image, str | Path) and Path(image).suffix.lower() not in PICTURES:
         recorded = Path(image).suffix in RECORDINGS
         return capture_from_camera(image) if recorded else read_folder(image)
-    if not isinstance(image, Sequence):
+    if isinstance(image, list | tuple) and all(isinstance(file, str | Path) for file in image):
+        if len(image) != 3:
+            raise FungraspError(f"an image is color image, depth and intrinsics, not {len(image)} files")
+        return read_capture(*image)
+    if hasattr(image, "capture"):
         with image as camera:
             return camera.capture()
-    if len(image) != 3:
-        raise FungraspError(f"an image in files is color image, depth and intrinsics, not {len(image)} files")
-    return read_capture(*image)
+    given = image if isinstance(image, str | Path) else f"a {type(image).__name__}"
+    raise FungraspError(
+        f"expected a capture with depth, not {given}: the folder of rgb.png, depth.png and K.json, the paths "
+        "of three such files, or fungrasp.perception.Capture(color, depth, Intrinsics(...)) of arrays"
+    )

@@ -26,7 +26,7 @@ FINE, COARSE = 0.0001, 0.001
 # bottle, with ground truth.
 BUILTIN, BUILTIN_CAPTURE = "builtin", Path(__file__).parent / "builtin_capture"
 
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif")
+PICTURES = (".png", ".jpg", ".jpeg", ".tif")
 
 
 def read_folder(
@@ -133,7 +133,7 @@ def read_foundationpose(
         FungraspError: a file is missing or invalid.
     """
     folder = Path(folder)
-    colors = sorted(path for path in (folder / "rgb").glob("*") if path.suffix in _PICTURES)
+    colors = sorted(path for path in (folder / "rgb").glob("*") if path.suffix in PICTURES)
     if not 0 <= (image or 0) < len(colors):
         raise FungraspError(f"{folder} has {len(colors)} images in its folder 'rgb': no image {image or 0}")
     color = colors[image or 0]
@@ -202,7 +202,7 @@ def builtin_truth() -> BuiltinTruth:
 
 
 def _picture(folder: Path, image: int) -> Path:
-    for suffix in _PICTURES:
+    for suffix in PICTURES:
         path = folder / f"{image:06d}{suffix}"
         if path.is_file():
             return path
@@ -210,7 +210,7 @@ def _picture(folder: Path, image: int) -> Path:
 
 
 def _numbers(scene: Path, kind: str) -> list[int]:
-    names = (path.stem for path in (scene / kind).glob("*") if path.suffix in _PICTURES)
+    names = (path.stem for path in (scene / kind).glob("*") if path.suffix in PICTURES)
     numbers = sorted(int(name) for name in names if name.isdigit())
     if not numbers:
         raise FungraspError(f"the BOP scene {scene} has no images in its folder '{kind}'")

@@ -12,15 +12,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fungrasp.geometry.poses import (
-    compose,
-    quaternion_conjugate,
-    quaternion_multiply,
-    rotate,
-    transform_points,
-)
+from fungrasp.geometry.poses import compose, transform_points
+from fungrasp.grasps.conversion import settled_pose
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.object_model import settled_up
 from fungrasp.perception.io.capture import Capture, depth_noise
 
 # Plane far below everything, which says that there is no table and none is to be searched.
@@ -168,13 +162,10 @@ def world_from_table(table: np.ndarray, below: np.ndarray) -> np.ndarray:
 def put_down(model: ObjectModel, pose: np.ndarray) -> np.ndarray:
     """Return the pose of the object put down on its nearest stable face, world frame, shape [7]. Its center
     of mass stays above the same spot. pose: pose in the hand, world frame, shape [7]."""
-    face_up = rotate(pose[3:], settled_up(model, rotate(quaternion_conjugate(pose[3:]), Z)))
-    turn = Rotation.align_vectors(Z[None], face_up[None])[0].as_quat(scalar_first=True)
-    laid = np.concatenate([np.zeros(3), quaternion_multiply(turn, pose[3:])])
-    center = transform_points(pose, model.center_of_mass[None])[0]
-    offset = center - transform_points(laid, model.center_of_mass[None])[0]
-    lowest = transform_points(laid, model.vertices)[:, 2].min()
-    return np.concatenate([[offset[0], offset[1], -lowest], laid[3:] / np.linalg.norm(laid[3:])])
+    laid = settled_pose(pose, model)
+    centers = [transform_points(each, model.center_of_mass[None])[0] for each in (pose, laid)]
+    laid[:2] += (centers[0] - centers[1])[:2]
+    return laid
 
 
 def in_world(pose_world_camera: np.ndarray, pose_camera: np.ndarray) -> np.ndarray:

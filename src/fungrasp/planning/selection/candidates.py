@@ -22,9 +22,10 @@ from fungrasp.planning.selection.settings import VariationSpread
 from fungrasp.task import Belief, GraspPlan
 
 
-def with_settings(grasps: RobotGraspSet) -> RobotGraspSet:
-    """Add the default motion settings to ``extra`` of grasps that lack them."""
-    s, count = MotionSettings(), len(grasps)
+def with_settings(grasps: RobotGraspSet, settings: MotionSettings | None = None) -> RobotGraspSet:
+    """Add the motion settings to ``extra`` of grasps that lack them."""
+    s = MotionSettings.given(settings)
+    count = len(grasps)
     defaults = {
         "force_scale": np.ones(count),
         "press_down": np.full(count, s.press_down),

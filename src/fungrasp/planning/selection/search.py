@@ -63,7 +63,7 @@ class SearchPlanner:
             threads: threads of the rollouts, 0 for all processors. Plans do not depend on it.
             motions: defaults if None.
         """
-        self.settings = settings or SelectionSettings()
+        self.settings = SelectionSettings.given(settings)
         self._hand, self._objects, self._threads = hand, objects, threads
         self._policy, self._policy_digest = policy, policy_digest
         self._single = MotionPlanner(hand, objects, motions, protocol)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from fungrasp.core.errors import FungraspError
+from fungrasp.core.records import CheckedRecord
 from fungrasp.sim2real import MODERATE, NOMINAL, REALITY_ROLLOUTS, ProtocolName, Randomization
 from fungrasp.simulation import BufferSizes, Device
 
 
 @dataclass(frozen=True)
-class VariationSpread:
+class VariationSpread(CheckedRecord):
     """Spread of the variations: standard deviations unless stated otherwise."""
 
     position: float = 0.004
@@ -39,7 +40,7 @@ GPU_CHUNK = 8192
 
 
 @dataclass(frozen=True)
-class RolloutSettings:
+class RolloutSettings(CheckedRecord):
     """Settings of rollouts."""
 
     randomization: Randomization = MODERATE
@@ -75,7 +76,7 @@ class RolloutSettings:
 
 
 @dataclass(frozen=True)
-class SelectionSettings:
+class SelectionSettings(CheckedRecord):
     """Settings of the search for a plan.
 
     The best-ranked candidate is tested until it holds the object as shown in ``confirmations`` rollouts in a
@@ -109,6 +110,7 @@ class SelectionSettings:
         Raises:
             FungraspError: a number is too small.
         """
+        super().__post_init__()
         numbers = self.candidates, self.confirmations, self.more, self.parents
         if min(numbers) < 1 or self.searches < 0:
             raise FungraspError(

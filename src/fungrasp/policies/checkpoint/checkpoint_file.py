@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from fungrasp.core.errors import FungraspError, UnknownNameError
-from fungrasp.core.files import atomic_path
+from fungrasp.core.files import atomic_path, check_suffix
 from fungrasp.core.formats.checks import guarded, read_bytes
 from fungrasp.core.formats.mujoco_model import read_model_text
 from fungrasp.core.formats.onnx_file import LARGEST, check_operators, try_network
@@ -76,9 +76,7 @@ def save_policy(path: str | Path, model: bytes | ModelProto, card: PolicyCard) -
     Raises:
         FungraspError: the model or card is invalid, or the file can't be written; an existing file is kept.
     """
-    path = Path(path)
-    if path.suffix != SUFFIX:
-        raise FungraspError(f"a policy is saved as {SUFFIX}, not {path}")
+    path = check_suffix(path, "a policy", SUFFIX)
     try:
         data = _sealed(model, card_text(replace(card, sha256="0" * DIGITS)))
         saved = _network(data, threads=1).card
@@ -133,10 +131,13 @@ def find_policy(name: str) -> Path:
     """Return the file of a built-in policy.
 
     Raises:
-        UnknownNameError: there is no policy of this name.
+        FungraspError: there is no policy of this name, or there is one for each hand.
     """
     policies = list_policies()
     if name not in policies:
+        of_hands = [one for one in policies if f"-{name}-" in one]
+        if of_hands:
+            raise FungraspError(f"each hand has its own {name}; name one: {', '.join(of_hands)}")
         raise UnknownNameError("policy", name, policies)
     return policies[name]
 
