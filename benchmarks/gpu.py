@@ -3,7 +3,6 @@ device, and the memory that a world takes."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -24,7 +23,7 @@ from fungrasp.grasps import builtin_grasps, load_objects
 from fungrasp.hands import Hand, load_hand
 from fungrasp.objects import ObjectModel
 from fungrasp.retargeting import retarget
-from fungrasp.simulation import BufferSizes, Device, Engine, SceneSettings
+from fungrasp.simulation import Device, Engine, SceneSettings
 from fungrasp.simulation.mujoco_warp import MujocoWarpWorlds
 from fungrasp.training.environment import TrainingEnvironment
 from fungrasp.training.ppo import Trainer
@@ -75,38 +74,29 @@ class ManyWorlds:
     """Built-in grasps that the worlds share."""
     steps: int = 24
     """Control steps of a measurement, and between two updates."""
-    seconds: float = math.inf
-    """No measurement is begun after this time."""
     threads: int = 0
     """Threads of the processor; 0 means all."""
-    buffers: tuple[int, int] | None = None
-    """Room for contacts of a world (on average) and rows of constraints (at most); found by a probe by
-    default."""
     json: Path | None = None
     """Write the numbers here (.json)."""
 
     def run(self) -> None:
         check_positive(grasps=self.grasps, steps=self.steps, worlds=min(self.worlds))
         torch.set_num_threads(1)
-        start, hand, human = perf_counter(), load_hand(self.hand), builtin_grasps()
+        hand, human = load_hand(self.hand), builtin_grasps()
         human = human.select(np.unique(np.linspace(0, len(human) - 1, self.grasps).astype(int)))
         objects = load_objects(human)
         robot = retarget(human, objects, hand, threads=self.threads)
         library = build_plan_library(
             robot, objects, hand, TrainSpec(threads=self.threads, variety=Variety(1))
         )
-        buffers = None if self.buffers is None else BufferSizes(*self.buffers)
         found: list[WorldSpeed] = []
         for device in self.devices:
             for worlds in self.worlds:
                 if device != "cuda" and worlds > self.most_on_processor:
                     continue
-                if perf_counter() - start > self.seconds:
-                    print(f"{self.seconds:.0f} s are over: {device} with {worlds} worlds is left out")
-                    continue
                 try:
                     found.append(
-                        world_speed(library, objects, hand, device, worlds, buffers, self.steps, self.threads)
+                        world_speed(library, objects, hand, device, worlds, self.steps, self.threads)
                     )
                 except FungraspError as error:
                     print(f"{device} with {worlds} worlds is left out: {error}")
@@ -169,7 +159,6 @@ def world_speed(
     hand: Hand,
     device: Device,
     worlds: int,
-    buffers: BufferSizes | None = None,
     steps: int = 24,
     threads: int = 0,
 ) -> WorldSpeed:
@@ -181,13 +170,13 @@ def world_speed(
         hand: the robot hand.
         device: where.
         worlds: W.
-        buffers: room for contacts; found by a probe if None.
         steps: control steps between two updates, and of the other measurements.
         threads: of the processor; 0 means all.
     """
     settings = EnvironmentSettings(worlds=worlds)
-    physics = SceneSettings(device=device, buffers=buffers)
-    environment = TrainingEnvironment(library, objects, hand, settings, 0, threads, physics)
+    environment = TrainingEnvironment(
+        library, objects, hand, settings, 0, threads, SceneSettings(device=device)
+    )
     engine = environment.episodes.engine
     bare = _physics(engine, environment.episodes.task.controls, steps)
     still = 0.0 * environment.tracker.action

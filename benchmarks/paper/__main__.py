@@ -95,8 +95,6 @@ class PaperTable:
     """Rows of the table to train and test, by the names of their policies or hands; all by default."""
     steps: float = 3e6
     """Control steps that each policy is trained for."""
-    distill_steps: float | None = None
-    """Control steps for which a student is distilled; a sixth of --steps by default."""
     worlds: str = "nominal"
     """What episodes of the trainings draw their worlds from."""
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -170,16 +168,13 @@ class PaperTable:
         from fungrasp.grasps import HumanGraspSet, load_grasps
 
         check_numbers(self.steps, min(self.seeds, default=-1), self.threads)
-        check_numbers(self._distill_steps(), 0, self.threads)
+        check_numbers(self.steps / DISTILLED, 0, self.threads)
         if len(set(self.seeds)) < len(self.seeds):
             raise FungraspError("--seeds must be different ones")
         if self.table != "privileged":
             for name in (*self.grasps, self.test):
                 if not isinstance(load_grasps(name), HumanGraspSet):
                     raise FungraspError(f"{name} holds robot grasps; this table takes human ones")
-
-    def _distill_steps(self) -> float:
-        return self.steps / DISTILLED if self.distill_steps is None else self.distill_steps
 
     def _hand(self, variant: Variant) -> str:
         return variant.hand or self.hand
@@ -219,7 +214,7 @@ class PaperTable:
             "grasps": [_identity(name) for name in self.grasps],
             "test": _identity(self.test),
             "steps": int(self.steps),
-            "distill_steps": int(self._distill_steps()),
+            "distill_steps": int(self.steps / DISTILLED),
             "worlds": self.worlds,
             "environment": asdict(self.environment),
             "ppo": asdict(self.ppo),
@@ -266,7 +261,7 @@ class PaperTable:
         folder = self._folder(variant, seed) / variant.name
         print(f"{variant.title}, seed {seed}: distilling")
         settings = replace(self.distill, estimates_contacts=variant.student == "with estimate")
-        spec = StudentSpec(self._distill_steps(), self.objects, seed, self.threads, settings)
+        spec = StudentSpec(self.steps / DISTILLED, self.objects, seed, self.threads, settings)
         return train_student(teacher, folder, spec, progress=progress_lines(int(spec.steps)))
 
     def _tested(self, variant: Variant, hand: Hand, policy: Path, seed: int) -> dict[str, Any]:

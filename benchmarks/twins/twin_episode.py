@@ -73,8 +73,6 @@ class TwinEpisode:
     """RMS error of the hand's joints before the fingers close [rad]; -1 where the motion did not begin."""
     sag_rad: float
     """Largest mean error of a joint over the same time [rad]; -1 where the motion did not begin."""
-    place: int = 0
-    """Which of the grasp's places."""
     placements: int = 0
     """Placements of the object; of all but the last the robot said that it can't reach the grasp."""
     attempts: int = 0
@@ -94,8 +92,6 @@ class PlacedGrasp:
     placements: np.ndarray
     """Where the object is put, and where next if the robot says that it can't reach it there, world frame,
     shape [P, 7]; it settles. Empty if the arm can't reach the grasp from any placement that was tried."""
-    place: int = 0
-    """Which of the grasp's places; each has placements of its own."""
 
 
 class RememberingPlanner:
@@ -149,26 +145,21 @@ class TwinSetup:
     """Keeps what is finished, and knows what an earlier run has finished; None to keep nothing."""
     policy_key: str = ""
     """Tells policies and planners apart in the store."""
-    places: int = 1
-    """Places in which each grasp is tried."""
 
-    def place(self, number: int, grasp: RobotGraspSet) -> list[PlacedGrasp]:
-        """A grasp, of that number in its file, in each of its places: placements of the object from which the
-        arm can reach it; one without placements if it can't."""
+    def place(self, number: int, grasp: RobotGraspSet) -> PlacedGrasp:
+        """A grasp, of that number in its file, with placements of the object from which the arm can reach
+        it."""
         obj = self.objects[grasp.object_name[0]]
-        most = MOST_PLACEMENTS * self.places
 
         def find() -> dict[str, np.ndarray]:
             try:
-                some = islice(reachable_placements(self.cell, self.hand, obj, grasp), most)
+                some = islice(reachable_placements(self.cell, self.hand, obj, grasp), MOST_PLACEMENTS)
                 return {"placements": np.array(list(some)).reshape(-1, 7)}
             except UnreachableError:
                 return {"placements": np.zeros((0, 7))}
 
-        found = self._kept("placements", grasp, find, most)["placements"]
-        # Taken in turn, so that each place has its best placement first.
-        places = range(max(1, min(self.places, len(found))))
-        return [PlacedGrasp(number, grasp, found[k :: self.places], k) for k in places]
+        found = self._kept("placements", grasp, find, MOST_PLACEMENTS)
+        return PlacedGrasp(number, grasp, found["placements"])
 
     def identified(self, truth: TwinParameters, fit: Callable[[], HandDynamics]) -> HandDynamics:
         """What identification says of a twin's hand. fit: identifies it, where no earlier run has."""
@@ -220,7 +211,7 @@ class TwinSetup:
             self.policy_key,
         )
         values = {name: value.item() for name, value in found.items()}
-        return TwinEpisode(placed.number, obj.name, twin, variant.name, place=placed.place, **values)
+        return TwinEpisode(placed.number, obj.name, twin, variant.name, **values)
 
     def _kept(
         self,

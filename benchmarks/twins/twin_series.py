@@ -71,8 +71,6 @@ class TwinSeriesSpec:
     """Seeds of the twins' true parameters."""
     in_turn: bool = False
     """Try each grasp on one of the twins, in turn, in place of all."""
-    placements: int = 1
-    """Placements of the object in which each grasp is tried."""
     grasps_per_object: int | None = None
     """Of each object the first so many grasps that the arm can reach; all if not given."""
 
@@ -90,10 +88,9 @@ class TwinSeriesSpec:
                 raise FungraspError(f"--{name} needs at least one value, and each once")
         if min(self.twins) < 0:
             raise FungraspError("--twins must not be negative")
-        for name in ("placements", "grasps_per_object"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise FungraspError(f"--{name.replace('_', '-')} must be at least 1, not {value}")
+        count = self.grasps_per_object
+        if count is not None and count < 1:
+            raise FungraspError(f"--grasps-per-object must be at least 1, not {count}")
         again = [name for name in self.variants if VARIANTS[name].attempts > 1]
         if again and policy_source(self.policy, load_hand(load_cell(self.cell).hand).name).network is None:
             raise FungraspError(
@@ -235,7 +232,6 @@ def evaluate_on_twins(
             planner,
             store,
             digest(spec.policy, files.digest, getattr(planner, "key", "")),
-            spec.placements,
         )
 
         def watched() -> Iterator[PlacedGrasp]:
@@ -274,7 +270,7 @@ def placed_grasps(
         per_object: of each object the first so many that can be reached; all if None.
 
     Yields:
-        the grasps that were tried, in each of their places, those out of reach included.
+        the grasps that were tried, those out of reach included.
     """
     waiting: dict[str, deque[int]] = {}
     for row, name in enumerate(source.names):
@@ -287,8 +283,8 @@ def placed_grasps(
                 if grasp is None:
                     continue
                 placed = setup.place(source.numbers[row], grasp)
-                yield from placed
-                if len(placed[0].placements):
+                yield placed
+                if len(placed.placements):
                     break
 
 

@@ -28,21 +28,8 @@ def test_speeds_are_measured_and_planning_with_and_without_rollouts(human, tmp_p
 
     monkeypatch.setattr(SelectionSettings, "for_protocol", few)
     path = tmp_path / "b.json"
-    options = (
-        "--grasps",
-        human,
-        "--planned",
-        1,
-        "--worlds",
-        2,
-        "--updates",
-        1,
-        "--repeat",
-        1,
-        "--json",
-        path,
-    )
-    status, out, _ = run_benchmark(capsys, "speed", *options)
+    options = ["--planned", "1", "--worlds", "2", "--updates", "1", "--repeat", "1", "--json"]
+    status, out, _ = run_benchmark(capsys, "speed", "--grasps", human, *options, path)
     assert status == 0 and "core s/grasp" in out
     speed = json.loads(path.read_text())["speed"]
     assert len(speed) == 9 and all(value > 0 for value in speed.values())

@@ -7,7 +7,6 @@ import json
 from small_training import hand, library, training_set
 
 from benchmarks.gpu import ManyWorlds, world_speed
-from benchmarks.speed import control_step
 from fungrasp.cli.main import run_command
 
 
@@ -29,9 +28,3 @@ def test_a_device_that_is_missing_is_left_out(tmp_path, capsys, monkeypatch):
     assert "cuda with 1 worlds is left out: --device cuda needs warp" in shown
     kept = json.loads((tmp_path / "speed.json").read_text())
     assert [one["device"] for one in kept["each"]] == ["cpu"] and "MuJoCo" in kept["machine"]
-
-
-def test_what_the_package_does_most_is_timed():
-    one = training_set()
-    found = control_step(one.grasps.select([0]), one.objects, hand(), "student")
-    assert len(found) == 2 and all(0 < value < 1000 for value in found.values())

@@ -7,18 +7,13 @@ import json
 
 import numpy as np
 import pytest
-from grasp_files import BAD, bad_inputs, run, some_grasps
+from grasp_files import check_bad_inputs, run, some_grasps
 from PIL import Image
 
 from fungrasp.core.jobs import PartStore
 from fungrasp.evaluation import lift_episodes, lift_evaluation, replay
 from fungrasp.grasps import save_human_grasps
 from fungrasp.sim2real import NOMINAL, MeasurementError, Randomization
-
-
-@pytest.fixture(scope="module")
-def bad(tmp_path_factory):
-    return bad_inputs(tmp_path_factory.mktemp("bad"))
 
 
 @pytest.fixture(scope="module")
@@ -44,20 +39,8 @@ def trials(path) -> list[dict]:
 def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_path, capsys):
     one, two = tmp_path / "one.json", tmp_path / "two.json"
     record, picture = tmp_path / "trials", tmp_path / "p.png"
-    status, out, err = run(
-        capsys,
-        "evaluate",
-        "--grasps",
-        human,
-        "--json",
-        one,
-        "--record",
-        record,
-        "--picture",
-        picture,
-        "--seed",
-        0,
-    )
+    written = ("--json", one, "--record", record, "--picture", picture)
+    status, out, err = run(capsys, "evaluate", "--grasps", human, *written, "--seed", 0)
     assert status == 0 and err == ""
     lines = out.splitlines()
     assert lines[0].split()[:3] == ["object", "episodes", "held"]
@@ -69,20 +52,7 @@ def test_human_and_robot_grasps_give_the_same_table_and_json(human, robot, tmp_p
     )
     assert trials(one) == trials(two)
     numbers = json.loads(one.read_text())
-    for key in (
-        "version",
-        "success_rate",
-        "success_interval",
-        "contact_f1",
-        "by_object",
-        "seconds",
-        "machine",
-        "mujoco",
-        "command",
-        "date",
-        "revision",
-    ):
-        assert key in numbers
+    assert {"success_interval", "contact_f1", "by_object", "mujoco", "date", "revision"} <= set(numbers)
     assert sorted(path.name for path in record.iterdir()) == ["0000_can.npz", "0001_tennis_ball.npz"]
     assert replay(record / "0000_can.npz").success == trials(one)[0]["success"]
     with Image.open(picture) as image:
@@ -229,14 +199,9 @@ def test_missing_parts_are_tried_together_and_kept_singly(human, tmp_path, capsy
     assert trials(tmp_path / "together.json") == trials(tmp_path / "singly.json")
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
-    arguments, words = bad[name]
-    status, out, err = run(
-        capsys, "evaluate", *arguments, "--json", tmp_path / "e.json", "--record", tmp_path / "trials"
-    )
-    assert status == 2 and out == ""
-    assert err.startswith("fungrasp: error: ") and err.count("\n") == 1 and words in err, err
+def test_bad_input_is_one_line_and_leaves_no_file(tmp_path, tmp_path_factory, capsys):
+    written = ("--json", tmp_path / "e.json", "--record", tmp_path / "trials")
+    check_bad_inputs(tmp_path_factory.mktemp("bad"), capsys, "evaluate", *written)
     assert list(tmp_path.iterdir()) == []
 
 

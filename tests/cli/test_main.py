@@ -143,12 +143,6 @@ def test_a_command_is_made_from_its_arguments(install, capsys):
     assert capsys.readouterr().out == "hello Ada!\n"
 
 
-def test_a_table_of_commands(install, capsys):
-    install({"one": Greet, "two": Greet})
-    assert cli.main(["greet", "two", "--name", "Bo"]) == 0
-    assert capsys.readouterr().out == "hello Bo\n"
-
-
 def test_a_subcommand_of_a_table_is_imported_on_use(install, capsys):
     install({"one": "fungrasp_no_such_module:Greet", "two": f"{__name__}:Greet"})
     assert cli.main(["greet", "two", "--name", "Bo"]) == 0

@@ -168,12 +168,6 @@ def test_missing_hand_models_are_said_before_anything_is_read(tmp_path, capsys, 
     assert status == 2 and err.count("\n") == 1 and "run 'fungrasp setup perception' once" in err
 
 
-def test_models_that_are_not_set_up_are_named(folder, tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("FUNGRASP_CACHE", str(tmp_path / "cache"))
-    status, _, err = run(capsys, "perceive", *files(folder), "--mesh", NAME, "--out", tmp_path / "g.npz")
-    assert status == 2 and "fungrasp setup perception" in err
-
-
 def test_matrices_are_multiplied_in_one_thread_unless_told_otherwise(tmp_path):
     program = (
         "import os, sys; from fungrasp.cli.main import main\n"

@@ -6,35 +6,19 @@ import json
 
 import numpy as np
 import pytest
-from grasp_files import BAD, bad_inputs, run, some_grasps, write_arrays
+from grasp_files import check_bad_inputs, run, some_grasps
 from PIL import Image
 
 from fungrasp.grasps import load_robot_grasps, save_human_grasps
 from fungrasp.hands import load_hand
 
 
-@pytest.fixture(scope="module")
-def bad(tmp_path_factory):
-    return bad_inputs(tmp_path_factory.mktemp("bad"))
-
-
 def test_grasps_quality_and_a_picture(tmp_path, capsys):
     human = some_grasps()
     save_human_grasps(tmp_path / "g.npz", human)
     out, quality, picture = tmp_path / "r.npz", tmp_path / "q.json", tmp_path / "p.png"
-    status, words, err = run(
-        capsys,
-        "retarget",
-        "--grasps",
-        tmp_path / "g.npz",
-        "--out",
-        out,
-        "--quality",
-        quality,
-        "--picture",
-        picture,
-        "--exact",
-    )
+    written = ("--out", out, "--quality", quality, "--picture", picture)
+    status, words, err = run(capsys, "retarget", "--grasps", tmp_path / "g.npz", *written, "--exact")
     assert status == 0 and err == ""
     robot = load_robot_grasps(out)
     assert robot.hand == "allegro" and robot.joint_names == load_hand("allegro").joint_names
@@ -69,26 +53,9 @@ def test_methods_and_hands(tmp_path, capsys):
     assert load_robot_grasps(tmp_path / "r.npz").hand == "leap"
 
 
-def test_the_number_of_threads_changes_nothing(tmp_path, capsys):
-    save_human_grasps(tmp_path / "g.npz", some_grasps())
-    for threads in (1, 2):
-        out = tmp_path / f"r{threads}.npz"
-        assert (
-            run(capsys, "retarget", "--grasps", tmp_path / "g.npz", "--out", out, "--threads", threads)[0]
-            == 0
-        )
-    one, two = (load_robot_grasps(tmp_path / f"r{threads}.npz") for threads in (1, 2))
-    np.testing.assert_array_equal(one.joint_positions, two.joint_positions)
-    np.testing.assert_array_equal(one.wrist_pose, two.wrist_pose)
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_line_and_leaves_no_file(name, bad, tmp_path, capsys):
-    arguments, words = bad[name]
-    out = tmp_path / "r.npz"
-    status, printed, err = run(capsys, "retarget", *arguments, "--out", out, "--quality", tmp_path / "q.json")
-    assert status == 2 and printed == ""
-    assert err.startswith("fungrasp: error: ") and err.count("\n") == 1 and words in err, err
+def test_bad_input_is_one_line_and_leaves_no_file(tmp_path, tmp_path_factory, capsys):
+    written = ("--out", tmp_path / "r.npz", "--quality", tmp_path / "q.json")
+    check_bad_inputs(tmp_path_factory.mktemp("bad"), capsys, "retarget", *written)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -124,6 +91,5 @@ def test_a_full_disk(tmp_path, capsys, monkeypatch):
 
 def test_a_folder_that_cannot_be_written_to(tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    grasps = write_arrays(tmp_path / "g.npz")
-    status, _, err = run(capsys, "retarget", "--grasps", grasps, "--out", tmp_path / "file" / "r.npz")
+    status, _, err = run(capsys, "retarget", "--out", tmp_path / "file" / "r.npz")
     assert status == 2 and "cannot write" in err and err.count("\n") == 1

@@ -66,23 +66,16 @@ def test_full_disk_while_publishing_is_one_line(tmp_path: Path, monkeypatch: pyt
     assert contents(tmp_path) == ["grasps.npz"]
 
 
-def test_no_folder_can_be_made(tmp_path: Path):
+@pytest.mark.parametrize("place", ["file/grasps.npz", "folder"])
+def test_where_nothing_can_be_written_nothing_is_left(tmp_path: Path, place: str):
     (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
     with (
-        pytest.raises(FungraspError, match=r"cannot write .*grasps\.npz: "),
-        atomic_path(tmp_path / "file" / "grasps.npz"),
+        pytest.raises(FungraspError, match=f"cannot write .*{place}: "),
+        atomic_path(tmp_path / place) as new,
     ):
-        pytest.fail("there is nowhere to write")
-
-
-def test_a_folder_in_the_way(tmp_path: Path):
-    (tmp_path / "grasps.npz").mkdir()
-    with (
-        pytest.raises(FungraspError, match="cannot write"),
-        atomic_path(tmp_path / "grasps.npz") as temporary,
-    ):
-        temporary.write_text("new")
-    assert contents(tmp_path) == ["grasps.npz"]
+        new.write_text("new")
+    assert contents(tmp_path) == ["file", "folder"]
 
 
 def test_permissions_follow_the_umask(tmp_path: Path):

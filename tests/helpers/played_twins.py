@@ -12,7 +12,7 @@ from fungrasp.sim2real.joint_dynamics import HandDynamics
 
 
 def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Objects of the deployments, of which every second misses; each object can be put in two places."""
+    """Objects of the deployments, of which every second misses."""
     names: list[str] = []
 
     def deploy(task, *arguments, **options):
@@ -21,7 +21,7 @@ def play_twins(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return SimpleNamespace(fault="", attempts=task.spec.attempts, success=len(names) % 2 == 1, **measured)
 
     def reach(cell, hand, obj, grasp, seed=0):
-        yield from (np.array([x, 0, 0, 1, 0, 0, 0]) for x in (0.1, 0.2))
+        yield np.array([0.1, 0, 0, 1, 0, 0, 0])
 
     def identified(setup, aside):
         ones = np.ones(len(setup.hand.joint_names))

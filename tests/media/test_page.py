@@ -123,12 +123,6 @@ def test_what_is_missing_is_left_out():
     assert "held" not in checker.text
 
 
-def test_a_failure_is_called_one():
-    checker = _check(page_html(Page("Grasps", [_grasp(success=False), _grasp()])))
-    assert "Not held" in checker.text
-    assert "1 of 2 lifted and held" in checker.text
-
-
 def test_held_otherwise_than_shown_is_said():
     grasps = [_grasp(as_shown=True), _grasp(as_shown=False), _grasp(success=False, as_shown=False)]
     html = page_html(Page("Grasps", grasps))

@@ -141,10 +141,12 @@ def test_wrong_units(tmp_path, scale, message):
         ("line.obj", "v 0 0 0\nv .1 0 0\nv .2 0 0\nf 1 2 3\n", "no face with an area"),
         ("junk.ply", "hello", "cannot read the mesh"),
         ("junk.xyzzy", "hello", "cannot read the mesh"),
+        ("none.obj", None, r"none\.obj does not exist"),
     ],
 )
 def test_useless_files(tmp_path, name, text, message):
-    (tmp_path / name).write_text(text)
+    if text is not None:
+        (tmp_path / name).write_text(text)
     with pytest.raises(FungraspError, match=message) as caught:
         load_mesh(tmp_path / name)
     assert name in str(caught.value)

@@ -1,6 +1,6 @@
 """Kills long work at random moments, lets it go on, and compares its result with the uninterrupted one.
 
-    python tests/reliability/kill_series.py --what evaluate --times 100
+    python tests/reliability/kill_series.py evaluate 100
 
 A process that has imported everything forks one child for each attempt. A child is killed (SIGKILL) at a
 random moment of the time that the whole work takes; the next goes on in the same folder. Once one has come to
@@ -10,7 +10,6 @@ JSON; exits with 1 if a result differs, a child fails, or anything half-written 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
@@ -202,17 +201,17 @@ def left_over(folder: Path) -> list[str]:
     return [name for name in names if Path(name).name.startswith(".") or name.endswith(".partial")]
 
 
-def series(what: str, times: int, seed: int, scratch: Path) -> dict[str, Any]:
+def series(what: str, times: int, scratch: Path) -> dict[str, Any]:
     """Kill one kind of work so many times."""
     work, result = KINDS[what](scratch)
-    chance = random.Random(seed)
+    chance = random.Random(0)
     whole = scratch / "whole"
     whole.mkdir()
     begun = time.monotonic()
     outcome = in_child(work, whole)
     duration = time.monotonic() - begun
     if outcome != "done":
-        raise SystemExit(f"{what}, uninterrupted: {outcome}; see {scratch / 'log'}")
+        raise SystemExit(f"{what}, uninterrupted: {outcome}\n{(scratch / 'log').read_text()}")
     wanted = result(whole)
     kills = finished = attempts = 0
     found: list[str] = []
@@ -247,28 +246,16 @@ def series(what: str, times: int, seed: int, scratch: Path) -> dict[str, Any]:
     }
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--what", choices=KINDS, required=True)
-    parser.add_argument("--times", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="folder in which everything is kept")
-    options = parser.parse_args(arguments)
+def main(arguments: list[str]) -> int:
+    """The command line: what is killed, one of ``KINDS``, and how often."""
+    what, times = arguments
     np.seterr(all="ignore")
-    with contextlib.ExitStack() as stack:
-        if options.keep is not None:
-            options.keep.mkdir(parents=True)
-            scratch = options.keep
-        else:
-            scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="kill-series-")))
-        os.environ.setdefault("FUNGRASP_CACHE", str(scratch / "cache"))
-        line = series(options.what, options.times, options.seed, scratch)
+    with tempfile.TemporaryDirectory(prefix="kill-series-") as scratch:
+        os.environ.setdefault("FUNGRASP_CACHE", f"{scratch}/cache")
+        line = series(what, int(times), Path(scratch))
     print(json.dumps(line))
     return 1 if line["found"] else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

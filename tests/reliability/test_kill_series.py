@@ -17,10 +17,7 @@ pytest.importorskip("torch")
 def test_killed_work_goes_on_to_the_same_result(what: str):
     script = Path(__file__).with_name("kill_series.py")
     done = subprocess.run(
-        [sys.executable, str(script), "--what", what, "--times", "2"],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, str(script), what, "2"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads(done.stdout)["kills"] >= 2

@@ -53,8 +53,9 @@ class TestAllegro(DriverContract):
         return emulated(**settings)
 
 
-def test_the_fifth_generation_follows_in_its_own_units():
-    with emulated(5) as device:
+@pytest.mark.parametrize("generation", [4, 5])
+def test_a_hand_follows_in_the_units_of_its_generation_and_is_limp_without_power(generation: int):
+    with emulated(generation) as device:
         device.driver.connect()
         reach(device, device.near)
         device.driver.stop(StopKind.POWER_OFF)
@@ -195,14 +196,6 @@ def test_closing_takes_the_torque_away():
         device.driver.close()
         assert wait_for(lambda: not device.emulator.servos_on)
         assert not device.emulator.torques.any()
-
-
-def test_power_off_leaves_the_hand_limp():
-    with emulated() as device:
-        device.driver.connect()
-        reach(device, device.near)
-        device.driver.stop(StopKind.POWER_OFF)
-        assert wait_for(lambda: not device.emulator.servos_on)
 
 
 @pytest.mark.parametrize("fault", [Fault.LOST, Fault.DOUBLED, Fault.LATE, Fault.CORRUPT])

@@ -149,14 +149,6 @@ def test_a_cell_takes_the_file_and_refuses_a_camera_without_one(tmp_path: Path) 
         load_cell(cell)
 
 
-def test_a_saved_calibration_is_whole(tmp_path: Path) -> None:
-    views = board_views(np.random.default_rng(0), 8, 0.2, 0.0, 0.0)
-    found = calibrate_from_board(views, LENS)
-    save_calibration(tmp_path / "c.toml", found, "a test")
-    text = (tmp_path / "c.toml").read_text()
-    assert text.count("\n") == 5 and "a test" in text
-
-
 def test_the_command_calibrates_from_images_of_a_charuco_board(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2", reason='OpenCV is not installed: pip install "fungrasp[calibration]"')
     cell, rng, board = load_cell("ur5e-allegro"), np.random.default_rng(0), Board()

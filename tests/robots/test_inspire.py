@@ -58,16 +58,6 @@ class TestInspireSerial(TestInspireTCP):
         return emulated("serial", **settings)
 
 
-def test_modbus_on_a_serial_line_carries_the_same():
-    with emulated("rtu", answer_timeout=0.1) as device:
-        device.driver.connect()
-        device.emulator.inject(Fault.CORRUPT)
-        reach(device, device.near)
-        device.emulator.clear()
-        device.driver.stop(StopKind.OPEN)
-        assert wait_for(lambda: device.true_positions().max() < 0.01)
-
-
 @pytest.mark.parametrize("closing", [False, True])
 def test_a_stop_keeps_the_squeeze_of_fingers_that_something_holds_up(closing):
     with emulated() as device:

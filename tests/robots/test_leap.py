@@ -136,7 +136,8 @@ def test_a_loop_that_ended_with_an_error_of_a_library_is_started_again(monkeypat
 @pytest.mark.parametrize(("build", "current"), [("full", 550), ("lite", 350)])
 def test_currents_and_gains_are_those_of_the_makers_examples(build: str, current: int):
     with emulated(build=build) as device:
-        reach_after_connecting(device)
+        device.driver.connect()
+        reach(device, device.near)
         for servo in SERVOS:
             share = 0.75 if servo in (0, 4, 8) else 1.0
             written = [
@@ -156,11 +157,6 @@ def test_servos_with_torque_are_left_alone_while_they_are_looked_at():
         device.driver.close()
         assert device.emulator.torque_on
         assert all(device.emulator.register(servo, codec.P_GAIN) == 0 for servo in SERVOS)
-
-
-def reach_after_connecting(device: DeviceUnderTest) -> None:
-    device.driver.connect()
-    reach(device, device.near)
 
 
 def test_a_servo_that_missed_a_write_is_told_again():

@@ -69,11 +69,12 @@ def test_packages():
     assert not codec.make_recipe("actual_q,no_such_thing").valid
 
 
-def test_another_model_or_serial_number_is_refused():
-    with emulated() as device:
-        device.emulator.inject(Fault.WRONG_DEVICE)
-        with pytest.raises(RobotError, match="UR3"):
-            device.driver.connect()
+def test_another_model_or_serial_number_and_a_stopped_arm_are_refused():
+    for fault, said in ((Fault.WRONG_DEVICE, "UR3"), (Fault.PROTECTIVE_STOP, "PROTECTIVE_STOP")):
+        with emulated() as device:
+            device.emulator.inject(fault)
+            with pytest.raises(RobotError, match=said):
+                device.driver.connect()
     with emulated(serial="1") as device, pytest.raises(RobotError, match="serial number"):
         device.driver.connect()
 
@@ -127,13 +128,6 @@ def test_a_guard_that_opens_is_named_and_its_closing_moves_nothing():
         device.driver.connect()
         device.driver.take_control()
         reach(device, device.near)
-
-
-def test_a_protective_stop_before_connecting_is_named():
-    with emulated() as device:
-        device.emulator.inject(Fault.PROTECTIVE_STOP)
-        with pytest.raises(RobotError, match="PROTECTIVE_STOP"):
-            device.driver.connect()
 
 
 def test_random_bytes_are_not_believed():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -150,28 +150,6 @@ def test_what_an_episode_gets_depends_on_seed_and_number_alone():
         values = getattr(whole, name)
         assert not np.isin(values, getattr(other, name)).any(), name
         assert len(np.unique(values)) == values.size, f"{name} is drawn anew for each episode"
-
-
-@pytest.mark.parametrize("r", [WIDE, REALITY, NOMINAL])
-def test_episodes_can_be_selected_replaced_and_kept(r, tmp_path):
-    first, second = drawn(r, 1, 5), drawn(r, 2, 2)
-    mixed = first.replaced(np.array([3, 0]), second)
-    for f in fields(EpisodeSample):
-        before, new, after = (getattr(s, f.name) for s in (first, second, mixed))
-        if before is None:
-            assert after is None
-            continue
-        np.testing.assert_array_equal(after[[1, 2, 4]], before[[1, 2, 4]])
-        np.testing.assert_array_equal(after[[3, 0]], new)
-        np.testing.assert_array_equal(getattr(mixed.select(np.array([3])), f.name), new[:1])
-    assert len(mixed.select(np.array([True, False, True, False, False]))) == 2
-    mixed.save(tmp_path / "sample.npz")
-    assert_same(EpisodeSample.load(tmp_path / "sample.npz"), mixed)
-
-
-def test_samples_with_and_without_friction_do_not_mix():
-    with pytest.raises(FungraspError, match="friction is given in one"):
-        drawn(NOMINAL, count=2).replaced(np.array([0]), drawn(replace(NOMINAL, friction=(1, 1)), count=1))
 
 
 @pytest.mark.parametrize(

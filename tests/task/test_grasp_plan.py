@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 from planned_grasps import grasps_and_objects, hand, plan
 from scipy.spatial.transform import Rotation
 
@@ -59,16 +56,6 @@ def test_joined_motions_stay_where_they_end():
     assert both.object_name.tolist() == ["thing 0 0", "thing 0 1", "thing 1 0", "thing 1 1", "thing 1 2"]
 
 
-def test_selecting_picks_the_same_rows_of_everything():
-    whole = made_up(2, 4, 5)
-    rows = np.array([3, 0, 3])
-    some = whole.select(rows)
-    assert_same(some.select(np.array([1])), whole.select(np.array([0])))
-    np.testing.assert_array_equal(some.keypoints, whole.keypoints[rows])
-    np.testing.assert_array_equal(some.palm_goal_object, whole.palm_goal_object[rows])
-    assert_same(whole.select(np.array([True, False, False, True])), whole.select(np.array([0, 3])))
-
-
 def test_before_its_start_and_after_its_end_it_stays():
     goal, fingers = plan().at(np.array([-3, 10_000]))
     np.testing.assert_array_equal(
@@ -84,16 +71,6 @@ def test_rows_can_be_picked_in_any_order():
     goal, fingers = plan().at(steps, rows)
     np.testing.assert_array_equal(goal, plan().palm_goal_object[rows, steps])
     np.testing.assert_array_equal(fingers, plan().finger_targets[rows, steps])
-
-
-@pytest.mark.parametrize("estimated", [True, False])
-def test_a_file_brings_everything_back(tmp_path, estimated):
-    whole = made_up(3, 3, 4)
-    if estimated:
-        whole = replace(whole, expected_success=np.array([0.1, 0.2, 0.3]), rollouts=np.array([33, 0, 7]))
-    whole.save(tmp_path / "p.npz")
-    assert_same(GraspPlan.load(tmp_path / "p.npz"), whole)
-    assert GraspPlan.load(tmp_path / "p.npz").hand == "allegro"
 
 
 def test_raised_plans_are_for_objects_that_rest_higher():

@@ -386,11 +386,11 @@ def _signed_distance(
     return result
 
 
-def _unit_ball(outer: int = 100, inner: int = 20) -> np.ndarray:
+def _unit_ball() -> np.ndarray:
     """Return points spread evenly on the unit sphere (Fibonacci spiral) and on one of half the size, and the
     center, shape [P, 3]."""
     shells = [np.zeros((1, 3))]
-    for count, size in ((inner, 0.5), (outer, 1.0)):
+    for count, size in ((20, 0.5), (100, 1.0)):
         height = 1 - (2 * np.arange(count) + 1) / count
         turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
         ring = np.sqrt(1 - height**2)

@@ -128,7 +128,6 @@ def fit_camera(
     azimuth: float,
     elevation: float,
     *,
-    fov_y: float = 30.0,
     width: int = 640,
     height: int = 480,
     margin: float = 1.12,
@@ -141,12 +140,10 @@ def fit_camera(
         elevation: as for ``orbit_camera`` [degrees].
         margin: ratio of the image size to the size of the contents.
     """
-    probe = orbit_camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation, fov_y=fov_y, width=width, height=height)
+    probe = orbit_camera((0.0, 0.0, 0.0), 1.0, azimuth, elevation, width=width, height=height)
     axes = probe.rotation
     local = np.asarray(points, dtype=float) @ axes
     middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
-    tangent = np.tan(0.5 * np.radians(fov_y)) / margin * np.array([width / height, 1.0])
+    tangent = np.tan(0.5 * np.radians(probe.fov_y)) / margin * np.array([width / height, 1.0])
     reach = np.abs(local[:, :2] - middle[:2]) / tangent - (local[:, 2:] - middle[2])
-    return orbit_camera(
-        axes @ middle, float(reach.max()), azimuth, elevation, fov_y=fov_y, width=width, height=height
-    )
+    return orbit_camera(axes @ middle, float(reach.max()), azimuth, elevation, width=width, height=height)

@@ -48,7 +48,7 @@ def write_perception_page(path: str | Path, perceived: Perceived, provenance: Ma
     Raises:
         FungraspError: the page can't be written.
     """
-    facts = f"{side_words(perceived)} · {1000 * perceived.object_model.mass:.0f} g"
+    facts = f"{perceived.hand.side.capitalize()} hand · {1000 * perceived.object_model.mass:.0f} g"
     if perceived.mass_range is not None:
         low, high = perceived.mass_range
         facts += f", guessed: {1000 * low:.0f} to {1000 * high:.0f} g"
@@ -62,11 +62,6 @@ def perception_title(perceived: Perceived) -> str:
     name = "unknown object" if perceived.fitted is not None else name
     task = f", to {perceived.grasp.task}" if perceived.grasp.task else ""
     return f"{name[:1].upper()}{name[1:]}{task}: seen in one image"
-
-
-def side_words(perceived: Perceived) -> str:
-    """ "Right hand"."""
-    return f"{perceived.hand.side} hand".capitalize()
 
 
 def perception_parts(perceived: Perceived, truth: Sequence[Quantity] = ()) -> list[str]:

@@ -122,18 +122,14 @@ def parted(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
     return _mesh(found)
 
 
-def rebuild(
-    mesh: trimesh.Trimesh, thickness: float = SHELL_THICKNESS
-) -> tuple[trimesh.Trimesh, float] | None:
+def rebuild(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, float] | None:
     """Return a closed surface around any triangles, with filled cavities.
 
-    Args:
-        thickness: smallest thickness of the shell around the triangles [m].
-
     Returns:
-        mesh and thickness of the shell [m], or None if there is nothing to build from.
+        mesh and thickness of the shell around the triangles [m], at least ``SHELL_THICKNESS``; or None if
+        there is nothing to build from.
     """
-    vertices, faces, thickness = shell_from_triangles(np.asarray(mesh.triangles), thickness)
+    vertices, faces, thickness = shell_from_triangles(np.asarray(mesh.triangles), SHELL_THICKNESS)
     shell = solid(triangle_mesh(vertices, faces)).simplify(thickness / 20)
     return None if shell.is_empty() else (_mesh(shell), thickness)
 

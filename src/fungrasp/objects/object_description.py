@@ -12,6 +12,9 @@ from scipy.spatial import ConvexHull
 from fungrasp.geometry.signed_distance import mesh_signed_distance
 from fungrasp.objects.object_model import ObjectModel
 
+SAMPLES = 4000
+"""Number of points at which pieces are compared with their mesh."""
+
 
 def describe_object(model: ObjectModel) -> dict[str, Any]:
     """Return size [m], volume [m3], mass [kg], inertia [kg m2], piece fidelity [m], ..., as JSON values."""
@@ -49,18 +52,15 @@ class Fidelity:
     """Mean distance outside all pieces over the mesh [m], 0 inside a piece."""
 
 
-def piece_fidelity(model: ObjectModel, samples: int = 4000) -> Fidelity:
-    """Compare the pieces with the mesh.
-
-    Args:
-        samples: number of points on the mesh, and on all pieces together; corners of pieces are added.
-    """
+def piece_fidelity(model: ObjectModel) -> Fidelity:
+    """Compare the pieces with the mesh, at ``SAMPLES`` points on the mesh and on all pieces together, and at
+    the pieces' corners."""
     shapes = [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in model.pieces]
     area = sum(shape.area for shape in shapes)
-    on_pieces = np.concatenate([_surface(shape, round(samples * shape.area / area)) for shape in shapes])
+    on_pieces = np.concatenate([_surface(shape, round(SAMPLES * shape.area / area)) for shape in shapes])
     corners = np.concatenate([piece.vertices for piece in model.pieces])
     outside = np.maximum(mesh_signed_distance(model.mesh, np.concatenate([on_pieces, corners])), 0.0)
-    on_mesh = _surface(model.mesh, samples)
+    on_mesh = _surface(model.mesh, SAMPLES)
     planes = [ConvexHull(piece.vertices).equations for piece in model.pieces]
     uncovered = np.maximum(
         np.min([(on_mesh @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes], axis=0), 0.0

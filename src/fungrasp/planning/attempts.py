@@ -365,7 +365,7 @@ def _go(
         task.done[ids[policy.arrived]] = True
         if policy.arrived.all():
             break
-        environment.step(_for_all(environment, ids, action), watch)
+        environment.step(_still(environment).replaced(ids, action), watch)
     task.done[ids] = True
     return policy.arrived
 
@@ -388,9 +388,3 @@ def _still(environment: LiftEnvironment) -> Action:
     return Action(
         setpoints.wrist.pose.copy(), setpoints.fingers.copy(), np.zeros(len(environment), dtype=bool)
     )
-
-
-def _for_all(environment: LiftEnvironment, ids: np.ndarray, action: Action) -> Action:
-    """Extend an action to all worlds; the others keep their setpoints. ids: worlds, shape [I]; action: I
-    rows."""
-    return _still(environment).replaced(ids, action)

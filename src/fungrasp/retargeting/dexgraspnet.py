@@ -43,6 +43,8 @@ SMOOTHING_LENGTH = 5e-4
 """Length below which |x| is treated as a parabola [m]."""
 ORIGINAL_CONTACTS = 4
 """Number of contacts of the original."""
+REACH = 0.006
+"""Half width of the finite difference for the derivative of the normals [m]."""
 ENERGY_ITERATIONS = 80
 """Solver iterations."""
 
@@ -79,14 +81,11 @@ def retarget_by_dexgraspnet(
     return wrist_pose, independent
 
 
-def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.006) -> Residual:
+def force_closure_energy(state: HandState[RetargetingProblem]) -> Residual:
     """Return E_fc = |sum_i c_i|^2 + |sum_i x_i x c_i|^2, without friction (Liu et al. 2021).
 
     x_i [m] are the contact points of the n target links (``contact_spheres``), object frame; c_i are the
     object's inward unit normals there, times ``ORIGINAL_CONTACTS`` / n.
-
-    Args:
-        reach: half width of the finite difference for the derivative of the normals [m].
     """
     spheres, wanted = contact_spheres(state)
     bank, grid = state.problem.bank, state.problem.grid
@@ -94,7 +93,7 @@ def force_closure_energy(state: HandState[RetargetingProblem], reach: float = 0.
     size = np.maximum(np.linalg.norm(gradient, axis=-1, keepdims=True), 1e-9)
     normal = gradient / size
     center = np.take_along_axis(state.spheres, spheres[..., None], axis=1)
-    curvature = gradient_derivative(bank, grid, center, reach)
+    curvature = gradient_derivative(bank, grid, center, REACH)
     # Derivative of the normalized gradient: the part along the normal drops out.
     along = np.einsum("nqi,nqij->nqj", normal, curvature)
     curvature = (curvature - normal[..., None] * along[..., None, :]) / size[..., None]

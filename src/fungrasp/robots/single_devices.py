@@ -227,12 +227,10 @@ def hold_in_place(driver: GuardedDriver, seconds: float) -> float:
     return float(np.abs(state.positions - rest).max())
 
 
-def jog(
-    driver: GuardedDriver, joint: int, by: float, clock: Clock | None = None
-) -> tuple[JointState, JointState]:
-    """Move one joint of a connected device slowly by an angle [rad] and back, while the others hold. clock:
-    clock of the device; ``WallClock`` if None. Returns: states at the far end and at the end. Raises:
-    RobotError: the angle is zero, too large or beyond the joint's limits, and what ``follow`` raises."""
+def jog(driver: GuardedDriver, joint: int, by: float) -> tuple[JointState, JointState]:
+    """Move one joint of a connected device slowly by an angle [rad] and back, while the others hold. Returns:
+    states at the far end and at the end. Raises: RobotError: the angle is zero, too large or beyond the
+    joint's limits, and what ``follow`` raises."""
     if not 0 < abs(by) <= LARGEST_JOG:
         raise RobotError(f"a joint is moved by {LARGEST_JOG:g} rad at most, and not by zero: {by:g}")
     rest = driver.read().positions
@@ -244,8 +242,8 @@ def jog(
     share = np.linspace(0.0, 1.0, count + 1)[1:, None]
     # A fifth more time, to arrive.
     there = np.concatenate([rest + share * (far - rest), np.tile(far, (count // 5 + 10, 1))])
-    middle = follow(driver, there, clock)
-    return middle, follow(driver, rest + far - there, clock)
+    middle = follow(driver, there)
+    return middle, follow(driver, rest + far - there)
 
 
 def after_stop(driver: GuardedDriver) -> str:
@@ -263,10 +261,10 @@ def after_stop(driver: GuardedDriver) -> str:
     return "it takes commands again without a new start"
 
 
-def follow(driver: GuardedDriver, goals: np.ndarray, clock: Clock | None = None) -> JointState:
+def follow(driver: GuardedDriver, goals: np.ndarray) -> JointState:
     """Command goals [rad], shape [T, U], ``GOAL_PERIOD`` apart, and return the last state. Raises:
     RobotError: the device no longer follows, or the safety filter or the switch stopped it."""
-    *_, (_, _, state) = _commanded(driver, goals, GOAL_PERIOD, clock or WallClock())
+    *_, (_, _, state) = _commanded(driver, goals, GOAL_PERIOD, WallClock())
     return state
 
 

@@ -185,19 +185,18 @@ class ContactMarks:
         else:
             self._points.points, self._points.colors = places, colors
 
-    def forces(self, places: np.ndarray, forces: np.ndarray, meters_per_newton: float = 0.015) -> None:
-        """Draw forces as arrows that end at their points of application.
+    def forces(self, places: np.ndarray, forces: np.ndarray) -> None:
+        """Draw forces as arrows of 15 mm/N that end at their points of application.
 
         Args:
             places: [m], shape [L, 3].
             forces: [N], shape [L, 3]; zero for none.
-            meters_per_newton: arrow length per force [m/N].
         """
         which = np.linalg.norm(forces, axis=1) > 0.05
         if not which.any():
             self._arrows = _removed(self._arrows)
             return
-        ends = np.stack([places - meters_per_newton * forces, places], axis=1)[which].astype(np.float32)
+        ends = np.stack([places - 0.015 * forces, places], axis=1)[which].astype(np.float32)
         if self._arrows is None:
             self._arrows = self._scene.add_arrows(
                 f"{self._name}/forces",

@@ -69,14 +69,6 @@ def test_the_joints_are_where_the_truth_says(perfect):
         assert cover.min() < 0.015
 
 
-def test_table_pixels_lie_on_the_table(perfect):
-    for synthetic in perfect:
-        points = synthetic.capture.points()[synthetic.labels == Label.TABLE]
-        world = transform_points(synthetic.pose_world_camera, points)
-        top = np.abs(world[:, 2]) < 1e-4
-        assert top.mean() > 0.95
-
-
 def test_noise_is_that_of_a_depth_camera(perfect, noisy):
     for clean, synthetic in zip(perfect, noisy, strict=True):
         np.testing.assert_array_equal(clean.labels, synthetic.labels)

@@ -12,7 +12,6 @@ from benchmarks.synthetic_captures.perceived_grasps import PerceivedGrasps
 from benchmarks.twins.__main__ import EvaluateOnTwins
 from benchmarks.twins.twin_series import TwinSeriesSpec
 from fungrasp.cli.main import run_command
-from fungrasp.core.errors import UnknownNameError
 from fungrasp.evaluation.result_files import read_result
 
 
@@ -43,40 +42,19 @@ def test_images_are_numbered_by_row(played, tmp_path, monkeypatch, capsys) -> No
     monkeypatch.setattr(PerceivedGrasps, "_seen", seen)
     out = tmp_path / "twins.json"
     again = {"variants": ("full, two attempts",), "policy": "student"}
-    evaluate(out, images_per_grasp=2, placements=2, **again).run()
+    evaluate(out, images_per_grasp=2, **again).run()
     assert sorted(taken) == [(0, 0), (0, 1), (1, 0), (1, 1)]
     result = read_result(out)
-    assert [(row["index"], row["place"]) for row in result.rows] == [
-        (0, 0), (0, 1), (6, 0), (6, 1), (7, 0), (7, 1),
-    ]  # fmt: skip
-    assert [row["success"] for row in result.rows] == [True, False] * 3
+    assert [row["index"] for row in result.rows] == [0, 6, 7]
+    assert [row["success"] for row in result.rows] == [True, False, True]
     assert {row["attempts"] for row in result.rows} == {2}
     assert result.header["not_seen"] == {"1": "no hand"}
     assert result.header["images"] == 4
     assert result.header["grasps_that_can_be_reached"] == 3
     said = capsys.readouterr().out
     assert "4 images: 1 refused; of the others 0 were found out of reach, 3 tried" in said
-    assert "50%" in said
+    assert "67%" in said
     assert not list(tmp_path.glob("*.partial"))
-
-
-def test_images_that_are_not_needed_are_not_taken(played, tmp_path, monkeypatch) -> None:
-    taken = []
-
-    def seen(source, grasp, image, model):
-        taken.append((grasp, image))
-        human = source._human.select([grasp])
-        return {name: value for name in human.FIELDS if (value := getattr(human, name)) is not None}
-
-    monkeypatch.setattr(PerceivedGrasps, "_seen", seen)
-    out = tmp_path / "twins.json"
-    evaluate(out, images_per_grasp=3, grasps_per_object=1, variants=("full",)).run()
-    assert len(taken) == read_result(out).header["images"] == len({row for row, _ in taken})
-
-
-def test_unknown_variant(played, tmp_path) -> None:
-    with pytest.raises(UnknownNameError, match="two attempts"):
-        evaluate(tmp_path / "twins.json", variants=("two tries",)).run()
 
 
 @pytest.mark.parametrize("policy", ["plan", "reference"])
@@ -93,14 +71,3 @@ def test_a_second_attempt_of_a_blind_policy_is_refused_before_images_are_seen(
     said = capsys.readouterr().err.strip()
     assert "'full, two attempts' needs a policy that watches" in said and "\n" not in said
     assert not list(tmp_path.iterdir())
-
-
-def test_the_request_is_in_the_result(played, tmp_path) -> None:
-    out = tmp_path / "twins.json"
-    asked = ["--grasps-per-object", "1", "--placements", "2", "--in-turn", "--variants", "full"]
-    now = ["--rows", "0", "3", "--policy", "reference", "--threads", "1", "--out", str(out)]
-    assert run_command("python -m benchmarks.twins", EvaluateOnTwins, [*asked, *now]) == 0
-    result = read_result(out)
-    assert {row["variant"] for row in result.rows} == {"full"}
-    spec = result.header["spec"]
-    assert (spec["grasps_per_object"], spec["placements"], spec["in_turn"]) == (1, 2, True)

@@ -1,9 +1,5 @@
 """Which grasps are tried on which twins; the deployments themselves are tested in tests/deployment."""
 
-from collections.abc import Iterator
-from dataclasses import replace
-from itertools import islice
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +10,6 @@ import benchmarks.twins.twin_episode as twin_episode
 from benchmarks.twins.twin_episode import PlacedGrasp, TwinEpisode, TwinSetup
 from benchmarks.twins.twin_series import VARIANTS as NAMED
 from benchmarks.twins.twin_series import KnownGrasps, placed_grasps, try_on_twins
-from fungrasp.core.jobs import PartStore
 from fungrasp.deployment.preparation import UnreachableError
 from fungrasp.deployment.spec import Phase
 from fungrasp.grasps import RobotGraspSet, builtin_grasps, load_objects
@@ -46,11 +41,10 @@ def grasps() -> tuple[RobotGraspSet, dict[str, Any]]:
     return retarget(human, objects, HAND), dict(objects)
 
 
-def setup_of(objects: dict[str, Any], store: Path | None = None, policy_key: str = "") -> TwinSetup:
-    kept = None if store is None else PartStore(store)
+def setup_of(objects: dict[str, Any]) -> TwinSetup:
     planner: Any = SimpleNamespace()
     cell = load_cell("ur5e-allegro-node")
-    return TwinSetup(objects, HAND, cell, OpenLoopPolicy(), planner, store=kept, policy_key=policy_key)
+    return TwinSetup(objects, HAND, cell, OpenLoopPolicy(), planner)
 
 
 @pytest.fixture
@@ -60,7 +54,7 @@ def deployed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
     def deploy(task, placement, truth, **options):
         seen.append((task.obj.name, truth.gain, task.dynamics, task.spec.gravity_compensation))
-        if len(seen) == 2 or placement[0] < 0:
+        if len(seen) == 2:
             raise UnreachableError("the grasp is not reachable: the arm would touch the table")
         held = {"success": True, "held_as_shown": True, "height": 0.12}
         return SimpleNamespace(fault="", attempts=1, **held)
@@ -103,7 +97,7 @@ def test_variants_differ_in_what_is_known(grasps, deployed) -> None:
     assert [compensate for *_, compensate in deployed] == [True, True, False]
     # What was not begun has failed, and says why.
     assert not found[1].success and "not reachable" in found[1].fault and found[1].tracking_rad == -1
-    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", -1.0, -1.0, 0, 1, 1, True)
+    assert found[0] == TwinEpisode(5, found[0].object, 4, "full", True, 0.12, "", -1.0, -1.0, 1, 1, True)
     assert deployed[0][2].servo_stiffness[0] == deployed[0][1]
 
 
@@ -124,29 +118,6 @@ def test_errors_of_fingers_count_until_they_close() -> None:
     assert sag == pytest.approx(0.01)
 
 
-def test_the_object_is_put_elsewhere(grasps, deployed, monkeypatch) -> None:
-    robot, objects = grasps
-
-    def reach(cell, hand, obj, grasp, seed=0):
-        # The robot refuses what lies at negative x.
-        for x in (-0.1, 0.2, 0.3, -0.4, -0.5, -0.6, 0.7):
-            yield np.array([x, 0, 0, 1, 0, 0, 0])
-
-    monkeypatch.setattr(twin_episode, "reachable_placements", reach)
-    setup = replace(setup_of(objects), places=2)
-    placed = setup.place(7, robot.select(np.array([0])))
-    assert [one.place for one in placed] == [0, 1]
-    assert [one.placements[:, 0].tolist() for one in placed] == [[-0.1, 0.3, -0.5], [0.2, -0.4, -0.6]]
-    deployed.append(("so that the second is not refused", 0, None, False))
-    deployed.append(("nor this", 0, None, False))
-    found = list(try_on_twins(setup, placed, [4], VARIANTS[1:2], given))
-    assert [(e.place, e.placements, e.success) for e in found] == [(0, 2, True), (1, 1, True)]
-    refused = replace(placed[1], placements=placed[1].placements[1:])
-    (episode,) = try_on_twins(setup, [refused], [4], VARIANTS[1:2], given)
-    assert (episode.placements, episode.attempts, episode.success) == (2, 0, False)
-    assert "not reachable" in episode.fault
-
-
 def test_a_stopped_run_is_balanced_over_twins(grasps, deployed) -> None:
     robot, objects = grasps
     placed = [PlacedGrasp(n, robot.select(np.array([n])), AT if n else NOWHERE) for n in range(4)]
@@ -156,40 +127,3 @@ def test_a_stopped_run_is_balanced_over_twins(grasps, deployed) -> None:
     assert order == [(1, 4), (2, 5), (3, 4), (1, 5), (2, 4), (3, 5)]
     in_turn = try_on_twins(setup_of(objects), placed, [4, 5], VARIANTS[1:2], given, in_turn=True)
     assert [(episode.index, episode.twin) for episode in in_turn] == order[:3]
-
-
-def test_a_stopped_run_goes_on_where_it_was(grasps, deployed, monkeypatch, tmp_path) -> None:
-    robot, objects = grasps
-    looked: list[str] = []
-
-    def reach(cell, hand, obj, grasp, seed=0):
-        looked.append(obj.name)
-        yield AT[0]
-
-    monkeypatch.setattr(twin_episode, "reachable_placements", reach)
-    fitted = []
-
-    def episodes(policy_key: str = "") -> Iterator[TwinEpisode]:
-        setup = setup_of(objects, tmp_path / "parts", policy_key)
-
-        def identify(truth) -> HandDynamics:
-            def fit() -> HandDynamics:
-                fitted.append(truth.gain)
-                return given(truth)
-
-            return setup.identified(truth, fit)
-
-        placed = placed_grasps(setup, KnownGrasps(robot, [0, 1, 2, 3]))
-        return try_on_twins(setup, placed, [4, 5], VARIANTS[:3], identify)
-
-    stopped = list(islice(episodes(), 7))
-    counts = len(deployed), len(looked), len(fitted)
-    assert counts == (7, 3, 2)
-    whole = list(episodes())
-    assert whole[:7] == stopped
-    assert len(whole) == 24
-    # Nothing that was finished was done again.
-    assert (len(deployed), len(looked), len(fitted)) == (24, 4, 2)
-    # Another policy's episodes are others; the arm and the hands are the same.
-    assert len(list(episodes("another"))) == 24
-    assert (len(deployed), len(looked), len(fitted)) == (48, 4, 2)

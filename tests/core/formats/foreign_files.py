@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from odd_hands import claw
 from PIL import Image
 
 from benchmarks.perception.recorded_captures import TRUTH, read_recorded
@@ -36,51 +37,6 @@ Reader = Callable[[Path], Any]
 Kind = Callable[[Path], tuple[str, bytes, Reader]]
 """Gets an empty folder; gives the name of a file, its good bytes and its reader."""
 
-MODEL = """<mujoco model="claw">
-  <compiler angle="radian"/>
-  <default><joint range="0 1.6" damping="0.02"/><geom type="capsule" size="0.01"/></default>
-  <worldbody>
-    <body name="palm">
-      <geom type="box" pos="0 0 0.05" size="0.015 0.045 0.05" mass="0.4"/>
-      <body name="index" pos="0 0.03 0.1">
-        <joint name="index_base" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.05" mass="0.05"/>
-        <body name="index_end" pos="0 0 0.05">
-          <joint name="index_tip_joint" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.04" mass="0.04"/>
-          <site name="index_tip" pos="0 0 0.04"/>
-        </body>
-      </body>
-      <body name="thumb" pos="0.02 0.06 0.03" xyaxes="0.23 -0.95 0.2 0.65 0 -0.76">
-        <joint name="thumb_base" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.05" mass="0.05"/>
-        <body name="thumb_end" pos="0 0 0.05">
-          <joint name="thumb_tip_joint" axis="0 1 0"/><geom fromto="0 0 0 0 0 0.04" mass="0.04"/>
-          <site name="thumb_tip" pos="0 0 0.04"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <equality><joint joint1="index_tip_joint" joint2="index_base" polycoef="0 1 0 0 0"/></equality>
-</mujoco>
-"""
-TOML = """name = "claw"
-title = "Claw"
-model = "claw.xml"
-palm = "palm"
-source = "made up"
-[palm_frame]
-fingers = [0.0, 0.0, 1.0]
-normal = [1.0, 0.0, 0.0]
-[fingers.index]
-links = ["index", "index_end"]
-tip = "index_tip"
-[fingers.thumb]
-links = ["thumb", "thumb_end"]
-tip = "thumb_tip"
-[actuators]
-kp = 5.0
-kd = 0.15
-force_limit = 1.0
-source = "made up"
-"""
 LENS = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0, "depth_unit": 0.001}
 
 
@@ -142,27 +98,32 @@ def _robot(folder: Path) -> tuple[str, bytes, Reader]:
     return "robot.npz", (folder / "good.npz").read_bytes(), load_grasps
 
 
-def _hand_toml(folder: Path) -> tuple[str, bytes, Reader]:
-    (folder / "claw.xml").write_text(MODEL)
+def _hand(folder: Path) -> Path:
+    """Files of a claw, as ``hands add`` writes them: the path of its hand.toml, beside claw.xml."""
+    (folder / "bare").mkdir()
+    (folder / "bare" / "claw.xml").write_text(claw())
+    path, _ = add_hand(folder / "bare" / "claw.xml", folder, force=True)
+    return path
 
+
+def _hand_toml(folder: Path) -> tuple[str, bytes, Reader]:
     def read(path: Path) -> None:
         check_hand_files(path)
         load_hand(path)
 
-    return "hand.toml", TOML.encode(), read
+    return "hand.toml", _hand(folder).read_bytes(), read
 
 
-def _model(folder: Path, text: str, name: str) -> tuple[str, bytes, Reader]:
-    (folder / "hand.toml").write_text(TOML)
+def _model(folder: Path, suffix: str) -> tuple[str, bytes, Reader]:
+    model = _hand(folder).with_name("claw.xml").read_bytes()
 
     def read(path: Path) -> None:
         check_hand_files(path)
         if path.suffix == ".xml":
-            with_toml = folder / "hand.toml"
-            load_hand(with_toml)
+            load_hand(folder / "hand.toml")
         add_hand(path, folder / "out", force=True)
 
-    return name, text.encode(), read
+    return f"claw{suffix}", _urdf().encode() if suffix == ".urdf" else model, read
 
 
 def _mesh(folder: Path, suffix: str) -> tuple[str, bytes, Reader]:
@@ -287,8 +248,8 @@ KINDS: dict[str, Kind] = {
     "human-grasps": _human,
     "robot-grasps": _robot,
     "hand-toml": _hand_toml,
-    "mjcf": lambda folder: _model(folder, MODEL, "claw.xml"),
-    "urdf": lambda folder: _model(folder, _urdf(), "claw.urdf"),
+    "mjcf": partial(_model, suffix=".xml"),
+    "urdf": partial(_model, suffix=".urdf"),
     **{f"mesh-{suffix}": partial(_mesh, suffix=suffix) for suffix in ("obj", "stl", "ply", "glb")},
     "image-png": partial(_image_file, suffix="png", kind="PNG"),
     "image-jpg": partial(_image_file, suffix="jpg", kind="JPEG"),

@@ -1,6 +1,6 @@
 """Feeds damaged files to every reader, and counts what does not end in a ``FungraspError`` of one line.
 
-    python tests/formats/fuzz.py --cases 1000 --seed 1 --only human-grasps,mesh
+    python tests/core/formats/fuzz.py --cases 1000 --seed 1 --only human-grasps,mesh-obj
 
 A case depends on seed, kind and number alone. It is clean if the reader takes the file or refuses it in one
 line, within 10 s of processor time and 2 GB. Prints a table and a line for each kind of fault, with the
@@ -26,6 +26,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[2] / "helpers"))
 
 from damage import damaged
 from foreign_files import KINDS, Reader

@@ -12,7 +12,7 @@ from fungrasp.geometry.signed_distance import SignedDistanceGrid
 from fungrasp.grasps import load_human_grasps
 from fungrasp.perception import Capture
 from fungrasp.perception.hand import fit
-from fungrasp.perception.hand.finger_search import postures, search_fingers
+from fungrasp.perception.hand.finger_search import search_fingers
 from fungrasp.perception.hand.fit import fit_held_hand, skeleton_through
 from fungrasp.perception.hand.hand_capsules import HAND_CAPSULES, explained_part, nearest_capsules
 from fungrasp.perception.hand.hand_measurements import hand_view
@@ -90,15 +90,6 @@ def test_skin_color_leaves_other_things_out(held):
     assert len(skin.points) > 0.3 * len(whole.points)
 
 
-def test_postures_are_those_of_the_skeleton(held):
-    hand = skeleton_through(held[0].joints, 0.003)
-    for finger in range(5):
-        joints = hand.finger_joints(finger, hand.angles[None, finger])[0]
-        np.testing.assert_allclose(joints, hand.joints()[1 + 4 * finger : 5 + 4 * finger], atol=1e-12)
-    tried = postures(4, 50, np.random.default_rng(0))
-    np.testing.assert_array_equal(tried, postures(4, 50, np.random.default_rng(0)))
-
-
 def test_the_search_brings_a_finger_back(held):
     scene, surroundings = held
     hand = skeleton_through(scene.joints, 0.003)
@@ -129,28 +120,6 @@ def test_the_side_that_fits_the_depth_wins_if_in_doubt(held):
     hand = fit_held_hand(detected, scene.capture, surroundings, scene.joints)
     assert hand.side == "right" and error(hand.joints_camera, scene.joints) < 0.015
     assert fit_held_hand(detected, scene.capture, surroundings, scene.joints, side="left").side == "left"
-
-
-def test_a_left_hand_is_the_mirror_image_of_a_right_one(held):
-    scene, surroundings = held
-    detected = scene.detected(np.random.default_rng(7))
-    mirror = np.array([-1.0, 1.0, 1.0])
-    right = fit_held_hand(detected, scene.capture, surroundings, scene.joints)
-    seen = Capture(
-        np.ascontiguousarray(scene.capture.color[:, ::-1]),
-        np.ascontiguousarray(scene.capture.depth[:, ::-1]),
-        dataclasses.replace(CAMERA, cx=CAMERA.width - 1 - CAMERA.cx),
-    )
-    other = dataclasses.replace(
-        detected,
-        pixels=[CAMERA.width - 1, 0] + detected.pixels * mirror[:2],
-        shape_camera=detected.shape_camera * mirror,
-        side="left",
-    )
-    left = fit_held_hand(other, seen, surroundings.mirrored(), scene.joints * mirror)
-    assert left.side == "left"
-    # Which of the measured points are looked at depends on the order of the pixels.
-    assert error(left.joints_camera * mirror, right.joints_camera) < 0.006
 
 
 def test_the_seed_decides_which_postures_are_tried(held, monkeypatch):

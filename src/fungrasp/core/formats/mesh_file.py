@@ -23,7 +23,7 @@ MOST_FACES = 2_000_000
 """Maximum number of faces."""
 
 
-def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndarray]:
+def read_mesh(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Read the triangles of any mesh file that trimesh supports; meshes of a scene are joined.
 
     Returns:
@@ -34,11 +34,11 @@ def read_mesh(path: str | Path, what: str = "mesh") -> tuple[np.ndarray, np.ndar
         FungraspError: the file can't be read within the limits, has no or too many faces, or a vertex is not
             finite.
     """
-    arrays = _arrays(path, what, "triangles")
+    arrays = _arrays(path, "triangles")
     return arrays["vertices"], arrays["faces"]
 
 
-def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh | None:
+def read_colored_mesh(path: str | Path) -> trimesh.Trimesh | None:
     """Read the triangles of a mesh file with its vertex colors, face colors or texture.
 
     Returns:
@@ -50,7 +50,7 @@ def read_colored_mesh(path: str | Path, what: str = "mesh") -> trimesh.Trimesh |
     import trimesh
     from trimesh.visual import TextureVisuals
 
-    arrays = _arrays(path, what, "colored triangles")
+    arrays = _arrays(path, "colored triangles")
     vertices, faces = arrays["vertices"], arrays["faces"]
     if "vertex_colors" in arrays:
         return trimesh.Trimesh(vertices, faces, vertex_colors=arrays["vertex_colors"], process=False)
@@ -85,10 +85,10 @@ def is_colorless(path: str | Path) -> bool:
     return suffix == ".stl"
 
 
-def _arrays(path: str | Path, what: str, job: str) -> dict[str, np.ndarray]:
+def _arrays(path: str | Path, job: str) -> dict[str, np.ndarray]:
     """Return the checked arrays of a ``sandbox_worker`` job on a mesh file."""
-    path = check_file(path, f"{what} file", LARGEST)
-    with np.load(io.BytesIO(run_limited(job, path, what, path.stat().st_size))) as file:
+    path = check_file(path, "mesh file", LARGEST)
+    with np.load(io.BytesIO(run_limited(job, path, "mesh", path.stat().st_size))) as file:
         arrays = dict(file)
     vertices, faces = arrays["vertices"], arrays["faces"]
     if len(faces) == 0:

@@ -43,18 +43,18 @@ LENGTHS = ("pos", "ipos", "size")
 _PACKAGE = Path(__file__).parents[2]
 
 
-def read_model_text(path: str | Path, what: str = "hand's model") -> str:
+def read_model_text(path: str | Path) -> str:
     """Read the XML text of a model file.
 
     Raises:
         FungraspError: the file can't be read or declares entities.
     """
-    text = read_text(path, what, LARGEST)
-    check_entities(text, f"the {what} {one_line(path)}")
+    text = read_text(path, "hand's model", LARGEST)
+    check_entities(text, f"the hand's model {one_line(path)}")
     return text
 
 
-def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
+def read_model(path: str | Path) -> mujoco.MjSpec:
     """Read a model for editing and compiling.
 
     Raises:
@@ -62,15 +62,15 @@ def read_model(path: str | Path, what: str = "hand's model") -> mujoco.MjSpec:
     """
     path = Path(path)
     if not path.resolve().is_relative_to(_PACKAGE):
-        read_model_text(path, what)
+        read_model_text(path)
         fault = _fault(path.absolute(), path.stat().st_mtime_ns)
         if fault:
             raise FungraspError(fault)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
-        raise FungraspError(f"cannot read the {what} {one_line(path)}: {one_line(error)}") from error
-    _check_sizes(spec, f"the {what} {one_line(path)}")
+        raise FungraspError(f"cannot read the hand's model {one_line(path)}: {one_line(error)}") from error
+    _check_sizes(spec, f"the hand's model {one_line(path)}")
     return spec
 
 

@@ -228,14 +228,14 @@ def _anchor_before(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> np.
     return here - np.array([0.0, 0.0, 0.03])
 
 
-def surface_points(foreign: ForeignModel, body: int, visual: bool = True) -> np.ndarray:
-    """Return points on a body's collision shapes, body frame [m], shape [P, 3]. visual: use visual meshes if
-    there are no collision shapes."""
+def surface_points(foreign: ForeignModel, body: int) -> np.ndarray:
+    """Return points on a body's collision shapes, on visual meshes if there are none, body frame [m], shape
+    [P, 3]."""
     model = foreign.model
     meshes = foreign.meshes.get(body, [])
     clouds = [mesh_points(m.vertices, m.faces) for m in meshes if m.collides]
     clouds += [mesh_points(*primitive_mesh(model, geom)) for geom in primitives(model, body)]
-    if not clouds and visual:
+    if not clouds:
         clouds = [mesh_points(m.vertices, m.faces) for m in meshes]
     return np.concatenate(clouds) if clouds else np.zeros((0, 3))
 

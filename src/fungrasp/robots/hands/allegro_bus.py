@@ -123,9 +123,9 @@ def encode_torques(generation: AllegroGeneration, torques: np.ndarray) -> list[b
     return [data[at : at + FINGER_BYTES] for at in range(0, len(data), FINGER_BYTES)]
 
 
-def encode_periods(position: int, imu: int = 0, temperature: int = 0) -> bytes:
-    """Encode the periods at which the hand sends [ms]; 0: never."""
-    return _PERIODS.pack(position, imu, temperature)
+def encode_periods(position: int) -> bytes:
+    """Encode the period at which the hand sends positions [ms]; it sends neither motion nor temperature."""
+    return _PERIODS.pack(position, 0, 0)
 
 
 def decode_info(data: bytes) -> AllegroInfo:

@@ -38,7 +38,6 @@ def simulate_log(
     hand: Hand,
     log: MotionLog | JointSamples,
     dynamics: Sequence[JointDynamics],
-    start: np.ndarray | None = None,
     errors: Sequence[DriveErrors] | None = None,
 ) -> np.ndarray:
     """Return simulated measurements of a log's joints at its measurement times [rad], shape [W, T, J], for W
@@ -49,7 +48,6 @@ def simulate_log(
 
     Args:
         dynamics: dynamics of the log's joints, length W.
-        start: initial positions of the log's joints [rad], shape [J]; the measured ones by default.
         errors: errors of their drives, length W; none by default.
     """
     samples = joint_samples(log) if isinstance(log, MotionLog) else log
@@ -63,12 +61,11 @@ def simulate_log(
         hang_weights(model, hand, samples.weight)
     names = list(hand.actuators)
     columns = [names.index(joint) for joint in samples.joints]
-    first = samples.positions[0] if start is None else start
     count, joints = len(dynamics), len(samples.joints)
     offset, slack = np.zeros((2, count, joints))
     if errors is not None:
         offset, slack = np.stack([e.offset for e in errors]), np.stack([e.backlash for e in errors])
-    begin = first - offset
+    begin = samples.positions[0] - offset
     end = max(samples.times[-1].max(), samples.measured[-1].max())
     times = np.arange(0.0, end + STEP, STEP)
     low, high = _limits(hand)
@@ -93,16 +90,14 @@ def joint_response(
     changes: Sequence[Callable[[mujoco.MjModel], None]],
     start: np.ndarray,
     controls: np.ndarray,
-    every: int = 1,
 ) -> np.ndarray:
-    """Return positions of all joints [rad], shape [W, S // every, M].
+    """Return positions of all joints after each timestep [rad], shape [W, S, M].
 
     Args:
         model: a hand with position servos and a fixed palm.
         changes: functions that change each world's copy of the model, length W.
         start: initial positions of all joints, at rest [rad], shape [M] or, for each world, [W, M].
         controls: servo controls at each timestep of the model [rad], shape [W, S, U].
-        every: number of timesteps between returned positions.
     """
     models = []
     for change in changes:
@@ -118,7 +113,7 @@ def joint_response(
     threads = [mujoco.MjData(model) for _ in range(min(len(models), os.cpu_count() or 1))]
     states, _ = rollout.rollout(models, threads, begin, controls)
     # The full physics state begins with the time and the positions.
-    return states[:, every - 1 :: every, 1 : 1 + model.nq]
+    return states[:, :, 1 : 1 + model.nq]
 
 
 def prediction_rms(
