@@ -205,7 +205,10 @@ class PaperTable:
             policy = self._trained(variant, hand, seed)
             return {"results": np.array(json.dumps(self._tested(variant, hand, policy, seed)))}
 
-        key = part_key(self._budget(), asdict(variant), self._hand(variant), seed)
+        # Rows of two tables that train and test the same share it, whatever their titles.
+        key = part_key(
+            self._budget(), variant.method, variant.sees, variant.student, self._hand(variant), seed
+        )
         return json.loads(str(PartStore(self.out / "tested").kept(key, made)["results"]))
 
     def _budget(self) -> dict[str, Any]:
