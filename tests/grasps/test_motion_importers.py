@@ -79,6 +79,8 @@ def test_a_motion_gives_the_grasp_in_which_the_object_moves(shown, tmp_path):
     away = joints + np.array([0.0, 0.0, 0.04])
     with pytest.raises(FungraspError, match="does not touch the object when it moves"):
         grasp_from_motion(away, poses, tmp_path / "thing.ply")
+    with pytest.raises(FungraspError, match="unknown axis 'Z'"):
+        grasp_from_motion(joints, poses, tmp_path / "thing.ply", up="Z")
     with pytest.raises(FungraspError, match="order of openpose"):
         grasp_from_motion(joints[:, np.argsort(OPENPOSE)], poses, tmp_path / "thing.ply")
 

@@ -55,6 +55,8 @@ def grasp_from_motion(
         FungraspError: the object never moves, the hand does not touch it when it moves, or ``human_grasp``
             raises an error.
     """
+    if up not in UP:
+        raise UnknownNameError("axis", up, UP)
     turn = np.array([0.0, 0.0, 0.0, *UP[up]])
     for frame in moved_frames(object_pose[:, :3]):
         found = joints(int(frame)) if callable(joints) else np.asarray(joints)[frame]
