@@ -25,6 +25,6 @@ def test_a_device_that_is_missing_is_left_out(tmp_path, capsys, monkeypatch):
     files = ["--json", str(tmp_path / "speed.json")]
     assert run_command("gpu", ManyWorlds, options + files) == 0
     shown = capsys.readouterr().out
-    assert "cuda with 1 worlds is left out: --device cuda needs warp" in shown
+    assert "cuda with 1 worlds is left out: device cuda needs warp" in shown
     kept = json.loads((tmp_path / "speed.json").read_text())
     assert [one["device"] for one in kept["each"]] == ["cpu"] and "MuJoCo" in kept["machine"]

@@ -46,7 +46,7 @@ def test_grasps_of_another_hand_are_named(tmp_path, capsys):
     save_robot_grasps(grasps, retarget(human, load_objects(human), load_hand("leap"), threads=1))
     status, out, err = run(capsys, "train", "--grasps", grasps, "--out", tmp_path / "out")
     assert (status, out) == (2, "") and err.count("\n") == 1
-    assert err.endswith(f"{grasps}: the grasps are of the hand 'leap', not of 'allegro'\n")
+    assert err.endswith("leap.npz: the grasps are of the hand 'leap', not of 'allegro'\n")
 
 
 def test_what_differs_from_an_interrupted_training_is_named(tmp_path, capsys):

@@ -85,7 +85,7 @@ def test_picture(tmp_path, capsys, options):
     [
         (["show", "mgu"], "Did you mean 'mug'"),
         (["show", "mug", "--mass", "-1"], "'mug': the mass must be positive"),
-        (["show", "mug", "--picture", "mug.gif"], "must be a .png or .jpg file"),
+        (["show", "mug", "--picture", "mug.gif"], "a picture is a .png or .jpg or .jpeg file, not mug.gif"),
         (["show", "mug", "--objects", "nowhere"], "nowhere does not exist"),
         (["show", "mug", "--objects", __file__], "is a file: give the folder it lies in"),
         (["show", "nothing.obj"], "unknown object 'nothing.obj'"),

@@ -48,7 +48,7 @@ def test_good_evidence_is_sure_and_needs_no_help():
     assert said.summary() == "sure: all 12 quantities are within their limits"
     unknown = dataclasses.replace(said.evidence[0], value=float("nan"))
     said = dataclasses.replace(said, evidence=(unknown, *said.evidence[1:]))
-    assert said.summary() == "sure: all 11 quantities are within their limits; 1 more is not known"
+    assert said.summary() == "sure: the 11 known of 12 quantities are within their limits"
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ def test_shipped_cells_load(name: str) -> None:
         (GOOD + "[limits]\npalm_speed = 'fast'\n", "limits: palm_speed: expected a number, not 'fast'"),
         (GOOD + "[limits]\npalm_speed = nan\n", "limits: palm_speed: expected a finite number"),
         (GOOD + "[workspace]\nlower = [0, 0, 0.95]\n", "'workspace.lower' must be below"),
-        (GOOD + "[workspace]\nlower = [0, 0]\n", "workspace: lower: expected a list of 3, not of 2"),
+        (GOOD + "[workspace]\nlower = [0, 0]\n", "workspace: lower: expected a list of 3, not [0, 0]"),
         (GOOD + "[arm]\nmodel = 'ur6'\n", "unknown arm 'ur6'. Did you mean 'ur5'?"),
         (GOOD + "[arm]\npose_world_base = [0, 0, 0, 2, 0, 0, 0]\n", "unit quaternion"),
         (

@@ -163,7 +163,7 @@ def test_wrong_terms_and_weights_are_named():
         reward.total({"postion": np.zeros(1)}, RewardWeights())
     with pytest.raises(FungraspError, match="at least one term"):
         reward.total({}, RewardWeights())
-    with pytest.raises(FungraspError, match=r"RewardWeights\.lift: expected a finite number, not nan"):
+    with pytest.raises(FungraspError, match=r"^lift: expected a finite number, not nan"):
         RewardWeights(lift=float("nan"))
 
 

@@ -250,7 +250,7 @@ def test_imitation_comes_first_and_its_steps_count(tmp_path):
     trained(tmp_path, given, environment=guided, ppo=imitating)
     lines = [json.loads(line) for line in (tmp_path / "progress.jsonl").read_text().splitlines()]
     assert ["losses/imitation" in line for line in lines] == [True, True, False]
-    with pytest.raises(FungraspError, match=r"needs --environment\.residual\.base"):
+    with pytest.raises(FungraspError, match=r"needs environment\.residual\.base"):
         replace(given, ppo=imitating)
 
 

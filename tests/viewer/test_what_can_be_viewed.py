@@ -133,7 +133,7 @@ def test_options_that_do_not_fit_are_said(capsys):
     assert main(["view", "--grasps", "a.npz"]) == 2
     assert main(["view", "allegro", "--objects", "meshes"]) == 2
     assert capsys.readouterr().err.count("error: ") == 3
-    with pytest.raises(FungraspError, match="can't view a list"):
+    with pytest.raises(FungraspError, match="expected human or robot grasps, not a list"):
         choose_page([1], None, "allegro")
 
 

@@ -247,10 +247,11 @@ class Acceptance:
                 + (f"; not sure: {against}" if not self.sure and against else "")
             )
         if self.sure:
-            known = sum(not isnan(m.value) for m in self.evidence)
-            unknown = len(self.evidence) - known
-            more = f"; {unknown} more {'is' if unknown == 1 else 'are'} not known" if unknown else ""
-            return f"sure: all {known} quantities are within their limits{more}"
+            known, count = sum(not isnan(m.value) for m in self.evidence), len(self.evidence)
+            which = (
+                f"all {count} quantities" if known == count else f"the {known} known of {count} quantities"
+            )
+            return f"sure: {which} are within their limits"
         return f"not sure: {against or 'the pose is not judged'}"
 
     def rows(self) -> list[tuple[str, str, str, str]]:

@@ -116,7 +116,7 @@ def test_cards_that_cannot_be_written(tmp_path: Path, measured: dict) -> None:
 
 
 def test_only_as_onnx(tmp_path: Path) -> None:
-    with pytest.raises(FungraspError, match=r"saved as \.onnx"):
+    with pytest.raises(FungraspError, match=r"a policy is a \.onnx file"):
         save_policy(tmp_path / "p.pt", feedforward(), allegro_card())
 
 
