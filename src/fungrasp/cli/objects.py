@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from fungrasp.cli.console import Answering, CommandResult, table
+from fungrasp.core.files import check_suffix
 
 if TYPE_CHECKING:
     from fungrasp.objects import ObjectModel
@@ -59,13 +60,15 @@ class ShowObject(Answering):
     def run(self) -> CommandResult:
         from fungrasp.objects.object_description import describe_object
 
+        if self.picture is not None:
+            from fungrasp.media.pictures import PICTURES, draw_object
+
+            check_suffix(self.picture, "a picture", *PICTURES)
         model, weighed = self._load()
         description = describe_object(model)
         if not weighed:
             description |= {"mass": None, "inertia": None}
         if self.picture is not None:
-            from fungrasp.media.pictures import draw_object
-
             draw_object(self.picture, model, self.pieces)
             print(f"wrote {self.picture}", file=sys.stderr)
         return CommandResult(description, _text(description))

@@ -353,7 +353,7 @@ def not_found_lines(result: LiftTestResult) -> list[str]:
     some = ", ".join(map(str, rows[:8])) + (", ..." if len(rows) > 8 else "")
     return [
         f"no firm grasp as shown found for {len(rows)} grasps (rows {some}): the setting other_places "
-        "(--other-places) plays what holds"
+        "(--other-places) plays plans that hold them in another way"
     ]
 
 

@@ -275,6 +275,7 @@ def _side_remarks(joints: np.ndarray, object_name: np.ndarray | None) -> list[Re
 
 
 UNDER = "the whole hand is below the table: z points down, or the table top is not at z = 0 (table height)"
+"""Remark on hands below the table top; of most grasps it asks for another upward axis."""
 
 
 def table_remarks(hand_joints: np.ndarray) -> list[Remark]:

@@ -162,10 +162,12 @@ class GraspSet(Generic[Grasp]):
     object_bounds: Mapping[str, np.ndarray]
 
     def __post_init__(self) -> None:
-        bounds = {**self.object_bounds, **{name: model.bounds for name, model in self.objects.items()}}
         corners = ArrayField("number", (2, 3))
-        checked = {name: checked_array(BOUNDS + name, corners, b, {}) for name, b in bounds.items()}
-        object.__setattr__(self, "object_bounds", checked)
+        bounds = {name: model.bounds for name, model in self.objects.items()}
+        for name, given in self.object_bounds.items():
+            if name not in bounds:
+                bounds[name] = checked_array(BOUNDS + name, corners, given, {})
+        object.__setattr__(self, "object_bounds", bounds)
         sizes: dict[str, int] = {}
         for name, field in self.FIELDS.items():
             value = getattr(self, name)

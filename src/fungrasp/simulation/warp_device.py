@@ -124,7 +124,7 @@ def open_warp(device: Device) -> Warp:
         raise FungraspError(f"device cuda: {why_no_cuda()}; device cpu works without a GPU")
     if not torch.cuda.is_available():
         raise FungraspError(
-            f"--device cuda: torch {torch.__version__} is built without CUDA: install the one from "
+            f"device cuda: torch {torch.__version__} is built without CUDA: install the one from "
             "https://pytorch.org/get-started for your CUDA"
         )
     _prepare_cache(warp)

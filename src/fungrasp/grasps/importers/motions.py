@@ -52,8 +52,8 @@ def grasp_from_motion(
         task: task of the grasp.
 
     Raises:
-        FungraspError: the object never moves, the hand does not touch it when it moves, or ``human_grasp``
-            raises an error.
+        FungraspError: the axis is unknown, the object never moves, the hand does not touch it when it moves,
+            or ``human_grasp`` raises an error.
     """
     if up not in UP:
         raise UnknownNameError("axis", up, UP)
