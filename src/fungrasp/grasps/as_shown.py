@@ -18,7 +18,7 @@ from fungrasp.geometry.signed_distance import SignedDistanceBank, project_to_sur
 from fungrasp.grasps.human_grasp import HumanGraspSet
 from fungrasp.grasps.robot_grasp import RobotGraspSet
 from fungrasp.hands import Hand
-from fungrasp.hands.collisions import collision_spheres
+from fungrasp.hands.collisions import CollisionSpheres, collision_spheres
 from fungrasp.hands.correspondence import Correspondence, correspond
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
@@ -147,6 +147,57 @@ def with_shown_places(
     return replace(robot, shown_places=places, shown_normals=normals)
 
 
+class NearestPoints(NamedTuple):
+    """Where the finger links of N hands are nearest to their objects, object frame."""
+
+    centers: np.ndarray
+    """Center of each link's nearest collision sphere [m], shape [N, S, 3]."""
+    clearance: np.ndarray
+    """Distance of this sphere from the surface [m], shape [N, S]."""
+    points: np.ndarray
+    """Surface point nearest to the center by the signed distances, up to 1 mm off [m], shape [N, S, 3]."""
+    outward: np.ndarray
+    """Outward unit normal at this point, shape [N, S, 3]."""
+
+
+def nearest_points(
+    kinematics: HandKinematics, spheres: CollisionSpheres, bank: SignedDistanceBank, index: np.ndarray
+) -> NearestPoints:
+    """Return where finger links are nearest to the object.
+
+    Args:
+        kinematics: N hands at their poses, object frame.
+        spheres: ``collision_spheres(hand)``.
+        bank, index: signed distances of objects, and each hand's object, shape [N].
+    """
+    centers = kinematics.points(spheres.points)
+    clearance = bank.query(index, centers)[0] - spheres.radius
+    # Without the palm, link 0.
+    nearest = np.stack(
+        [
+            np.where(spheres.link == link, clearance, np.inf).argmin(axis=1)
+            for link in range(1, len(kinematics.hand.links))
+        ],
+        axis=1,
+    )
+    found = np.take_along_axis(centers, nearest[..., None], axis=1)
+    points, outward = project_to_surface(bank, index, found)
+    return NearestPoints(found, np.take_along_axis(clearance, nearest, axis=1), points, outward)
+
+
+def enough(shown: np.ndarray, wanted: np.ndarray, is_thumb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return whether N grasps are as shown, shape [N] bool, and the share of their wanted links that are,
+    shape [N], NaN without wanted links.
+
+    Args:
+        shown, wanted: links that are as shown, and that should be, shape [N, S] bool.
+        is_thumb: links of the thumb, shape [S] bool.
+    """
+    share = shown.sum(axis=1) / np.where(wanted.any(axis=1), wanted.sum(axis=1), np.nan)
+    thumb = ~(wanted & is_thumb).any(axis=1) | (shown & is_thumb).any(axis=1)
+    return thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9), share
+
+
 class ShownJudge:
     """Compares grasps of one robot hand with human grasps."""
 
@@ -175,32 +226,19 @@ class ShownJudge:
         models, index, bank = _grouped(shown.object_name.tolist(), self._objects)
         kinematics = HandKinematics(self.hand, len(index))
         kinematics.update(palm_pose, self.hand.independent(joint_positions))
-        centers = kinematics.points(self._spheres.points)
-        clearance = bank.query(index, centers)[0] - self._spheres.radius
-        # Without the palm, link 0.
-        nearest = np.stack(
-            [
-                np.where(self._spheres.link == link, clearance, np.inf).argmin(axis=1)
-                for link in range(1, len(self.hand.links))
-            ],
-            axis=1,
-        )
-        found = np.take_along_axis(centers, nearest[..., None], axis=1)
-        if touching is None:
-            touching = np.take_along_axis(clearance, nearest, axis=1) < TOUCH
-        points = nearest_surface_points(models, index, found, wanted | touching)
-        outward = project_to_surface(bank, index, found)[1]
+        near = nearest_points(kinematics, self._spheres, bank, index)
+        touching = near.clearance < TOUCH if touching is None else touching
+        points = nearest_surface_points(models, index, near.centers, wanted | touching)
         error = np.linalg.norm(points - places, axis=-1)
-        turned = (normals * outward).sum(axis=-1) < 0.0
+        turned = (normals * near.outward).sum(axis=-1) < 0.0
         agree = wanted & touching & (error <= NEAR) & ~turned
+        holds, share = enough(agree, wanted, self._thumb)
         by_thumb = wanted & self._thumb
         thumb = ~by_thumb.any(axis=1) | (agree & self._thumb).any(axis=1)
         lost = np.select([~touching, error > NEAR, turned], [0, 1, 2], 3)
         number = np.where(wanted.any(axis=1), wanted.sum(axis=1), np.nan)
-        share = agree.sum(axis=1) / number
         apart = np.linalg.norm(points[:, :, None] - places[:, None], axis=-1)
         apart = np.where(wanted[:, None, :], apart, np.inf).min(axis=-1)
-        holds = thumb & (np.nan_to_num(share) >= ENOUGH - 1e-9)
         reason = np.select(
             [holds, ~wanted.any(axis=1), ~thumb],
             ["", "no link is wanted", _most("the thumb", lost, by_thumb)],

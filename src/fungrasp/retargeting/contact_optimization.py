@@ -3,6 +3,7 @@ contacts and collisions (paper IV.A)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,8 +15,9 @@ from fungrasp.geometry.poses import (
     quaternion_from_rotation_vector,
     rotate,
 )
+from fungrasp.grasps.as_shown import NEAR, TOUCH, enough, nearest_points
 from fungrasp.hands import Hand
-from fungrasp.hands.collisions import self_collision_depth
+from fungrasp.hands.collisions import collision_spheres, self_collision_depth
 from fungrasp.hands.kinematics import HandKinematics, partly_closed
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
@@ -23,26 +25,13 @@ from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.link_contacts import contacts_of_links
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
-from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, torque_limits, unresisted_share
-from fungrasp.retargeting.settings import RetargetSettings, Start
-
-TOLERATED_SHARE = 0.2
-"""Unresisted share of the load below which a grasp is firm. Six of seven such grasps hold, regardless of the
-share."""
+from fungrasp.retargeting.settings import RetargetSettings
 
 INSIDE = 0.002
-"""Largest penetration of object or hand in a valid grasp [m]."""
+"""Largest penetration of object, table or hand in a valid grasp [m]."""
 
-NEAR, TOUCH, ENOUGH = 0.02, 0.005, 2 / 3
-"""A link is as shown if its distance from the person's contact is below the first value and its clearance
-below the second [m]. A grasp is as shown if the thumb and the third value's share of the target links are."""
-
-ELSEWHERE, SHARE_COST, PLACE_COST = 3.0, 0.5, 20.0
-"""Costs, in units of the unresisted share, of a grasp that is not as shown, of the share of target links that
-are not, and of one meter between contacts of person and hand."""
-
-GOOD = 0.5
-"""Cost below which a grasp is not solved again."""
+WRONG = 3.0
+"""Cost of a grasp that is not valid or not as shown; more than links can cost, which is at most two."""
 
 
 def retarget_by_contact_optimization(
@@ -57,11 +46,11 @@ def retarget_by_contact_optimization(
     near = minimize(points, problem, first, *initial_pose(points, problem), settings.iterations[0])[:2]
     wrist_pose, independent = near[0].copy(), near[1].copy()
     cost, rows = np.full(len(problem), np.inf), np.arange(len(problem))
-    for start in settings.starts:
+    for turn, shift in starts(settings):
         part, hands = problem.rows(rows), points.for_hands(len(rows))
-        pose = moved(hands, near[0][rows], near[1][rows], start)
-        found = _touch(hands, part, settings, pose, start)
-        new = _cost(hands, part, found, cost[rows])
+        pose = moved(hands, near[0][rows], near[1][rows], turn, shift)
+        found = _touch(hands, part, settings, pose)
+        new = _cost(hands, part, *found)
         better = new < cost[rows]
         chosen = rows[better]
         wrist_pose[chosen], independent[chosen], cost[chosen] = (
@@ -69,10 +58,18 @@ def retarget_by_contact_optimization(
             found[1][better],
             new[better],
         )
-        rows = np.flatnonzero(cost > GOOD)
+        rows = np.flatnonzero(cost >= WRONG)
         if not len(rows):
             break
     return wrist_pose, independent
+
+
+def starts(settings: RetargetSettings) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the starts of the solver as rotation vector [rad] and shift [m], shape [3] each. Axes of a right
+    palm: along the fingers, out of the palm, across it; mirrored for a left hand."""
+    yield np.zeros(3), np.zeros(3)
+    for noise in np.random.default_rng(0).normal(size=(settings.starts, 6)):
+        yield settings.start_turn * noise[:3], settings.start_shift * noise[3:]
 
 
 def _touch(
@@ -80,7 +77,6 @@ def _touch(
     problem: RetargetingProblem,
     settings: RetargetSettings,
     pose: tuple[np.ndarray, np.ndarray],
-    start: Start,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve the second and third stage. Return wrist poses, shape [N, 7], and independent joints, shape [N,
     U].
@@ -88,10 +84,9 @@ def _touch(
     Args:
         points, problem: N grasps.
         pose: initial wrist poses, shape [N, 7], and independent joints, shape [N, U].
-        start: units of the cost terms.
     """
     s = settings
-    place = partial(terms.contact_position, unit=start.contact_unit)
+    place = partial(terms.contact_position, unit=s.contact_unit)
     table = partial(terms.table_penetration, unit=s.table_unit, margin=s.table_margin)
     second: list[Term] = [
         place,
@@ -107,7 +102,7 @@ def _touch(
         partial(terms.contact_gap, unit=s.gap_unit),
         partial(terms.object_penetration, unit=s.object_unit),
         partial(terms.link_direction, unit=s.posture_unit),
-        partial(terms.force_closure, unit=start.closure_unit, friction=s.closure_friction),
+        partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
         partial(terms.stay_near, start=pose, unit=3.0),
         table,
         partial(terms.self_penetration, unit=s.self_unit),
@@ -116,56 +111,48 @@ def _touch(
 
 
 def _cost(
-    points: HandPoints,
-    problem: RetargetingProblem,
-    solution: tuple[np.ndarray, np.ndarray],
-    least: np.ndarray,
+    points: HandPoints, problem: RetargetingProblem, wrist_pose: np.ndarray, independent: np.ndarray
 ) -> np.ndarray:
-    """Return the cost of solutions, shape [N]: mainly whether they are as shown; then the unresisted share of
-    the load, at least ``TOLERATED_SHARE``, and the distance of contacts from the person's.
+    """Return the cost of solutions, shape [N]: ``WRONG`` if they are not valid, ``WRONG`` if they are not as
+    shown, the share of the wanted links that are not, and their mean distance from the human contacts
+    relative to twice the distance that counts as the same place.
 
     Args:
         points, problem: N grasps.
-        solution: wrist poses, shape [N, 7], and independent joints, shape [N, U].
-        least: lowest costs so far, shape [N]. If contacts alone cost as much, the result is infinite.
+        wrist_pose, independent: the solutions, shape [N, 7] and [N, U].
     """
-    match, hand = points.match, points.kinematics.hand
-    contacts = contacts_of_links(points.dense, problem, *solution, TOUCH)
-    wanted, touching = problem.contacts[:, 1:], np.isfinite(contacts.clearance[:, 1:])
-    off = np.linalg.norm(contacts.place[:, 1:] - problem.surface, axis=2)
-    off = np.where(touching, np.minimum(off, 2 * NEAR), 2 * NEAR)
-    facing = (contacts.inward[:, 1:] * problem.normals).sum(axis=2) < 0
-    shown = wanted & touching & facing & (off < NEAR)
-    number = np.maximum(wanted.sum(axis=1), 1)
-    share = shown.sum(axis=1) / number
-    by_thumb = wanted & match.is_thumb
-    holds = (share >= ENOUGH - 1e-9) & (~by_thumb.any(axis=1) | (shown & match.is_thumb).any(axis=1))
-    collisions: list[Term] = [partial(terms.table_penetration, unit=DEEPEST, margin=0.0)]
-    inside = minimize(points, problem, collisions, *solution, 0)[2] > 2.0
-    inside |= contacts.clearance.min(axis=1) < -INSIDE
-    cost = PLACE_COST * (wanted * off).sum(axis=1) / number + SHARE_COST * (1 - share) + ELSEWHERE * ~holds
-    cost += NO_GRIP * inside
-    unresisted = unresisted_share(contacts, problem, torque_limits(hand), TOLERATED_SHARE, least - cost)
-    cost += np.maximum(unresisted, TOLERATED_SHARE)
+    hand, wanted = points.kinematics.hand, problem.contacts[:, 1:]
+    points.kinematics.update(wrist_pose, independent)
+    near = nearest_points(points.kinematics, collision_spheres(hand), problem.bank, problem.grid)
+    error = np.linalg.norm(near.points - problem.surface, axis=-1)
+    same_side = (near.outward * problem.normals).sum(axis=-1) >= 0
+    touching = near.clearance < TOUCH
+    shown = wanted & touching & (error <= NEAR) & same_side
+    holds, share = enough(shown, wanted, points.match.is_thumb)
+    off = np.where(touching, np.minimum(error / (2 * NEAR), 1.0), 1.0)
+    off = (wanted * off).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
+    # Denser spheres than the solver's: penetration between those must not go unnoticed.
+    clearance = contacts_of_links(points.dense, problem, wrist_pose, independent).clearance.min(axis=1)
+    table: list[Term] = [partial(terms.table_penetration, unit=INSIDE, margin=0.0)]
+    below = minimize(points, problem, table, wrist_pose, independent, 0)[2] > 0.5
     # The terms do not include collisions of fingers with the palm.
-    better = np.flatnonzero(cost < least)
-    depth = self_collision_depth(hand.model, hand.all_joints(solution[1][better]))
-    cost[better] += ELSEWHERE * (depth > INSIDE)
-    return cost
+    inside = self_collision_depth(hand.model, hand.all_joints(independent)) > INSIDE
+    valid = (clearance > -INSIDE) & ~below & ~inside
+    return WRONG * ~valid + WRONG * ~holds + (1 - np.nan_to_num(share)) + off
 
 
 def moved(
-    points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, start: Start
+    points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, turn: np.ndarray, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Turn wrist poses about the mean fingertips and shift them; return them, shape [N, 7], and the joints.
 
     Args:
         points: kinematics for N hands.
         wrist_pose, independent: poses and joints before, shape [N, 7] and [N, U].
+        turn, shift: as ``starts`` yields them.
     """
     hand = points.kinematics.hand
     axes = np.stack([hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)])
-    turn, shift = np.array(start.turn), np.array(start.shift)
     if hand.side == "left":
         # Mirroring flips the axis across the palm and the sense of rotations.
         axes[2], turn = -axes[2], -turn

@@ -274,7 +274,6 @@ class Retargeter:
             normals=normals,
             center=np.zeros((1, 3)),
             extent=np.ones(1),
-            weight=np.ones(1),
         )
 
     def _bounded(
