@@ -19,7 +19,7 @@ class RetargetSettings(CheckedRecord):
     """Distance between robot and human fingertip, first stage [m]."""
     direction_unit: float = 0.5
     """Difference between unit vectors along a link, first and second stage [-]."""
-    contact_unit: float = 0.002
+    contact_unit: float = 0.003
     """Distance between contact points of robot and human [m]."""
     gap_unit: float = 0.001
     """Gap between the object and a link that should touch it [m]."""
