@@ -90,6 +90,7 @@ def problem_with(around: CollisionScene, **given: np.ndarray) -> RetargetingProb
         "normals": np.zeros((count, 15, 3)),
         "center": np.zeros((count, 3)),
         "extent": np.ones(count),
+        "weight": np.ones(count),
     }
     return RetargetingProblem(**{**vars(around), **empty, **given})
 

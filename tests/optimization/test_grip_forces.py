@@ -13,12 +13,12 @@ from fungrasp.optimization.grip_forces import (
     TORQUE_SHARE,
     Fingers,
     elastic_forces,
-    grip_of,
     holding_forces,
     squeeze_torques,
 )
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.wrench_resistance import grip_of
 
 LEVER = np.array([[[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]])
 """Two contacts opposite each other, shape [1, 2, 3]."""

@@ -7,7 +7,7 @@ import pytest
 from planned_grasps import grasps_and_objects, hand
 
 from fungrasp.objects.object_model import GRAVITY
-from fungrasp.optimization.grip_forces import lift_loads
+from fungrasp.optimization.wrench_resistance import lift_loads
 from fungrasp.planning.expected_loads import use_loads
 from fungrasp.task.use import UseMotion, load_use_motions
 

@@ -3,26 +3,13 @@ torque limits under each expected load."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from fungrasp.geometry.poses import cross
-from fungrasp.hands import Hand
-from fungrasp.objects import ObjectModel
 from fungrasp.optimization.friction_cones import outside_cones
-from fungrasp.optimization.hand_state import HandPoints
-from fungrasp.optimization.link_contacts import LinkContacts, contacts_of_links
-from fungrasp.optimization.problem import CollisionScene
-
-FRICTION = 0.6
-"""Assumed friction coefficient between hand and object: less than the nominal 0.9, because real contacts
-deviate from planned ones."""
-DISTURBANCE = 0.5
-"""Disturbance that a grip must resist, relative to the object's weight."""
-NEAR = 0.006
-"""Maximum clearance of links that are counted as contacts when the hand closes [m]."""
+from fungrasp.optimization.wrench_resistance import Grip, wrenches_over_reach
 
 TORQUE_SHARE = 0.9
 """Share of the servos' torque limits that the squeeze and its reaction to a load may use."""
@@ -39,74 +26,6 @@ MOST_CONTACTS = 8
 """Maximum number of links that press; more are rarely as near."""
 SQUEEZE_ITERATIONS = 200
 """Iterations of the descent in ``holding_forces``."""
-
-
-class Grip(NamedTuple):
-    """Contacts and torque limits of N hands that hold objects."""
-
-    contacts: LinkContacts
-    """Contacts of the links."""
-    used: np.ndarray
-    """Links that touch, shape [N, L] bool."""
-    center: np.ndarray
-    """Center of mass [m], object frame, shape [N, 3]."""
-    reach: np.ndarray
-    """Lever arm that converts torques to forces [m], shape [N]."""
-    torque_limit: np.ndarray
-    """Torque limits of the independent joints [N m], shape [U]."""
-    friction: float = FRICTION
-    """Assumed friction coefficient."""
-
-
-def grip_of(
-    points: HandPoints,
-    around: CollisionScene,
-    objects: Sequence[ObjectModel],
-    wrist_pose: np.ndarray,
-    independent: np.ndarray,
-) -> Grip:
-    """Return the grip of all links nearer to the object than ``NEAR``.
-
-    Args:
-        around: collision geometry of N hands.
-        objects: object of each hand, length N.
-        wrist_pose: object frame, shape [N, 7].
-        independent: joints [rad], shape [N, U].
-    """
-    contacts = contacts_of_links(points, around, wrist_pose, independent)
-    centers = np.array([model.center_of_mass for model in objects])
-    reach = np.array([0.5 * float(np.max(model.size)) for model in objects])
-    return Grip(contacts, contacts.clearance < NEAR, centers, reach, torque_limits(points.kinematics.hand))
-
-
-def torque_limits(hand: Hand) -> np.ndarray:
-    """Return the torque limits of the servos [N m], shape [U]."""
-    return np.array([servo.force_limit for servo in hand.actuators.values()])
-
-
-def lift_loads(up: np.ndarray, weight: np.ndarray, disturbance: float = DISTURBANCE) -> np.ndarray:
-    """Return the loads of a lift at the center of mass: forces [N] and torques [N m], object frame, shape
-    [N, 6, 6].
-
-    Each load is the weight plus ``disturbance`` times the weight, down, up or in one of four horizontal
-    directions. The acceleration of the lift is small compared with the disturbance.
-
-    Args:
-        up: unit vectors against gravity, object frame, shape [N, 3].
-        weight: [N], shape [N].
-    """
-    helper = np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = cross(up, helper)
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    second = cross(up, first)
-    directions = np.stack([-up, up, first, -first, second, -second], axis=1)
-    force = weight[:, None, None] * (disturbance * directions - up[:, None])
-    return np.concatenate([force, np.zeros_like(force)], axis=-1)
-
-
-def wrenches_over_reach(loads: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Return wrenches from forces [N] and torques [N m], shape [N, K, 6]. reach: [m], shape [N]."""
-    return np.concatenate([loads[..., :3], loads[..., 3:] / reach[:, None, None]], axis=-1)
 
 
 class Fingers(NamedTuple):

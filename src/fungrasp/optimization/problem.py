@@ -16,7 +16,7 @@ from fungrasp.grasps import HumanGraspSet
 from fungrasp.grasps.as_shown import shown_places
 from fungrasp.hands.correspondence import Correspondence
 from fungrasp.objects import ObjectModel
-from fungrasp.objects.object_model import settled_up
+from fungrasp.objects.object_model import GRAVITY, settled_up
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,8 @@ class RetargetingProblem(CollisionScene):
     """Center of mass of each object [m], shape [N, 3]."""
     extent: np.ndarray
     """Half the diagonal of each object [m], shape [N]: the unit of lever arms in force closure."""
+    weight: np.ndarray
+    """Weight of each object [N], shape [N]."""
 
     @classmethod
     def from_grasps(
@@ -123,6 +125,7 @@ class RetargetingProblem(CollisionScene):
             normals=normals,
             center=np.array([objects[name].center_of_mass for name in names]),
             extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+            weight=GRAVITY * grasps.object_mass,
         )
 
 

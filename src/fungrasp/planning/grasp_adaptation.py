@@ -21,6 +21,7 @@ from fungrasp.grasps import RobotGraspSet
 from fungrasp.hands import Hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.levenberg_marquardt import minimize
@@ -86,6 +87,7 @@ def adapt_to_settled_object(
         normals=normals,
         center=np.array([objects[name].center_of_mass for name in names]),
         extent=np.array([0.5 * np.linalg.norm(objects[name].size) for name in names]),
+        weight=GRAVITY * grasps.object_mass,
     )
     before = np.concatenate([settled_pose[:, :3], grasps.object_rest_pose[:, 3:]], axis=1)
     unrolled = compose(invert(settled_pose), compose(before, wrist_in_object))

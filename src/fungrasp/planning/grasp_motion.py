@@ -15,9 +15,10 @@ from fungrasp.hands import Hand, as_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel
 from fungrasp.objects.object_model import GRAVITY
-from fungrasp.optimization.grip_forces import grip_of, lift_loads, squeeze_torques
+from fungrasp.optimization.grip_forces import squeeze_torques
 from fungrasp.optimization.hand_state import HandPoints
 from fungrasp.optimization.problem import CollisionScene
+from fungrasp.optimization.wrench_resistance import grip_of, lift_loads
 from fungrasp.planning.approach_path import Approach, ApproachSettings, FollowedPath, plan_approach
 from fungrasp.planning.expected_loads import use_loads
 from fungrasp.planning.grasp_adaptation import AdaptSettings, adapt_to_settled_object

@@ -3,7 +3,6 @@ contacts and collisions (paper IV.A)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -25,13 +24,29 @@ from fungrasp.optimization.levenberg_marquardt import minimize
 from fungrasp.optimization.link_contacts import contacts_of_links
 from fungrasp.optimization.problem import RetargetingProblem
 from fungrasp.optimization.terms import Term
-from fungrasp.retargeting.settings import RetargetSettings
+from fungrasp.optimization.wrench_resistance import DEEPEST, NO_GRIP, torque_limits, unresisted_share
+from fungrasp.retargeting.settings import RetargetSettings, Start
+
+TOLERATED_SHARE = 0.2
+"""Unresisted share of the load below which a grasp is firm. Six of seven such grasps hold, regardless of the
+share."""
 
 INSIDE = 0.002
-"""Largest penetration of object, table or hand in a valid grasp [m]."""
+"""Largest penetration of object or hand in a valid grasp [m]."""
 
-WRONG = 3.0
-"""Cost of a grasp that is not valid or not as shown; more than links can cost, which is at most two."""
+ELSEWHERE, SHARE_COST, PLACE_COST = 4.0, 0.5, 20.0
+"""Costs, in units of the unresisted share, of a grasp that is not as shown, of the share of target links that
+are not, and of one meter between contacts of person and hand. A grasp as shown that penetrates the object
+costs less than one that is not as shown."""
+
+GOOD, BAD = 0.5, 2 * NO_GRIP
+"""Cost below which a grasp is not solved again, and above which it penetrates or is not as shown."""
+
+SAME_PLACE = NEAR - 0.002
+"""Distance between contacts at the same place [m], less the error of places from the grid."""
+
+TURN, SHIFT = 0.2, 0.01
+"""Standard deviation of random starts about and along each axis [rad, m]."""
 
 
 def retarget_by_contact_optimization(
@@ -46,11 +61,12 @@ def retarget_by_contact_optimization(
     near = minimize(points, problem, first, *initial_pose(points, problem), settings.iterations[0])[:2]
     wrist_pose, independent = near[0].copy(), near[1].copy()
     cost, rows = np.full(len(problem), np.inf), np.arange(len(problem))
-    for turn, shift in starts(settings):
+    further = _random_starts(settings.further_starts)
+    for number, start in enumerate((*settings.starts, *further), start=1):
         part, hands = problem.rows(rows), points.for_hands(len(rows))
-        pose = moved(hands, near[0][rows], near[1][rows], turn, shift)
-        found = _touch(hands, part, settings, pose)
-        new = _cost(hands, part, *found)
+        pose = moved(hands, near[0][rows], near[1][rows], start)
+        found = _touch(hands, part, settings, pose, start)
+        new = _cost(hands, part, found, cost[rows])
         better = new < cost[rows]
         chosen = rows[better]
         wrist_pose[chosen], independent[chosen], cost[chosen] = (
@@ -58,18 +74,16 @@ def retarget_by_contact_optimization(
             found[1][better],
             new[better],
         )
-        rows = np.flatnonzero(cost >= WRONG)
+        rows = np.flatnonzero(cost > (GOOD if number < len(settings.starts) else BAD))
         if not len(rows):
             break
     return wrist_pose, independent
 
 
-def starts(settings: RetargetSettings) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the starts of the solver as rotation vector [rad] and shift [m], shape [3] each. Axes of a right
-    palm: along the fingers, out of the palm, across it; mirrored for a left hand."""
-    yield np.zeros(3), np.zeros(3)
-    for noise in np.random.default_rng(0).normal(size=(settings.starts, 6)):
-        yield settings.start_turn * noise[:3], settings.start_shift * noise[3:]
+def _random_starts(count: int) -> tuple[Start, ...]:
+    """Return ``count`` random starts, always the same."""
+    noise = np.random.default_rng(0).normal(size=(count, 6)) * [TURN, TURN, TURN, SHIFT, SHIFT, SHIFT]
+    return tuple(Start((a, b, c), (x, y, z)) for a, b, c, x, y, z in noise.tolist())
 
 
 def _touch(
@@ -77,6 +91,7 @@ def _touch(
     problem: RetargetingProblem,
     settings: RetargetSettings,
     pose: tuple[np.ndarray, np.ndarray],
+    start: Start,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve the second and third stage. Return wrist poses, shape [N, 7], and independent joints, shape [N,
     U].
@@ -84,9 +99,10 @@ def _touch(
     Args:
         points, problem: N grasps.
         pose: initial wrist poses, shape [N, 7], and independent joints, shape [N, U].
+        start: units of the cost terms.
     """
     s = settings
-    place = partial(terms.contact_position, unit=s.contact_unit)
+    place = partial(terms.contact_position, unit=start.contact_unit)
     table = partial(terms.table_penetration, unit=s.table_unit, margin=s.table_margin)
     second: list[Term] = [
         place,
@@ -102,7 +118,7 @@ def _touch(
         partial(terms.contact_gap, unit=s.gap_unit),
         partial(terms.object_penetration, unit=s.object_unit),
         partial(terms.link_direction, unit=s.posture_unit),
-        partial(terms.force_closure, unit=s.closure_unit, friction=s.closure_friction),
+        partial(terms.force_closure, unit=start.closure_unit, friction=s.closure_friction),
         partial(terms.stay_near, start=pose, unit=3.0),
         table,
         partial(terms.self_penetration, unit=s.self_unit),
@@ -111,48 +127,54 @@ def _touch(
 
 
 def _cost(
-    points: HandPoints, problem: RetargetingProblem, wrist_pose: np.ndarray, independent: np.ndarray
+    points: HandPoints,
+    problem: RetargetingProblem,
+    solution: tuple[np.ndarray, np.ndarray],
+    least: np.ndarray,
 ) -> np.ndarray:
-    """Return the cost of solutions, shape [N]: ``WRONG`` if they are not valid, ``WRONG`` if they are not as
-    shown, the share of the wanted links that are not, and their mean distance from the human contacts
-    relative to twice the distance that counts as the same place.
+    """Return the cost of solutions, shape [N]: mainly whether they are as shown; then the unresisted share of
+    the load, at least ``TOLERATED_SHARE``, and the distance of contacts from the person's.
 
     Args:
         points, problem: N grasps.
-        wrist_pose, independent: the solutions, shape [N, 7] and [N, U].
+        solution: wrist poses, shape [N, 7], and independent joints, shape [N, U].
+        least: lowest costs so far, shape [N]. If contacts alone cost as much, the result is infinite.
     """
     hand, wanted = points.kinematics.hand, problem.contacts[:, 1:]
-    points.kinematics.update(wrist_pose, independent)
+    points.kinematics.update(*solution)
     near = nearest_points(points.kinematics, collision_spheres(hand), problem.bank, problem.grid)
-    error = np.linalg.norm(near.points - problem.surface, axis=-1)
-    same_side = (near.outward * problem.normals).sum(axis=-1) >= 0
-    touching = near.clearance < TOUCH
-    shown = wanted & touching & (error <= NEAR) & same_side
-    holds, share = enough(shown, wanted, points.match.is_thumb)
-    off = np.where(touching, np.minimum(error / (2 * NEAR), 1.0), 1.0)
-    off = (wanted * off).sum(axis=1) / np.maximum(wanted.sum(axis=1), 1)
-    # Denser spheres than the solver's: penetration between those must not go unnoticed.
-    clearance = contacts_of_links(points.dense, problem, wrist_pose, independent).clearance.min(axis=1)
-    table: list[Term] = [partial(terms.table_penetration, unit=INSIDE, margin=0.0)]
-    below = minimize(points, problem, table, wrist_pose, independent, 0)[2] > 0.5
+    off = np.linalg.norm(near.points - problem.surface, axis=-1)
+    same_side, touching = (near.outward * problem.normals).sum(axis=-1) >= 0, near.clearance < TOUCH
+    holds, share = enough(wanted & touching & same_side & (off <= SAME_PLACE), wanted, points.match.is_thumb)
+    off = (wanted * np.where(touching, np.minimum(off, 2 * NEAR), 2 * NEAR)).sum(axis=1)
+    cost = PLACE_COST * off / np.maximum(wanted.sum(axis=1), 1) + SHARE_COST * (1 - np.nan_to_num(share))
+    cost += ELSEWHERE * ~holds
+    contacts = contacts_of_links(points.dense, problem, *solution, TOUCH)
+    collisions: list[Term] = [partial(terms.table_penetration, unit=DEEPEST, margin=0.0)]
+    inside = minimize(points, problem, collisions, *solution, 0)[2] > 2.0
+    inside |= contacts.clearance.min(axis=1) < -INSIDE
+    cost += NO_GRIP * inside
+    unresisted = unresisted_share(contacts, problem, torque_limits(hand), TOLERATED_SHARE, least - cost)
+    cost += np.maximum(unresisted, TOLERATED_SHARE)
     # The terms do not include collisions of fingers with the palm.
-    inside = self_collision_depth(hand.model, hand.all_joints(independent)) > INSIDE
-    valid = (clearance > -INSIDE) & ~below & ~inside
-    return WRONG * ~valid + WRONG * ~holds + (1 - np.nan_to_num(share)) + off
+    better = np.flatnonzero(cost < least)
+    depth = self_collision_depth(hand.model, hand.all_joints(solution[1][better]))
+    cost[better] += ELSEWHERE * (depth > INSIDE)
+    return cost
 
 
 def moved(
-    points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, turn: np.ndarray, shift: np.ndarray
+    points: HandPoints, wrist_pose: np.ndarray, independent: np.ndarray, start: Start
 ) -> tuple[np.ndarray, np.ndarray]:
     """Turn wrist poses about the mean fingertips and shift them; return them, shape [N, 7], and the joints.
 
     Args:
         points: kinematics for N hands.
         wrist_pose, independent: poses and joints before, shape [N, 7] and [N, U].
-        turn, shift: as ``starts`` yields them.
     """
     hand = points.kinematics.hand
     axes = np.stack([hand.palm_fingers, hand.palm_normal, np.cross(hand.palm_fingers, hand.palm_normal)])
+    turn, shift = np.array(start.turn), np.array(start.shift)
     if hand.side == "left":
         # Mirroring flips the axis across the palm and the sense of rotations.
         axes[2], turn = -axes[2], -turn

@@ -274,6 +274,7 @@ class Retargeter:
             normals=normals,
             center=np.zeros((1, 3)),
             extent=np.ones(1),
+            weight=np.ones(1),
         )
 
     def _bounded(

@@ -12,6 +12,30 @@ METHODS = ("contact", "angle-copy", "dexgraspnet")
 
 
 @dataclass(frozen=True)
+class Start(CheckedRecord):
+    """A start of the solver, relative to the robot hand aligned with the human's. Axes of a right palm: along
+    the fingers, out of the palm, across it; mirrored for a left hand."""
+
+    turn: tuple[float, float, float]
+    """Rotation vector about the mean fingertip [rad]."""
+    shift: tuple[float, float, float]
+    """Shift of the wrist after the rotation [m]."""
+    contact_unit: float = 0.002
+    """Distance between contact points of robot and human [m]."""
+    closure_unit: float = 0.03
+    """Unbalanced part of contact forces that sum to one [-]."""
+
+
+STARTS = (
+    Start((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.003, 0.03),
+    Start((0.04, -0.22, 0.7), (0.01, -0.014, 0.0), 0.001, 0.1),
+    Start((0.07, 0.03, -0.21), (0.0, -0.024, -0.014), 0.002, 0.03),
+    Start((0.24, 0.0, 0.23), (0.017, -0.008, 0.002), 0.002, 0.1),
+)
+"""Four of 69 starts, selected greedily by the reduction of the cost over the grasps of five hands."""
+
+
+@dataclass(frozen=True)
 class RetargetSettings(CheckedRecord):
     """Scale of each cost term (the value that counts as one unit), and iterations."""
 
@@ -19,8 +43,6 @@ class RetargetSettings(CheckedRecord):
     """Distance between robot and human fingertip, first stage [m]."""
     direction_unit: float = 0.5
     """Difference between unit vectors along a link, first and second stage [-]."""
-    contact_unit: float = 0.003
-    """Distance between contact points of robot and human [m]."""
     gap_unit: float = 0.001
     """Gap between the object and a link that should touch it [m]."""
     soft_object_unit: float = 0.003
@@ -33,21 +55,16 @@ class RetargetSettings(CheckedRecord):
     """Distance to keep from the table [m]."""
     self_unit: float = 0.0005
     """Self-penetration of the hand [m]."""
-    closure_unit: float = 0.03
-    """Unbalanced part of contact forces that sum to one [-]."""
     closure_friction: float = 0.2
     """Friction coefficient in the force balance, well below the nominal one [-]."""
     posture_unit: float = 0.4
     """Difference between unit vectors along a link, third stage [-]."""
     iterations: tuple[int, int, int] = (6, 5, 12)
     """Solver iterations of the three stages."""
-    starts: int = 16
-    """Maximum number of further starts of the solver, for grasps that are not as shown. Their turns and
-    shifts of the palm are random, the same for every grasp."""
-    start_turn: float = 0.2
-    """Standard deviation of their turns about each axis of the palm [rad]."""
-    start_shift: float = 0.01
-    """Standard deviation of their shifts along each axis of the palm [m]."""
+    starts: tuple[Start, ...] = STARTS
+    """Starts of the solver. Grasps that are not firm or not as shown are solved again from the next start."""
+    further_starts: int = 16
+    """Number of random starts that follow, for grasps that are not as shown."""
 
 
 def method_name(name: str) -> str:

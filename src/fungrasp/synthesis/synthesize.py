@@ -23,6 +23,7 @@ from fungrasp.grasps import HUMAN_LINKS, HumanGraspSet
 from fungrasp.hands import load_hand
 from fungrasp.hands.kinematics import HandKinematics
 from fungrasp.objects import ObjectModel, load_object
+from fungrasp.objects.object_model import GRAVITY
 from fungrasp.optimization import terms
 from fungrasp.optimization.hand_state import HandState
 from fungrasp.optimization.levenberg_marquardt import minimize
@@ -274,6 +275,7 @@ def _problem(
         normals=nowhere,
         center=np.array([objects[spec.object].center_of_mass for spec in specs]),
         extent=np.array([0.5 * np.linalg.norm(objects[spec.object].size) for spec in specs]),
+        weight=GRAVITY * np.array([objects[spec.object].mass for spec in specs]),
     )
 
 
