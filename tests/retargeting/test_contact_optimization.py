@@ -9,8 +9,9 @@ import numpy as np
 from odd_hands import odd_hand
 from retarget_scenes import held, plain_objects
 
+from fungrasp.evaluation import static_quality
 from fungrasp.geometry.poses import compose, invert
-from fungrasp.grasps import HumanGraspSet
+from fungrasp.grasps import HumanGraspSet, builtin_grasps
 from fungrasp.hands import load_hand
 from fungrasp.hands.adding.add_hand import Answers, add_hand
 from fungrasp.hands.kinematics import HandKinematics
@@ -66,6 +67,16 @@ def test_links_touch_where_the_person_did_and_more_starts_bring_them_nearer():
     assert np.nanmean(off) < 0.005 and np.nanmax(off) < 0.02 and np.nanmin(facing) == 1
     assert np.all(share < NO_GRIP)
     assert np.nanmean(off) < np.nanmean(judged(human, objects, STARTS[:1])[0]) - 0.001
+
+
+def test_what_is_not_as_shown_is_solved_from_further_starts():
+    human = builtin_grasps().select(np.array([72, 3, 21]))
+    shown = []
+    for count in (0, RetargetSettings().further_starts):
+        settings = RetargetSettings(further_starts=count)
+        robot = retarget(human, None, "leap", settings=settings, threads=1)
+        shown.append(static_quality(robot, human, exact=False).held_as_shown)
+    np.testing.assert_array_equal(shown, [[0, 1, 0], [1, 1, 1]])
 
 
 def test_starts_of_a_left_hand_are_those_of_a_right_one_in_a_mirror(tmp_path: Path):
