@@ -114,6 +114,10 @@ def test_mirroring_twice_gives_the_same():
     assert {model.name: model.mirror_image for model in load_objects(once).values()} == {
         f"{name}_mirrored": model for name, model in grasped_objects().items()
     }
+    from_file = mirrored_grasps(replace(human_grasps(), objects={}, object_bounds=grasps.object_bounds))
+    for name, corners in from_file.object_bounds.items():
+        np.testing.assert_allclose(corners, once.object_bounds[name], atol=1e-12)
+    assert set(from_file.object_bounds) == set(once.object_bounds) != set()
     twice = mirrored_grasps(once)
     for name in ("object_name", "object_pose", "object_rest_pose", "hand_joints", "link_contacts"):
         np.testing.assert_array_equal(getattr(twice, name), getattr(grasps, name))

@@ -15,3 +15,8 @@ def test_kinds_that_do_not_come_for_a_hand_say_what_makes_them(kind, commands):
     with pytest.raises(FungraspError, match="'my_hand'") as refused:
         policy_source(kind, "my_hand")
     assert all(f"fungrasp {command}" in str(refused.value) for command in commands)
+
+
+def test_a_policy_that_is_neither_a_name_nor_a_file_is_refused():
+    with pytest.raises(FungraspError, match="not int"):
+        policy_source(3, "allegro")  # type: ignore[arg-type]

@@ -222,5 +222,8 @@ def mirrored_grasps(grasps: HumanGraspSet) -> HumanGraspSet:
         hand_joints=mirror_points(grasps.hand_joints),
         hand_qpos=None,
         objects={mirrored_name(name): mirrored_object(model) for name, model in grasps.objects.items()},
-        object_bounds={},
+        object_bounds={
+            mirrored_name(name): np.sort(corners * [1.0, -1.0, 1.0], axis=0)
+            for name, corners in grasps.object_bounds.items()
+        },
     )

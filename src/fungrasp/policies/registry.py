@@ -58,6 +58,8 @@ def policy_source(name: str, hand: str) -> PolicySource:
     Raises:
         FungraspError: the policy is unknown, or its file is unreadable.
     """
+    if not isinstance(name, (str, Path)):
+        raise FungraspError(f"a policy is given by its name or file, not {type(name).__name__}")
     if name in (REFERENCE, PLAN):
         return PolicySource(None, name == PLAN)
     path = _find(name, hand)
