@@ -40,7 +40,8 @@ are not, and of one meter between contacts of person and hand. A grasp as shown 
 costs less than one that is not as shown."""
 
 GOOD, BAD = 0.5, 2 * NO_GRIP
-"""Cost below which a grasp is not solved again, and above which it penetrates or is not as shown."""
+"""Cost below which a grasp is not solved again, and above which it penetrates the object (counted twice: as a
+penetration, and as a grip that resists nothing) or is not as shown."""
 
 SAME_PLACE = NEAR - 0.002
 """Distance between contacts at the same place [m], less the error of places from the grid."""

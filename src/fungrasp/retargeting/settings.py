@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from fungrasp.core.errors import UnknownNameError
+from fungrasp.core.errors import FungraspError, UnknownNameError
 from fungrasp.core.records import CheckedRecord
 
 METHODS = ("contact", "angle-copy", "dexgraspnet")
@@ -64,7 +64,17 @@ class RetargetSettings(CheckedRecord):
     starts: tuple[Start, ...] = STARTS
     """Starts of the solver. Grasps that are not firm or not as shown are solved again from the next start."""
     further_starts: int = 16
-    """Number of random starts that follow, for grasps that are not as shown."""
+    """Maximum number of random starts that follow, for grasps that are not as shown or penetrate the
+    object."""
+
+    def __post_init__(self) -> None:
+        """
+        Raises:
+            FungraspError: a setting has another type, or the number of random starts is negative.
+        """
+        super().__post_init__()
+        if self.further_starts < 0:
+            raise FungraspError(f"further_starts must not be negative, not {self.further_starts}")
 
 
 def method_name(name: str) -> str:
